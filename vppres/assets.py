@@ -1,0 +1,99 @@
+"""Customers, PV systems and batteries: frozen tables, one array per attribute.
+
+Absent assets are tables of length 0. The attributes' units, bounds and defaults are those of
+:mod:`vppres.schema`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.frozen import freeze_fields
+
+Floats = NDArray[np.float64]
+Names = NDArray[np.object_]
+
+
+@dataclass(frozen=True, eq=False)
+class Customers:
+    """Customers, shape (C,) each.
+
+    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging.
+    """
+
+    id: Names
+    bus: Names
+    tier: Names
+    weight: Floats
+    power_factor: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, id=object, bus=object, tier=object, weight=float, power_factor=float)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def q_per_p(self) -> Floats:
+        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``."""
+        return np.tan(np.arccos(self.power_factor))
+
+
+@dataclass(frozen=True, eq=False)
+class PVSystems:
+    """PV systems, shape (P,) each; ``customer`` is the owner's identifier."""
+
+    id: Names
+    customer: Names
+    p_max_kw: Floats
+    s_max_kva: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, id=object, customer=object, p_max_kw=float, s_max_kva=float)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def owner(self, customers: Customers) -> NDArray[np.int64]:
+        """Position of each system's owner in the customers' table."""
+        position = {c: i for i, c in enumerate(customers.id)}
+        return np.array([position[c] for c in self.customer], dtype=int)
+
+
+@dataclass(frozen=True, eq=False)
+class Batteries:
+    """Batteries, shape (B,) each: ratings, limits, nominal efficiencies and thermal constants.
+
+    The thermal constants are those of the paper's Table "Battery electro-thermal efficiency
+    parameters"; ``t_initial_c`` may be NaN, which means the ambient temperature of the first step.
+    """
+
+    id: Names
+    bus: Names
+    energy_kwh: Floats
+    p_max_kw: Floats
+    s_max_kva: Floats
+    soc_min: Floats
+    soc_max: Floats
+    soc_initial: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    r_theta_c_per_kw: Floats
+    c_theta_kwh_per_c: Floats
+    alpha_charge_per_c2: Floats
+    alpha_discharge_per_c2: Floats
+    r_int_ohm: Floats
+    beta_per_c: Floats
+    u_batt_v: Floats
+    t_ref_c: Floats
+    t_initial_c: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, **{f.name: object if f.name in ("id", "bus") else float
+                               for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.id)

@@ -1,0 +1,107 @@
+"""Typed errors: every failure a caller can react to has its own class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake in the input: where it is, what is wrong, how to cure it.
+
+    Parameters
+    ----------
+    where : str
+        File name, or the name of the table when the data did not come from a file.
+    message : str
+        What is wrong, without the value and the place.
+    cure : str
+        What the user should do.
+    row : int, optional
+        Line in the file (the header of a table is line 1), or position in the table.
+    field : str, optional
+        Column or key.
+    value : object, optional
+        The offending value as it was read.
+
+    Examples
+    --------
+    >>> print(Problem("pv.csv", "must be positive", "Give a rating in kW.", row=3,
+    ...               field="p_max_kw", value=-5.0))
+    pv.csv, row 3, p_max_kw = -5.0: must be positive. Give a rating in kW.
+    """
+
+    where: str
+    message: str
+    cure: str
+    row: int | None = None
+    field: str | None = None
+    value: object = None
+
+    def __str__(self) -> str:
+        place = self.where
+        if self.row is not None:
+            place += f", row {self.row}"
+        if self.field is not None:
+            place += f", {self.field}"
+            if self.value is not None:
+                place += f" = {self.value}"
+        return f"{place}: {self.message}. {self.cure}"
+
+    def in_file(self, file: str, first_row: int = 2) -> Problem:
+        """The same problem, located in a file whose first data row is line ``first_row``."""
+        row = None if self.row is None else self.row + first_row
+        return replace(self, where=file, row=row)
+
+
+class VppresError(Exception):
+    """Base of all errors that vppres raises on purpose."""
+
+    exit_status = 1
+
+
+class InputError(VppresError):
+    """The user's data or options are wrong; carries every problem that was found.
+
+    Parameters
+    ----------
+    problems : iterable of Problem or str
+        At least one.
+    """
+
+    exit_status = 2
+
+    def __init__(self, problems: Iterable[Problem] | Problem | str) -> None:
+        if isinstance(problems, (Problem, str)):
+            problems = [problems]  # type: ignore[list-item]
+        self.problems: tuple[Problem | str, ...] = tuple(problems)
+        super().__init__("\n".join(str(p) for p in self.problems))
+
+
+class ModelError(VppresError):
+    """The optimisation model cannot be built as asked, for example because it is not DPP."""
+
+
+class SolveError(VppresError):
+    """A solver gave no usable answer."""
+
+
+class InfeasibleError(SolveError):
+    """The window has no feasible dispatch."""
+
+
+class UnboundedError(SolveError):
+    """The window's objective is unbounded: the data are wrong."""
+
+
+class NumericalError(SolveError):
+    """The solver gave up for numerical reasons."""
+
+
+class LimitError(SolveError):
+    """Time ran out before the first feasible dispatch."""
+
+
+class VerificationError(VppresError):
+    """The AC power flow did not converge, or contradicts the dispatch."""

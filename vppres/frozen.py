@@ -1,0 +1,25 @@
+"""Read-only arrays: inputs are never overwritten."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def freeze(values: ArrayLike, dtype: Any = None) -> NDArray[Any]:
+    """A read-only copy as an array.
+
+    >>> freeze([1.0, 2.0]).flags.writeable
+    False
+    """
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+def freeze_fields(record: object, **dtypes: Any) -> None:
+    """Replace the named fields of a frozen dataclass by read-only arrays."""
+    for name, dtype in dtypes.items():
+        object.__setattr__(record, name, freeze(getattr(record, name), dtype))

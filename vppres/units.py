@@ -1,0 +1,54 @@
+"""The only place that converts units.
+
+Powers are kW and kvar, energies kWh, impedances ohm, voltages pu (squared inside the model), and
+times h everywhere else in the package.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+KW_PER_MW = 1000.0
+W_PER_KW = 1000.0
+
+
+def kw_to_mw(p_kw: ArrayLike) -> NDArray[np.float64]:
+    """Power from kW (kvar, kVA) to MW (Mvar, MVA).
+
+    >>> float(kw_to_mw(3715.0))
+    3.715
+    """
+    return np.asarray(p_kw, dtype=float) / KW_PER_MW
+
+
+def mw_to_kw(p_mw: ArrayLike) -> NDArray[np.float64]:
+    """Power from MW (Mvar, MVA) to kW (kvar, kVA)."""
+    return np.asarray(p_mw, dtype=float) * KW_PER_MW
+
+
+def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> NDArray[np.float64]:
+    """Impedance to the coefficient of LinDistFlow: change of V² (pu²) for each kW of flow.
+
+    With the voltage in kV and the power in kW, ``r P / V²`` is dimensionless after a factor 1000.
+
+    >>> float(ohm_to_pu2_per_kw(1.0, 10.0))
+    1e-05
+    """
+    return np.asarray(z_ohm, dtype=float) / (KW_PER_MW * base_kv**2)
+
+
+def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike,
+                  voltage_v: ArrayLike) -> NDArray[np.float64]:
+    """Joule loss in kW of a DC power (kW) through a resistance (ohm) at a voltage (V).
+
+    >>> float(joule_loss_kw(90.0, 0.0035, 900.0))
+    0.035
+    """
+    current_a = np.asarray(power_kw, dtype=float) * W_PER_KW / np.asarray(voltage_v, dtype=float)
+    return current_a**2 * np.asarray(resistance_ohm, dtype=float) / W_PER_KW
+
+
+def minutes_to_h(minutes: float) -> float:
+    """Minutes to hours."""
+    return minutes / 60.0
