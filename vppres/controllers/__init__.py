@@ -1,0 +1,1 @@
+"""Controllers: ``decide(observation) -> decision``."""

@@ -1,0 +1,106 @@
+"""What a controller sees and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.forecast import Forecast
+from vppres.model.data import Dispatch, Site, WindowData
+from vppres.model.linearise import Centre, OperatingPoint, delta_offset
+from vppres.solve.result import WindowSolution
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What may be known at the beginning of a step: forecasts and measurements, no future truth.
+
+    Parameters
+    ----------
+    t0 : int
+        The step to decide on.
+    forecast : Forecast
+        Forecast of the window; its first step is the actual one.
+    soc, eta_charge, eta_discharge : array, shape (B,)
+        Measured state of charge and efficiencies.
+    operating_point : OperatingPoint or None
+        Last AC operating point, None before the first.
+    """
+
+    t0: int
+    forecast: Forecast
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    operating_point: OperatingPoint | None = None
+
+    def window(self, site: Site, centre: Centre) -> WindowData:
+        """The data of the window's problem."""
+        f = self.forecast
+        offset = delta_offset(site.network, self.operating_point, centre)
+        return WindowData(f.load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw, self.soc,
+                          self.eta_charge, self.eta_discharge,
+                          np.tile(offset, (len(f.price_gbp_per_kwh), 1)))
+
+
+@dataclass(frozen=True)
+class SolveInfo:
+    """How a decision was found, for the record."""
+
+    objective: float = np.nan
+    bound: float = np.nan
+    gap: float = np.nan
+    gap_abs: float = np.nan
+    gap_cost_gbp: float = np.nan
+    status: str = "not_solved"
+    solve_s: float = 0.0
+    solver_s: float = 0.0
+    compilations: int = 0
+    stages: str = ""
+
+    @classmethod
+    def of(cls, solution: WindowSolution, compilations: int) -> SolveInfo:
+        """Record of a window's solution."""
+        return cls(solution.objective, solution.bound, solution.gap, solution.gap_abs,
+                   solution.cost_gap_gbp, str(solution.status), solution.solve_s,
+                   solution.solver_s, compilations, " ".join(solution.stages))
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Set-points of one step: row ``row`` of a dispatch.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        The plan that the step is taken from.
+    row : int
+        The step's row in the plan.
+    info : SolveInfo
+        How the plan was found; empty where an old plan is followed.
+    corrected : bool
+        Whether a plan was overruled for this step.
+    reason : str
+        Why it was.
+    """
+
+    dispatch: Dispatch
+    row: int = 0
+    info: SolveInfo = field(default_factory=SolveInfo)
+    corrected: bool = False
+    reason: str = ""
+
+
+class Controller(Protocol):
+    """A controller decides one step at a time."""
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps for which it wants a forecast at step ``t0``."""
+
+    def decide(self, observation: Observation) -> Decision:
+        """Set-points of step ``observation.t0``."""

@@ -1,0 +1,150 @@
+"""Full-horizon optimisation (paper, Section 4.1): plan the day once, follow the plan, correct."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.controllers.base import Decision, Observation, SolveInfo
+from vppres.model.data import Dispatch, Site
+from vppres.model.linearise import Centre
+from vppres.solve.methods import WindowSolver
+from vppres.timegrid import TimeGrid
+
+Floats = NDArray[np.float64]
+PVCheck = Literal["absorbing", "literal"]
+PV_CHECKS: tuple[PVCheck, ...] = ("absorbing", "literal")
+
+SOC_TOLERANCE = 1e-6
+POWER_TOLERANCE_KW = 1e-3
+BALANCE_TOLERANCE_KW = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Actual:
+    """One step of a plan beside what is measured when it is due; (C,), (P,) and (B,) arrays."""
+
+    plan: Dispatch
+    t: int
+    load_kw: Floats
+    pv_kw: Floats
+    grid_limit_kw: float
+    observation: Observation
+
+    @property
+    def battery_kw(self) -> Floats:
+        return self.plan.charge_kw[self.t] - self.plan.discharge_kw[self.t]
+
+
+class FullHorizonController:
+    """One plan for the whole day, three feasibility checks at every step, one-step corrections.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the plan and the corrections.
+    grid : TimeGrid
+        The day's steps.
+    pv_check : {"absorbing", "literal"}
+        ``literal``: the planned split must equal the actual PV power and respect the actual load.
+        ``absorbing``: planned service and battery set-points stand and the split follows the actual
+        PV power; only batteries, inverters and the grid balance can be violated.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the corrections.
+    """
+
+    def __init__(self, solver: WindowSolver, grid: TimeGrid, pv_check: PVCheck = "absorbing",
+                 centre: Centre = "lossless") -> None:
+        self.solver, self.grid, self.centre = solver, grid, centre
+        self.literal = pv_check == "literal"
+        self.plan: Dispatch | None = None
+
+    def horizon_steps(self, t0: int) -> range:
+        """The whole day at the first step, then the step itself."""
+        return range(self.grid.n_steps) if self.plan is None else range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Follow the plan if it passes the checks, otherwise correct the step."""
+        info = SolveInfo(status="planned")
+        if self.plan is None:
+            solution = self.solver.solve(observation.window(self.solver.site, self.centre))
+            self.plan = solution.dispatch
+            info = SolveInfo.of(solution, self.solver.cache.compilations)
+        f = observation.forecast
+        actual = _Actual(self.plan, observation.t0, f.load_kw[0], f.pv_kw[0],
+                         float(f.grid_limit_kw[0]), observation)
+        reasons = self.violations(actual)
+        if not reasons:
+            return Decision(self.plan, observation.t0, info)
+        return self._correct(observation, "; ".join(reasons))
+
+    def _correct(self, observation: Observation, reason: str) -> Decision:
+        """Optimise the step alone (H = 0) with actual values."""
+        window = observation.window(self.solver.site, self.centre).first(1)
+        solution = self.solver.solve(window)
+        return Decision(solution.dispatch, 0,
+                        SolveInfo.of(solution, self.solver.cache.compilations), True, reason)
+
+    def violations(self, actual: _Actual) -> list[str]:
+        """Names of the checks that the planned step fails, with the worst item of each."""
+        site = self.solver.site
+        checks = (_check_battery(site, actual), self._check_pv(site, actual),
+                  _check_grid(site, actual))
+        return [text for text in checks if text]
+
+    def _check_pv(self, site: Site, actual: _Actual) -> str:
+        """PV power distribution feasibility, in the reading that was chosen."""
+        plan, t = actual.plan, actual.t
+        if self.literal:
+            split = plan.pv_self_kw[t] + plan.pv_export_kw[t] + plan.pv_curtailed_kw[t]
+            excess = np.abs(split - actual.pv_kw)
+            excess = np.maximum(excess, plan.pv_self_kw[t] - actual.load_kw[site.owner])
+            through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
+        else:
+            excess = np.zeros(len(site.pv))
+            through = actual.pv_kw - np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
+        apparent = np.hypot(through, plan.pv_q_kvar[t])
+        excess = np.maximum(excess, apparent - site.pv.s_max_kva)
+        return _worst("pv", site.pv.id, excess, POWER_TOLERANCE_KW, "kW")
+
+
+def _check_battery(site: Site, actual: _Actual) -> str:
+    """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
+    o, b = actual.observation, site.batteries
+    power = actual.battery_kw
+    apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
+    disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
+    stored = o.eta_charge * np.maximum(power, 0) - np.maximum(-power, 0) / o.eta_discharge
+    soc = o.soc + stored * site.dt_h / b.energy_kwh
+    outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
+    return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
+
+
+def _check_grid(site: Site, actual: _Actual) -> str:
+    """Grid import feasibility: what the AC power flow imports, net of its losses.
+
+    Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
+    it. A surplus that cannot be exported violates as a shortage does.
+    """
+    plan, t = actual.plan, actual.t
+    served = plan.served[t]
+    curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
+    needed = actual.load_kw @ served + actual.battery_kw.sum() - (actual.pv_kw - curtailed).sum()
+    limit = actual.grid_limit_kw
+    if needed > limit + BALANCE_TOLERANCE_KW:
+        return f"grid import: {needed - limit:.1f} kW above what the grid gives"
+    if needed < -BALANCE_TOLERANCE_KW:
+        return f"grid import: {-needed:.1f} kW surplus that cannot be exported"
+    return ""
+
+
+def _worst(check: str, names: NDArray[np.object_], excess: Floats, tolerance: float,
+           unit: str) -> str:
+    """Text on the item with the largest excess, empty if all are within the tolerance."""
+    if len(excess) == 0 or excess.max() <= tolerance:
+        return ""
+    i = int(np.argmax(excess))
+    return f"{check}: {names[i]} by {excess[i]:.3g} {unit}"

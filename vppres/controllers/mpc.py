@@ -1,0 +1,38 @@
+"""Model predictive control (paper, Section 4.2): solve the window, carry out its first step."""
+
+from __future__ import annotations
+
+from vppres.controllers.base import Decision, Observation, SolveInfo
+from vppres.model.linearise import Centre
+from vppres.solve.methods import WindowSolver
+from vppres.timegrid import TimeGrid
+
+
+class MPCController:
+    """Receding horizon ``t0 .. t0 + H``, cut at the end of the day.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the windows; compiled problems are kept between steps.
+    grid : TimeGrid
+        The day's steps.
+    horizon_h : float
+        Prediction horizon H in h; 0 looks at the current step only.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    """
+
+    def __init__(self, solver: WindowSolver, grid: TimeGrid, horizon_h: float,
+                 centre: Centre = "lossless") -> None:
+        self.solver, self.grid, self.horizon_h, self.centre = solver, grid, horizon_h, centre
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps of the window at ``t0``."""
+        return self.grid.window(t0, self.horizon_h)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Solve the observed window and take its first step."""
+        solution = self.solver.solve(observation.window(self.solver.site, self.centre))
+        return Decision(solution.dispatch, 0,
+                        SolveInfo.of(solution, self.solver.cache.compilations))

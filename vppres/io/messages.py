@@ -1,0 +1,160 @@
+"""From a failed validation to problems that a user can cure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from vppres import schema
+from vppres.errors import Problem
+
+MAX_PROBLEMS_PER_FILE = 50
+_MAX_VALUE_LENGTH = 60
+_MAX_NAMES_IN_CURE = 12
+
+_MESSAGES = {
+    "missing": "is missing",
+    "greater_than": "must be greater than {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "float_type": "is not a number",
+    "float_parsing": "is not a number",
+    "finite_number": "is not a finite number",
+    "int_type": "is not a whole number",
+    "string_type": "is not text",
+    "string_too_short": "is empty",
+    "string_pattern_mismatch": "is not allowed",
+    "too_short": "is empty",
+    "literal_error": "must be {expected}",
+    "datetime_type": "is not a date and time",
+    "timezone_aware": "has no time zone",
+    "model_type": "is not a table",
+    "dict_type": "is not a table",
+    "list_type": "is not a list of tables",
+}
+_CURES = {
+    "datetime_type": "Write it with offset and without quotes, for example 2022-07-19T12:00:00Z.",
+    "timezone_aware": "Write it with an offset, for example 2022-07-19T12:00:00Z.",
+    "list_type": "Write [[outages]] with start and end for each outage.",
+}
+_FILE_CURE = "Give a file name in the scenario folder that ends in .csv or .parquet."
+
+
+def problems_of(error: ValidationError, model: type[BaseModel], where: str,
+                row: int | None = None) -> list[Problem]:
+    """One problem for each mistake that the validation of ``model`` found.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        What the validation raised.
+    model : type
+        The model that was validated; its fields word the cures.
+    where : str
+        File name.
+    row : int, optional
+        Line in the file. A missing value is an empty cell in a row, a missing key elsewhere.
+    """
+    return [_problem(details, model, where, row) for details in error.errors()]
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
+    """A cure for an unknown name: the nearest known name, or all known names if they are few.
+
+    >>> did_you_mean("critcal", ["critical", "high"], "Add it.")
+    'Did you mean critical?'
+    >>> did_you_mean("x", ["critical", "high"], "Add it.")
+    'Add it. Known: critical, high.'
+    """
+    names = [str(k) for k in known]
+    near = get_close_matches(name, names, n=1)
+    if near:
+        return f"Did you mean {near[0]}?"
+    if 0 < len(names) <= _MAX_NAMES_IN_CURE:
+        return f"{otherwise} Known: {', '.join(names)}."
+    return otherwise
+
+
+def shown(value: object) -> str | None:
+    """A value as a message shows it; nothing for an empty one."""
+    text = str(value)
+    if text == "":
+        return None
+    return text if len(text) <= _MAX_VALUE_LENGTH else text[:_MAX_VALUE_LENGTH] + "..."
+
+
+def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]:
+    """Problems by file and row; of a file with very many, the first ones and a count."""
+    place = {file: i for i, file in enumerate(dict.fromkeys(files))}
+    by_file: dict[str, list[Problem]] = {}
+    for problem in problems:
+        by_file.setdefault(problem.where, []).append(problem)
+    ordered: list[Problem] = []
+    for file in sorted(by_file, key=lambda name: place.get(name, -1)):
+        found = sorted(by_file[file], key=lambda p: -1 if p.row is None else p.row)
+        more = len(found) - MAX_PROBLEMS_PER_FILE
+        ordered += found[:MAX_PROBLEMS_PER_FILE]
+        if more > 0:
+            ordered.append(Problem(file, f"has {more} more problems",
+                                   "Cure those above first."))
+    return ordered
+
+
+def _problem(details: ErrorDetails, model: type[BaseModel], where: str,
+             row: int | None) -> Problem:
+    kind, place = details["type"], details["loc"]
+    owner, field = _find(model, place)
+    name = dotted(place)
+    if kind == "extra_forbidden":
+        return Problem(where, "is not a known key",
+                       did_you_mean(str(place[-1]), owner.model_fields, "Remove it."), field=name)
+    template = _MESSAGES.get(kind, details["msg"][:1].lower() + details["msg"][1:])
+    message = template.format(**details.get("ctx", {})) if kind in _MESSAGES else template
+    if row is not None and kind == "missing":
+        message = "is empty"
+    has_value = kind not in ("missing", "too_short")
+    return Problem(where, message, _cure(kind, owner, field), row=row, field=name,
+                   value=shown(details["input"]) if has_value else None)
+
+
+def _cure(kind: str, owner: type[BaseModel], field: FieldInfo) -> str:
+    if kind == "string_pattern_mismatch" and owner is schema.FilesSection:
+        return _FILE_CURE
+    return _CURES.get(kind, schema.cure(field))
+
+
+def dotted(place: tuple[int | str, ...]) -> str:
+    """A place in scenario.toml, for example ``outages[1].start`` (the first outage is 1)."""
+    text = ""
+    for part in place:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _find(model: type[BaseModel],
+          place: tuple[int | str, ...]) -> tuple[type[BaseModel], FieldInfo]:
+    """The innermost model and field on the way to a place."""
+    owner, field = model, FieldInfo()
+    inner: type[BaseModel] | None = model
+    for part in place:
+        if inner is None or isinstance(part, int):
+            continue
+        owner = inner
+        if part not in inner.model_fields:
+            break
+        field = inner.model_fields[part]
+        inner = _inner_model(field.annotation)
+    return owner, field
+
+
+def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    """The model that a field holds, alone or in a list."""
+    for kind in (annotation, *get_args(annotation)):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+    return None

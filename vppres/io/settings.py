@@ -1,0 +1,159 @@
+"""scenario.toml: what of it is sound, and the problems of the rest."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pandas as pd
+from pydantic import BaseModel, ValidationError
+
+from vppres import schema
+from vppres.errors import Problem
+from vppres.io.messages import problems_of
+from vppres.io.tables import read_text
+from vppres.timegrid import TimeGrid
+from vppres.units import minutes_to_h
+
+M = TypeVar("M", bound=BaseModel)
+
+SCENARIO_FILE = "scenario.toml"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The sound parts of scenario.toml; None stands for a part that is wrong or missing.
+
+    The other files are checked against what is there, so that one reading finds all problems.
+    """
+
+    file: schema.ScenarioFile | None
+    grid: TimeGrid | None
+    slack_bus: str | None
+    tiers: dict[str, float] | None
+    files: schema.FilesSection
+
+
+def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
+    """Read and check scenario.toml."""
+    document, problems = _read_toml(folder / SCENARIO_FILE)
+    if problems:
+        return Settings(None, None, None, None, schema.FilesSection()), problems
+    file: schema.ScenarioFile | None = None
+    try:
+        file = schema.ScenarioFile.model_validate(document)
+    except ValidationError as error:
+        problems = problems_of(error, schema.ScenarioFile, SCENARIO_FILE)
+    time = file.time if file else _sound(document, "time", schema.TimeSection)
+    network = file.network if file else _sound(document, "network", schema.NetworkSection)
+    outages = file.outages if file else []
+    files = file.files if file else _sound(document, "files", schema.FilesSection)
+    problems += check_length(time) if time else []
+    problems += check_voltages(network) if network else []
+    grid = _grid(time) if time and not check_length(time) else None
+    problems += check_outages(outages, grid) if grid else []
+    return Settings(
+        file=file, grid=grid, slack_bus=network.slack_bus if network else None,
+        tiers=file.tiers if file else _sound_tiers(document),
+        files=files or schema.FilesSection()), problems
+
+
+def check_length(time: schema.TimeSection) -> list[Problem]:
+    """A time grid that is too long to be meant."""
+    days = minutes_to_h(time.step_minutes) * time.steps / 24
+    if days <= schema.MAX_GRID_DAYS and 1970 <= time.start.year < 2200:
+        return []
+    if days <= schema.MAX_GRID_DAYS:
+        return [Problem(SCENARIO_FILE, "must lie in the years 1970 to 2199",
+                        "Correct the year.", field="time.start", value=iso(time.start))]
+    return [Problem(SCENARIO_FILE, f"the time grid must not be longer than {schema.MAX_GRID_DAYS} "
+                    "days", "Reduce steps or step_minutes.", field="time.steps", value=time.steps)]
+
+
+def check_voltages(network: schema.NetworkSection) -> list[Problem]:
+    """Voltage limits that contradict each other or exclude the slack bus."""
+    problems = []
+    for low, high in (("v_min_pu", "v_max_pu"), ("v_min_ac_pu", "v_max_ac_pu")):
+        lower, upper = getattr(network, low), getattr(network, high)
+        if not lower < upper:
+            problems.append(Problem(SCENARIO_FILE, f"must be less than {high} ({upper:g})",
+                                    "Correct one of the limits.", field=f"network.{low}",
+                                    value=lower))
+        elif not lower <= network.v_slack_pu <= upper:
+            problems.append(Problem(
+                SCENARIO_FILE, f"must lie between {low} ({lower:g}) and {high} ({upper:g})",
+                "Correct the voltage of the slack bus or the limits.",
+                field="network.v_slack_pu", value=network.v_slack_pu))
+    return problems
+
+
+def check_outages(outages: list[schema.OutageSection], grid: TimeGrid) -> list[Problem]:
+    """Outages that end before they begin, leave the day, or cut a step."""
+    problems = []
+    day = f"The day is {iso(grid.start)} to {iso(grid.end)}, in steps of {grid.step_minutes:g} min."
+    step = pd.Timedelta(minutes=grid.step_minutes)
+    for i, outage in enumerate(outages, start=1):
+        if outage.end <= outage.start:
+            problems.append(Problem(
+                SCENARIO_FILE, f"must be after the outage's start ({iso(outage.start)})",
+                "Correct start or end.", field=f"outages[{i}].end", value=iso(outage.end)))
+            continue
+        for name, time in (("start", outage.start), ("end", outage.end)):
+            if not grid.start <= time <= grid.end:
+                message = "lies outside the scenario's day"
+            elif (time - grid.start) % step != pd.Timedelta(0):
+                message = "lies inside a step"
+            else:
+                continue
+            problems.append(Problem(SCENARIO_FILE, message, day,
+                                    field=f"outages[{i}].{name}", value=iso(time)))
+    return problems
+
+
+def iso(time: datetime) -> str:
+    """A time as the files write it.
+
+    >>> iso(pd.Timestamp("2022-07-19T12:00:00Z"))
+    '2022-07-19T12:00:00Z'
+    """
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
+    if not path.is_file():
+        return {}, [Problem(path.name, "the file is missing",
+                            "A scenario folder needs it: see the page on the scenario format.")]
+    text, problems = read_text(path)
+    if problems:
+        return {}, problems
+    try:
+        # TOML allows CR LF; a lone CR is an error that tomllib reports itself.
+        return tomllib.loads(text), []
+    except (ValueError, RecursionError) as error:
+        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        line = int(found[1]) if found else text.count("\n") + 1
+        reason = str(error).split(" (at ")[0]
+        return {}, [Problem(path.name, f"is not valid TOML: {reason}", "Correct this line.",
+                            row=line)]
+
+
+def _grid(time: schema.TimeSection) -> TimeGrid:
+    return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps)
+
+
+def _sound(document: dict[str, Any], name: str, model: type[M]) -> M | None:
+    """One section of a file whose other sections are wrong."""
+    try:
+        return model.model_validate(document.get(name, {}))
+    except ValidationError:
+        return None
+
+
+def _sound_tiers(document: dict[str, Any]) -> dict[str, float] | None:
+    """The names of the tiers, if there are any; their weights do not matter any more."""
+    tiers = document.get("tiers")
+    return dict.fromkeys(tiers, 1.0) if isinstance(tiers, dict) and tiers else None

@@ -1,0 +1,169 @@
+"""Tables of a scenario folder: CSV or Parquet in, checked rows out."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import pandas as pd
+import pyarrow as pa
+from pydantic import BaseModel, ValidationError
+
+from vppres import schema
+from vppres.errors import Problem
+from vppres.io.messages import did_you_mean, problems_of, shown
+
+R = TypeVar("R", bound=BaseModel)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A file as it was read: cells of a CSV file are stripped text.
+
+    Parameters
+    ----------
+    file : str
+        File name inside the folder.
+    frame : pandas.DataFrame
+        Cells; the index is the line in the file (the header is line 1).
+    """
+
+    file: str
+    frame: pd.DataFrame
+
+    @cached_property
+    def texts(self) -> pd.DataFrame:
+        """All cells as stripped text; a missing cell is empty."""
+        return self.frame.map(_text)
+
+    def column(self, name: str) -> dict[int, str]:
+        """Text of each cell by line, without empty ones; nothing if there is no such column."""
+        if name not in self.frame.columns:
+            return {}
+        return {int(str(line)): text for line, text in self.texts[name].items() if text}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns."""
+        return [str(name) for name in self.frame.columns]
+
+
+def no_table(file: str) -> Table:
+    """The table of assets that the scenario does not have."""
+    return Table(file, pd.DataFrame())
+
+
+def read_table(path: Path) -> tuple[Table | None, list[Problem]]:
+    """A table, or the problems that keep the file from being one."""
+    if not path.is_file():
+        return None, [Problem(path.name, "the file is missing",
+                              "Add it, or name another file under [files] in scenario.toml.")]
+    return _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+
+
+def read_text(path: Path) -> tuple[str, list[Problem]]:
+    """Text of a UTF-8 file, with or without byte order mark."""
+    try:
+        return path.read_bytes().decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = error.object[:error.start].count(b"\n") + 1
+        return "", [Problem(path.name, f"is not UTF-8 text (byte 0x{error.object[error.start]:02x})",
+                            "Save the file with UTF-8 encoding.", row=line)]
+    except OSError as error:
+        return "", [Problem(path.name, f"cannot be read ({error.strerror})",
+                            "Check the file and its permissions.")]
+
+
+def read_rows(table: Table, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
+    """The sound rows of a table by line, and the problems of the others."""
+    problems = check_columns(table, list(model.model_fields),
+                             [n for n, f in model.model_fields.items() if f.is_required()],
+                             {n: schema.cure(f) for n, f in model.model_fields.items()})
+    known = [name for name in table.names if name in model.model_fields]
+    rows: dict[int, R] = {}
+    for line, cells in zip(table.frame.index, table.texts[known].to_dict("records"), strict=True):
+        given = {name: text for name, text in cells.items() if text}
+        try:
+            rows[int(line)] = model.model_validate(given)
+        except ValidationError as error:
+            # A missing column has been named once; it need not be named again in every row.
+            problems += [p for p in problems_of(error, model, table.file, int(line))
+                         if p.field in known]
+    return rows, problems
+
+
+def check_columns(table: Table, known: list[str], required: list[str],
+                  cures: dict[str, str]) -> list[Problem]:
+    """Columns that are missing or unknown."""
+    problems = [Problem(table.file, "the column is missing", cures[name], field=name)
+                for name in required if name not in table.names]
+    return problems + [
+        Problem(table.file, "is not a known column",
+                did_you_mean(name, [k for k in known if k not in table.names], "Remove it."),
+                field=name)
+        for name in table.names if name not in known]
+
+
+def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
+    text, problems = read_text(path)
+    if problems:
+        return None, problems
+    reader = csv.reader(text.splitlines(keepends=True), strict=True)
+    lines, rows = [], []
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                lines.append(reader.line_num)
+                rows.append([cell.strip() for cell in cells])
+    except csv.Error as error:
+        return None, [Problem(path.name, f"is not valid CSV ({error})",
+                              "Correct the quotes of this row.", row=reader.line_num)]
+    if not rows:
+        return None, [Problem(path.name, "is empty", "Write a header row with column names.")]
+    problems = _check_header(path.name, rows[0]) + _check_ragged(path.name, rows, lines)
+    if problems:
+        return None, problems
+    return Table(path.name, pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0],
+                                         dtype=object)), []
+
+
+def _check_header(file: str, header: list[str]) -> list[Problem]:
+    if len(header) == 1 and ";" in header[0]:
+        return [Problem(file, "has a single column", "Separate the cells with commas, and write "
+                        "decimal points.", row=1)]
+    problems = [Problem(file, f"column {i} has no name", "Name it or remove it.", row=1)
+                for i, name in enumerate(header, start=1) if not name]
+    twice = sorted({name for name in header if name and header.count(name) > 1})
+    return problems + [Problem(file, "the column appears twice", "Remove or rename one of them.",
+                               row=1, field=name) for name in twice]
+
+
+def _check_ragged(file: str, rows: list[list[str]], lines: list[int]) -> list[Problem]:
+    width = len(rows[0])
+    return [Problem(file, f"has {len(cells)} cells, but the header has {width}",
+                    "Give one cell per column; quote a cell that contains a comma.", row=line)
+            for line, cells in zip(lines, rows, strict=True) if len(cells) != width]
+
+
+def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
+    try:
+        frame = pd.read_parquet(path, engine="pyarrow")
+    except (pa.ArrowException, OSError, ValueError) as error:
+        return None, [Problem(path.name, f"is not a readable Parquet file ({shown(error)})",
+                              "Write the file again.")]
+    named = [name for name in frame.index.names if name is not None]
+    frame = frame.reset_index(level=named) if named else frame
+    frame.columns = pd.Index([str(name).strip() for name in frame.columns])
+    problems = _check_header(path.name, list(frame.columns))
+    # Rows are counted as in a CSV file, whose header is line 1.
+    frame.index = pd.RangeIndex(2, len(frame) + 2)
+    return (None, problems) if problems else (Table(path.name, frame), [])
+
+
+def _text(cell: object) -> str:
+    """A cell as text; missing values of Parquet files become empty."""
+    return "" if cell is None or cell is pd.NA or cell is pd.NaT or cell != cell else (
+        str(cell).strip())

@@ -1,0 +1,1 @@
+"""The paper's optimisation problem as parametrised cvxpy."""

@@ -1,0 +1,125 @@
+"""Lumped relaxation: all customers, but one battery and one PV system on one bus.
+
+Every inequality holds for the sums of any feasible dispatch of the true problem, so the optimum is
+an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
+"""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.model.data import Floats, Site, WindowData
+from vppres.model.window import require_dpp
+
+
+class AggregateModel:
+    """The lumped relaxation over W steps, with one binary for each customer and step.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    """
+
+    def __init__(self, site: Site, n_steps: int) -> None:
+        self.site, self.n_steps = site, n_steps
+        W, C = n_steps, len(site.customers)
+        self.x = cp.Variable((W, C), name="x_served", boolean=True)
+        self.v = {name: cp.Variable(W, name=name, nonneg=True)
+                  for name in ("P_ch", "P_dch", "stored", "drawn", "P_curt", "P_grid")}
+        self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
+            "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
+            "E_0": (1,), "x_max": (W, C), "eta_lo": (W,), "eta_hi": (W,), "inv_lo": (W,),
+            "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
+        self.rho_dt = cp.Parameter(W, name="rho_dt")
+        self.constraints = self._power() | self._energy()
+        weights = site.weights
+        self.problem = cp.Problem(cp.Maximize(
+            site.dt_h * cp.sum(self.x @ site.customers.weight)
+            - weights.lambda_grid * (self.rho_dt @ self.v["P_grid"])
+            - weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])),
+            list(self.constraints.values()))
+        require_dpp(self.problem, f"lumped window of {n_steps} steps")
+
+    def _power(self) -> dict[str, cp.Constraint]:
+        """Sums of the power balances and limits."""
+        v, p, x = self.v, self.p, self.x
+        load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
+        own = cp.sum(cp.multiply(p["self"], x), axis=1)
+        return {
+            "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + v["P_dch"] == load + v["P_ch"],
+            "lumped_circular_charging": v["P_dch"] <= load - own,
+            "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
+            "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
+            "lumped_grid_limit": v["P_grid"] <= p["P_grid_max"],
+            "lumped_service": x <= p["x_max"],
+        }
+
+    def _energy(self) -> dict[str, cp.Constraint]:
+        """Sums of the SoC recursions and of the limits that exclusivity implies."""
+        v, p, b, dt = self.v, self.p, self.site.batteries, self.site.dt_h
+        e_min, e_max = b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max
+        triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
+        energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
+        before = energy - dt * (v["stored"] - v["drawn"])
+        return {
+            "lumped_energy_min": energy >= e_min,
+            "lumped_energy_max": energy <= e_max,
+            "lumped_room": before + dt * v["stored"] <= e_max,
+            "lumped_reserve": before - dt * v["drawn"] >= e_min,
+            "lumped_power": v["P_ch"] + v["P_dch"] <= _active_limit_kw(self.site).sum(),
+            "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
+            "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
+            "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
+            "lumped_drawn_max": v["drawn"] <= cp.multiply(p["inv_hi"], v["P_dch"]),
+            "lumped_first_charge": v["P_ch"][0] + p["a_per_b"] * v["P_dch"][0] <= p["a"],
+            "lumped_first_discharge": v["P_dch"][0] + p["b_per_a"] * v["P_ch"][0] <= p["b"],
+        }
+
+    def fill(self, data: WindowData) -> None:
+        """Write the window's data."""
+        site, W, b = self.site, self.n_steps, self.site.batteries
+        limit = data.self_limit_kw(site)
+        first = _first_step(site, data)
+        # An owner whose self-consumption exceeds the inverter's rating cannot be served.
+        blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
+        eta = data.eta_charge if len(b) else np.ones(1)
+        inverse = 1.0 / data.eta_discharge if len(b) else np.ones(1)
+        values = {
+            "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
+            "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
+            "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
+            "E_0": np.atleast_1d(b.energy_kwh @ data.soc), "x_max": np.where(blocked, 0.0, 1.0),
+            "eta_lo": np.full(W, eta.min()), "eta_hi": np.full(W, eta.max()),
+            "inv_lo": np.full(W, inverse.min()), "inv_hi": np.full(W, inverse.max()), **first,
+        }
+        for name, value in values.items():
+            self.p[name].value = value
+        self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+
+
+def _active_limit_kw(site: Site) -> Floats:
+    """Largest active power of each battery, (B,)."""
+    return np.minimum(site.batteries.p_max_kw, site.batteries.s_max_kva)
+
+
+def _first_step(site: Site, data: WindowData) -> dict[str, float]:
+    """Limits of the first step, where the SoC is known.
+
+    With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
+    ``ch/a + dch/b <= 1``; summed over the fleet with the smallest ratio it stays valid.
+    """
+    b, limit = site.batteries, _active_limit_kw(site)
+    room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
+    held_kwh = np.maximum(data.soc - b.soc_min, 0.0) * b.energy_kwh
+    charge = np.minimum(limit, room_kwh / (data.eta_charge * site.dt_h))
+    discharge = np.minimum(limit, held_kwh * data.eta_discharge / site.dt_h)
+    both = (charge > 0) & (discharge > 0)
+    ratio = charge[both] / discharge[both]
+    all_both = bool(both.all()) and len(b) > 0
+    return {"a": float(charge.sum()), "b": float(discharge.sum()),
+            "a_per_b": float(ratio.min()) if all_both else 0.0,
+            "b_per_a": float((1.0 / ratio).min()) if all_both else 0.0}

@@ -1,0 +1,184 @@
+"""The paper's constraints (Sections 3.1 and 3.2), one function per equation family.
+
+Every function takes the site, the variables and the parameters of a window and returns named cvxpy
+constraints. All lines of a family are one vectorised constraint: rows are steps, columns are items.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.model.data import Site
+from vppres.model.variables import Parameters, Variables
+
+Named = dict[str, cp.Constraint]
+Family = Callable[[Site, Variables, Parameters], Named]
+
+
+def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
+    """Charge or discharge, never both: P_ch <= P_max delta, P_dch <= P_max (1 - delta)."""
+    P_max = site.batteries.p_max_kw[None, :]
+    return {
+        "battery_charge_mode": v.P_ch <= cp.multiply(P_max, v.delta),
+        "battery_discharge_mode": v.P_dch <= cp.multiply(P_max, 1 - v.delta),
+    }
+
+
+def battery_soc(site: Site, v: Variables, p: Parameters) -> Named:
+    """SoC recursion with losses, its start, and its limits."""
+    b = site.batteries
+    per_energy = site.dt_h / b.energy_kwh[None, :]
+    gain = cp.multiply(p.eta_ch, v.P_ch) - cp.multiply(p.inv_eta_dch, v.P_dch)
+    return {
+        "battery_soc_start": v.SoC[0] == p.SoC_0,
+        "battery_soc_dynamics": v.SoC[1:] == v.SoC[:-1] + cp.multiply(per_energy, gain),
+        "battery_soc_min": v.SoC[1:] >= b.soc_min[None, :],
+        "battery_soc_max": v.SoC[1:] <= b.soc_max[None, :],
+    }
+
+
+def circular_charging(site: Site, v: Variables, p: Parameters) -> Named:
+    """Charging comes from import and PV export, never from another battery."""
+    return {"circular_charging":
+            cp.sum(v.P_ch, axis=1) <= v.P_grid + cp.sum(v.P_exp, axis=1)}
+
+
+def pv_split(site: Site, v: Variables, p: Parameters) -> Named:
+    """Self-consumption, export and curtailment; self-consumption follows the owner's service."""
+    x_owner = v.x_served[:, site.owner]
+    return {
+        "pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv,
+        "pv_self_consumption": v.P_self == cp.multiply(p.P_self_max, x_owner),
+    }
+
+
+def power_balance(site: Site, v: Variables, p: Parameters) -> Named:
+    """Active and reactive balance at every bus, the slack bus with the grid's supply."""
+    A, at_bus = site.network.incidence, site.customer_bus
+    slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
+    P_inj = v.P_exp @ site.pv_bus.T - (v.P_ch - v.P_dch) @ site.battery_bus.T
+    P_load = (cp.multiply(p.P_load, v.x_served) @ at_bus.T - v.P_self @ site.pv_bus.T)
+    Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
+    Q_load = cp.multiply(p.Q_load, v.x_served) @ at_bus.T
+    P_grid = cp.reshape(v.P_grid, (v.P_grid.size, 1), order="C") @ slack.T
+    Q_grid = cp.reshape(v.Q_grid, (v.Q_grid.size, 1), order="C") @ slack.T
+    return {
+        "active_power_balance": P_inj + P_grid + v.P_flow @ A.T == P_load,
+        "reactive_power_balance": Q_inj + Q_grid + v.Q_flow @ A.T == Q_load,
+    }
+
+
+def grid_connection(site: Site, v: Variables, p: Parameters) -> Named:
+    """Import only, none in an outage; reactive exchange is free while connected."""
+    return {
+        "grid_active_limit": v.P_grid <= p.P_grid_max,
+        "grid_reactive_max": v.Q_grid <= p.Q_grid_max,
+        "grid_reactive_min": v.Q_grid >= -p.Q_grid_max,
+    }
+
+
+def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
+    """Voltage drop along every line, in the delta form around the last AC point.
+
+    The deltas telescope over the window, so the last AC point enters as one offset per line:
+    ``u_j = u_i - 2 (r P + x Q) + delta`` with ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``.
+    """
+    net = site.network
+    r, x = net.r_pu2_per_kw[None, :], net.x_pu2_per_kvar[None, :]
+    drop = 2 * (cp.multiply(r, v.P_flow) + cp.multiply(x, v.Q_flow))
+    return {
+        "voltage_slack": v.u[:, 0] == net.v_slack_pu**2,
+        "delta_lindistflow": v.u[:, 1:] == v.u[:, net.parent] - drop + p.delta,
+    }
+
+
+def voltage_limits(site: Site, v: Variables, p: Parameters) -> Named:
+    """Squared voltage between the squared limits, at every bus but the slack bus."""
+    net = site.network
+    return {
+        "voltage_min": v.u[:, 1:] >= net.v_min_pu**2,
+        "voltage_max": v.u[:, 1:] <= net.v_max_pu**2,
+    }
+
+
+def inverter_discs(site: Site, v: Variables, p: Parameters) -> Named:
+    """Apparent power of batteries and PV systems within their inverters' ratings (cones)."""
+    return {
+        "battery_inverter_capacity": _disc(v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva),
+        "pv_inverter_capacity": _disc(v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
+    }
+
+
+def inverter_polygons(sides: int) -> Family:
+    """The same discs as inscribed polygons, for solvers without mixed-integer cones.
+
+    A polygon with K sides and a vertex on the P axis lies inside the disc and loses at most
+    ``1 - cos(pi / K)`` of the rating: 1.9 % at 16 sides, 0.5 % at 32.
+    """
+
+    def family(site: Site, v: Variables, p: Parameters) -> Named:
+        pairs = {
+            "battery_inverter_capacity":
+                (v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva),
+            "pv_inverter_capacity": (v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
+        }
+        return {name: _polygon(P, Q, S, sides) for name, (P, Q, S) in pairs.items()}
+
+    return family
+
+
+def inverter_active(site: Site, v: Variables, p: Parameters) -> Named:
+    """What the discs imply for active power alone; for relaxations without reactive power."""
+    return {
+        "battery_charge_rating": v.P_ch <= site.batteries.s_max_kva[None, :],
+        "battery_discharge_rating": v.P_dch <= site.batteries.s_max_kva[None, :],
+        "pv_active_rating": v.P_self + v.P_exp <= site.pv.s_max_kva[None, :],
+    }
+
+
+def total_balance(site: Site, v: Variables, p: Parameters) -> Named:
+    """Sum of the active balances over all buses: lossless lines cancel."""
+    load = cp.sum(cp.multiply(p.P_load, v.x_served), axis=1) - cp.sum(v.P_self, axis=1)
+    return {"total_power_balance": v.P_grid + cp.sum(v.P_exp, axis=1)
+            == load + cp.sum(v.P_ch - v.P_dch, axis=1)}
+
+
+def battery_headroom(site: Site, v: Variables, p: Parameters) -> Named:
+    """What exclusivity implies together with the SoC limits; it cuts off no feasible dispatch.
+
+    A battery that charges must have the room, whatever a fractional mode would discharge at the
+    same time; likewise for discharging.
+    """
+    b = site.batteries
+    per_energy = site.dt_h / b.energy_kwh[None, :]
+    stored = cp.multiply(per_energy, cp.multiply(p.eta_ch, v.P_ch))
+    drawn = cp.multiply(per_energy, cp.multiply(p.inv_eta_dch, v.P_dch))
+    return {
+        "battery_room": v.SoC[:-1] + stored <= b.soc_max[None, :],
+        "battery_reserve": v.SoC[:-1] - drawn >= b.soc_min[None, :],
+    }
+
+
+def _disc(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray) -> cp.Constraint:
+    """Second-order cones ``norm(P, Q) <= S``, one for each step and item."""
+    S = np.broadcast_to(s_max_kva, P.shape).ravel(order="F")
+    both = cp.vstack([cp.vec(P, order="F"), cp.vec(Q, order="F")])
+    return cp.SOC(cp.Constant(S), both, axis=0)
+
+
+def _polygon(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray,
+             sides: int) -> cp.Constraint:
+    """Half planes of the inscribed polygon, sides stacked as blocks of rows."""
+    angle = (2 * np.arange(sides) + 1) * np.pi / sides
+    rhs = np.broadcast_to(s_max_kva * np.cos(np.pi / sides), P.shape)
+    return cp.vstack([np.cos(a) * P + np.sin(a) * Q for a in angle]) <= np.vstack([rhs] * sides)
+
+
+NETWORK_FAMILIES: tuple[Family, ...] = (power_balance, delta_lindistflow, voltage_limits)
+LUMPED_NETWORK_FAMILIES: tuple[Family, ...] = (total_balance, inverter_active, battery_headroom)
+DEVICE_FAMILIES: tuple[Family, ...] = (battery_modes, battery_soc, circular_charging, pv_split,
+                                       grid_connection)

@@ -1,0 +1,184 @@
+"""What a window's problem is made of: fixed site data, and the data that change at every step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.assets import Batteries, Customers, PVSystems
+from vppres.network import Network
+from vppres.scenario import ObjectiveWeights, Scenario
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What stays the same from step to step: network, assets, weights and step length."""
+
+    network: Network
+    customers: Customers
+    pv: PVSystems
+    batteries: Batteries
+    weights: ObjectiveWeights
+    dt_h: float
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Site:
+        """Site of a scenario."""
+        return cls(scenario.network, scenario.customers, scenario.pv, scenario.batteries,
+                   scenario.objective, scenario.grid.dt_h)
+
+    @cached_property
+    def customer_bus(self) -> sp.csr_array:
+        """Shape (N, C): places customers on their buses."""
+        return self.network.place(self.customers.bus)
+
+    @cached_property
+    def battery_bus(self) -> sp.csr_array:
+        """Shape (N, B): places batteries on their buses."""
+        return self.network.place(self.batteries.bus)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """Shape (P,): position of each PV system's customer."""
+        return self.pv.owner(self.customers)
+
+    @cached_property
+    def pv_customer(self) -> sp.csr_array:
+        """Shape (C, P): places PV systems on their customers."""
+        count = len(self.pv)
+        return sp.csr_array((np.ones(count), (self.owner, np.arange(count))),
+                            shape=(len(self.customers), count))
+
+    @cached_property
+    def pv_bus(self) -> sp.csr_array:
+        """Shape (N, P): places PV systems on their owners' buses."""
+        return sp.csr_array(self.customer_bus @ self.pv_customer)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowData:
+    """What changes with every solve, for a window of W steps.
+
+    Parameters
+    ----------
+    load_kw : array, shape (W, C)
+        Forecast demand.
+    pv_kw : array, shape (W, P)
+        Forecast available PV power.
+    price_gbp_per_kwh : array, shape (W,)
+        Import price.
+    grid_limit_kw : array, shape (W,)
+        Largest import, 0 in an outage, may be infinite.
+    soc : array, shape (B,)
+        State of charge at the beginning of the window.
+    eta_charge, eta_discharge : array, shape (B,)
+        Efficiencies, held over the window (paper, Section 5.2).
+    delta_pu2 : array, shape (W, L)
+        Right-hand side of the delta form of LinDistFlow; zero gives plain LinDistFlow.
+    """
+
+    load_kw: Floats
+    pv_kw: Floats
+    price_gbp_per_kwh: Floats
+    grid_limit_kw: Floats
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    delta_pu2: Floats
+
+    @property
+    def n_steps(self) -> int:
+        """Steps W of the window."""
+        return len(self.price_gbp_per_kwh)
+
+    def first(self, n_steps: int) -> WindowData:
+        """The first steps of the window."""
+        cut = {name: getattr(self, name)[:n_steps] for name in
+               ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")}
+        return replace(self, **cut)
+
+    def self_limit_kw(self, site: Site) -> Floats:
+        """Self-consumption of each PV system if its owner is served, shape (W, P)."""
+        return np.minimum(self.load_kw[:, site.owner], self.pv_kw)
+
+    def grid_p_max_kw(self, site: Site) -> Floats:
+        """Largest import that can ever be useful, or the limit where that is smaller, (W,).
+
+        Nothing can be exported, so no more than all demand and all charging is ever imported.
+        """
+        useful = self.load_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+        return np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful)
+
+    def grid_q_max_kvar(self, site: Site) -> Floats:
+        """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
+        possible = (self.load_kw @ site.customers.q_per_p
+                    + site.batteries.s_max_kva.sum() + site.pv.s_max_kva.sum())
+        return np.where(self.grid_limit_kw > 0.0, possible, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Dispatch:
+    """A dispatch of W steps as plain arrays; names as in the paper's Table "Optimization Variables".
+
+    ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window.
+    """
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    charge_kw: Floats
+    discharge_kw: Floats
+    batt_q_kvar: Floats
+    soc: Floats
+    p_grid_kw: Floats
+    q_grid_kvar: Floats
+    v_pu: Floats
+    p_flow_kw: Floats
+    q_flow_kvar: Floats
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps W."""
+        return len(self.p_grid_kw)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The five terms of the objective (paper, Section 3.3), summed over a window."""
+
+    f1: float
+    f2: float
+    f3: float
+    f4: float
+    f5: float
+
+    def total(self, weights: ObjectiveWeights) -> float:
+        """The objective F."""
+        return (self.upper_levels(weights)
+                - weights.lambda_l * self.f4 - weights.lambda_q * self.f5)
+
+    def upper_levels(self, weights: ObjectiveWeights) -> float:
+        """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
+        return self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
+
+
+def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
+    """Objective terms of a dispatch, recomputed from its arrays."""
+    flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
+    use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
+    use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
+    return Terms(
+        f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
+        f2=float(data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h),
+        f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
+        f4=float((flow2 @ site.network.r_ohm).sum()),
+        f5=float(use),
+    )

@@ -1,0 +1,132 @@
+"""Variables and parameters of a window, with the paper's letters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.model.data import Dispatch, Floats, Site, WindowData
+
+Mode = Literal["integer", "relaxed", "fixed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """Everything that a re-solve may change (W steps)."""
+
+    P_load: cp.Parameter
+    Q_load: cp.Parameter
+    P_pv: cp.Parameter
+    P_self_max: cp.Parameter
+    rho_dt: cp.Parameter
+    P_grid_max: cp.Parameter
+    Q_grid_max: cp.Parameter
+    SoC_0: cp.Parameter
+    eta_ch: cp.Parameter
+    inv_eta_dch: cp.Parameter
+    delta: cp.Parameter
+
+    @classmethod
+    def create(cls, site: Site, W: int) -> Parameters:
+        """Parameters of a window of W steps."""
+        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
+        shapes = {"P_load": (W, C), "Q_load": (W, C), "P_pv": (W, P), "P_self_max": (W, P),
+                  "rho_dt": (W,), "P_grid_max": (W,), "Q_grid_max": (W,), "SoC_0": (B,),
+                  "eta_ch": (W, B), "inv_eta_dch": (W, B), "delta": (W, site.network.n_lines)}
+        signed = ("rho_dt", "delta")
+        return cls(**{name: cp.Parameter(shape, name=name, nonneg=name not in signed)
+                      for name, shape in shapes.items()})
+
+    def fill(self, site: Site, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
+        """Write a window's data: all values are computed first, then all are written.
+
+        With a served set, shape (W, C), demand and self-consumption are those of the served
+        customers only; forms with a fixed service need it.
+        """
+        W = data.n_steps
+        x = np.ones(data.load_kw.shape) if served is None else np.asarray(served, dtype=float)
+        load = data.load_kw * x
+        values = {
+            "P_load": load, "Q_load": load * site.customers.q_per_p,
+            "P_pv": data.pv_kw, "P_self_max": data.self_limit_kw(site) * x[:, site.owner],
+            "rho_dt": data.price_gbp_per_kwh * site.dt_h,
+            "P_grid_max": data.grid_p_max_kw(site), "Q_grid_max": data.grid_q_max_kvar(site),
+            "SoC_0": data.soc, "eta_ch": np.tile(data.eta_charge, (W, 1)),
+            "inv_eta_dch": np.tile(1.0 / data.eta_discharge, (W, 1)), "delta": data.delta_pu2,
+        }
+        for f in fields(self):
+            getattr(self, f.name).value = values[f.name]
+
+
+@dataclass(frozen=True, eq=False)
+class Variables:
+    """Decision variables of a window of W steps (paper, Table "Optimization Variables").
+
+    ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where the
+    form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand;
+    where it fixes the modes, ``delta`` is a parameter.
+    """
+
+    x_served: cp.Variable | cp.Constant
+    P_self: cp.Variable
+    P_exp: cp.Variable
+    P_curt: cp.Variable
+    Q_pv: cp.Variable
+    P_ch: cp.Variable
+    P_dch: cp.Variable
+    delta: cp.Variable | cp.Parameter
+    Q_batt: cp.Variable
+    SoC: cp.Variable
+    P_grid: cp.Variable
+    Q_grid: cp.Variable
+    u: cp.Variable
+    P_flow: cp.Variable
+    Q_flow: cp.Variable
+
+    @classmethod
+    def create(cls, site: Site, W: int, service: Mode, exclusivity: Mode) -> Variables:
+        """Variables of a window; binaries are boolean only where the form asks for it."""
+        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
+        N, L = site.network.n_buses, site.network.n_lines
+
+        def nonneg(name: str, *shape: int) -> cp.Variable:
+            return cp.Variable(shape, name=name, nonneg=True)
+
+        def free(name: str, *shape: int) -> cp.Variable:
+            return cp.Variable(shape, name=name)
+
+        return cls(
+            x_served=(cp.Constant(np.ones((W, C))) if service == "fixed" else
+                      cp.Variable((W, C), name="x_served", boolean=service == "integer")),
+            P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
+            P_curt=nonneg("P_curt", W, P), Q_pv=free("Q_pv", W, P),
+            P_ch=nonneg("P_ch", W, B), P_dch=nonneg("P_dch", W, B),
+            delta=(cp.Parameter((W, B), name="delta", nonneg=True) if exclusivity == "fixed" else
+                   cp.Variable((W, B), name="delta", boolean=exclusivity == "integer")),
+            Q_batt=free("Q_batt", W, B), SoC=free("SoC", W + 1, B),
+            P_grid=nonneg("P_grid", W), Q_grid=free("Q_grid", W), u=nonneg("u", W, N),
+            P_flow=free("P_flow", W, L), Q_flow=free("Q_flow", W, L),
+        )
+
+    def dispatch(self, site: Site, served: NDArray[np.bool_] | None = None) -> Dispatch:
+        """The solution as arrays, cleaned of solver noise below 1e-7."""
+
+        def clean(variable: cp.Variable, lower: float = -np.inf) -> Floats:
+            value = np.asarray(variable.value, dtype=float)
+            return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
+
+        return Dispatch(
+            served=np.asarray(self.x_served.value) > 0.5 if served is None else served,
+            pv_self_kw=clean(self.P_self, 0.0), pv_export_kw=clean(self.P_exp, 0.0),
+            pv_curtailed_kw=clean(self.P_curt, 0.0), pv_q_kvar=clean(self.Q_pv),
+            charge_kw=clean(self.P_ch, 0.0), discharge_kw=clean(self.P_dch, 0.0),
+            batt_q_kvar=clean(self.Q_batt),
+            soc=np.clip(clean(self.SoC), site.batteries.soc_min, site.batteries.soc_max),
+            p_grid_kw=clean(self.P_grid, 0.0), q_grid_kvar=clean(self.Q_grid),
+            v_pu=np.sqrt(clean(self.u, 0.0)),
+            p_flow_kw=clean(self.P_flow), q_flow_kvar=clean(self.Q_flow),
+        )

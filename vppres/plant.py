@@ -1,0 +1,119 @@
+"""What the day really does with a decision. Written apart from the model, in plain numpy.
+
+The plant knows the actual demand, PV power and battery state. It carries out a decision as far as
+physics lets it and says where it did not; it shares data with the optimiser, never functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.controllers.base import Decision
+from vppres.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+CLIP_TOLERANCE_KW = 1e-3
+"""Set-points that the plant had to move by more than this are named in the record."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatteryState:
+    """State of the fleet, (B,) each."""
+
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    t_cell_c: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Realised:
+    """One step as it happened; powers in kW and kvar, injections (N,) positive as generation."""
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    charge_kw: Floats
+    discharge_kw: Floats
+    batt_q_kvar: Floats
+    soc_end: Floats
+    p_injection_kw: Floats
+    q_injection_kvar: Floats
+    clipped_kw: float
+
+
+class Plant:
+    """The actual day of a scenario."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        index = scenario.network.bus_index
+        self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
+        self._battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
+        self._owner = scenario.pv.owner(scenario.customers)
+
+    def apply(self, t: int, decision: Decision, state: BatteryState) -> Realised:
+        """Carry out a decision at step ``t``."""
+        plan, row = decision.dispatch, decision.row
+        served = np.asarray(plan.served[row], dtype=bool)
+        own, export, curtailed = self._split_pv(t, served, plan.pv_curtailed_kw[row])
+        charge, discharge = self._battery_power(plan.charge_kw[row], plan.discharge_kw[row], state)
+        pv, b = self.scenario.pv, self.scenario.batteries
+        pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
+        batt_q = _limit_q(plan.batt_q_kvar[row], charge - discharge, b.s_max_kva)
+        dt_h = self.scenario.grid.dt_h
+        stored = (state.eta_charge * charge - discharge / state.eta_discharge) * dt_h
+        clipped = max(np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
+                      np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
+                      np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0))
+        p, q = self._injections(t, served, own, export, charge - discharge)
+        np.add.at(q, self._customer_bus[self._owner], pv_q)
+        np.add.at(q, self._battery_bus, batt_q)
+        soc_end = np.clip(state.soc + stored / b.energy_kwh, b.soc_min, b.soc_max)
+        return Realised(served, own, export, curtailed, pv_q, charge, discharge, batt_q, soc_end,
+                        p, q, float(clipped))
+
+    def _split_pv(self, t: int, served: NDArray[np.bool_],
+                  curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
+        """Self-consumption, export and curtailment of the actual PV power."""
+        available = self.scenario.pv_kw[t]
+        demand = self.scenario.load_kw[t, self._owner] * served[self._owner]
+        own = np.minimum(available, demand)
+        # The inverter cannot pass more than its rating, whatever was asked for.
+        forced = np.maximum(available - self.scenario.pv.s_max_kva, 0.0)
+        curtailed = np.clip(curtailment_kw, forced, np.maximum(available - own, forced))
+        return own, np.maximum(available - own - curtailed, 0.0), curtailed
+
+    def _battery_power(self, charge_kw: Floats, discharge_kw: Floats,
+                       state: BatteryState) -> tuple[Floats, Floats]:
+        """Set-points as far as power rating and state of charge allow."""
+        b, dt_h = self.scenario.batteries, self.scenario.grid.dt_h
+        net = charge_kw - discharge_kw
+        room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
+        held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
+        charge = np.minimum(np.clip(net, 0.0, b.p_max_kw), room_kwh / (state.eta_charge * dt_h))
+        discharge = np.minimum(np.clip(-net, 0.0, b.p_max_kw), held_kwh * state.eta_discharge / dt_h)
+        return charge, discharge
+
+    def _injections(self, t: int, served: NDArray[np.bool_], own: Floats, export: Floats,
+                    battery_kw: Floats) -> tuple[Floats, Floats]:
+        """Net injection of every bus: generation less served demand; kvar of the demand only."""
+        p = np.zeros(self.scenario.network.n_buses)
+        q = np.zeros_like(p)
+        np.add.at(p, self._customer_bus, -self.scenario.load_kw[t] * served)
+        np.add.at(q, self._customer_bus, -self.scenario.load_kvar[t] * served)
+        np.add.at(p, self._customer_bus[self._owner], own + export)
+        np.add.at(p, self._battery_bus, -battery_kw)
+        return p, q
+
+
+def _limit_q(q_kvar: Floats, p_kw: Floats, s_max_kva: Floats) -> Floats:
+    """Reactive set-point inside the inverter's disc, active power first."""
+    limit = np.sqrt(np.maximum(s_max_kva**2 - p_kw**2, 0.0))
+    return np.clip(q_kvar, -limit, limit)

@@ -1,0 +1,196 @@
+"""The closed loop: observe, decide, actuate, verify, record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vppres.controllers.base import Controller, Decision, Observation
+from vppres.controllers.full_horizon import PV_CHECKS, FullHorizonController, PVCheck
+from vppres.controllers.mpc import MPCController
+from vppres.errors import InputError, Problem, VerificationError
+from vppres.forecast import ForecastErrors, Forecaster
+from vppres.model.data import Site
+from vppres.model.linearise import CENTRES, Centre, OperatingPoint
+from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
+from vppres.powerflow import ACPowerFlow, ACResult
+from vppres.scenario import Scenario
+from vppres.solve.methods import WindowSolver
+from vppres.solve.result import SolveLimits
+from vppres.solve.stages import POLYGON_SIDES
+from vppres.thermal import ThermalScheme
+from vppres.trajectory import Recorder, StepRecord, Trajectory
+
+CONTROLLERS = ("mpc", "full-horizon")
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a day is run.
+
+    Parameters
+    ----------
+    controller : {"mpc", "full-horizon"}
+        Who decides.
+    horizon_h : float
+        Prediction horizon of the MPC in h.
+    solver, method : str
+        Names in the solver table and of the method.
+    errors : ForecastErrors
+        Forecast errors of load and PV.
+    thermal : ThermalScheme
+        Battery heating.
+    seed : int
+        Seed of the forecast errors.
+    limits : SolveLimits
+        Gaps and time limit of a window.
+    polygon_sides : int
+        Sides of an inverter's polygon where the solver needs one.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    pv_check : {"absorbing", "literal"}
+        Reading of the full horizon's PV check.
+    """
+
+    controller: str = "mpc"
+    horizon_h: float = 5.0
+    solver: str = "highs"
+    method: str = "decomposed"
+    errors: ForecastErrors = field(default_factory=ForecastErrors)
+    thermal: ThermalScheme = "off"
+    seed: int = 0
+    limits: SolveLimits = field(default_factory=SolveLimits)
+    polygon_sides: int = POLYGON_SIDES
+    centre: Centre = "lossless"
+    pv_check: PVCheck = "absorbing"
+
+    def __post_init__(self) -> None:
+        choices: dict[str, tuple[str, ...]] = {"controller": CONTROLLERS, "centre": CENTRES,
+                                               "pv_check": PV_CHECKS}
+        problems = [Problem("options", "is not known", f"Use one of: {', '.join(allowed)}.",
+                            field=name, value=getattr(self, name))
+                    for name, allowed in choices.items() if getattr(self, name) not in allowed]
+        if not (np.isfinite(self.horizon_h) and self.horizon_h >= 0):
+            problems.append(Problem("options", "must be zero or positive", "Give hours.",
+                                    field="horizon_h", value=self.horizon_h))
+        if problems:
+            raise InputError(problems)
+
+    def as_record(self) -> dict[str, Any]:
+        """The options as JSON can hold them."""
+        return asdict(self)
+
+
+def make_controller(scenario: Scenario, options: RunOptions) -> MPCController | FullHorizonController:
+    """The controller that the options name, with problems that are yet to be compiled."""
+    solver = WindowSolver(Site.of(scenario), options.method, options.solver, options.limits,
+                          options.polygon_sides)
+    if options.controller == "mpc":
+        return MPCController(solver, scenario.grid, options.horizon_h, options.centre)
+    return FullHorizonController(solver, scenario.grid, options.pv_check, options.centre)
+
+
+def run_day(scenario: Scenario, options: RunOptions | None = None,
+            progress: Progress | None = None) -> Trajectory:
+    """Run a scenario from its first step to its last.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual day.
+    options : RunOptions, optional
+        Controller, solver, errors; the defaults are the paper's ideal case at H = 5.
+    progress : callable, optional
+        Called as ``progress(steps done, steps in all)`` after every step.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
+    SolveError
+        If a window has no answer.
+    VerificationError
+        If an AC power flow does not converge.
+    """
+    options = options or RunOptions()
+    controller = make_controller(scenario, options)
+    day = Day(scenario, options)
+    for t in range(scenario.grid.n_steps):
+        day.step(controller, t)
+        if progress is not None:
+            progress(t + 1, scenario.grid.n_steps)
+    plan = getattr(controller, "plan", None)
+    planned = None if plan is None else {
+        "served": plan.served.tolist(),
+        "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
+        "p_grid_kw": plan.p_grid_kw.tolist(),
+    }
+    return day.recorder.finish(options.as_record(), planned)
+
+
+class Day:
+    """State of a run between two steps."""
+
+    def __init__(self, scenario: Scenario, options: RunOptions) -> None:
+        self.scenario, self.options = scenario, options
+        self.plant = Plant(scenario, options.thermal)
+        self.state = self.plant.initial_state()
+        self.forecaster = Forecaster(scenario, options.errors, options.seed)
+        self.ac = ACPowerFlow(scenario.network)
+        self.recorder = Recorder(scenario)
+        self.operating_point: OperatingPoint | None = None
+
+    def observe(self, controller: Controller, t: int) -> Observation:
+        """What the controller may know at step ``t``."""
+        forecast = self.forecaster.at(t, controller.horizon_steps(t))
+        s = self.state
+        return Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point)
+
+    def step(self, controller: Controller, t: int) -> None:
+        """Observe, decide, actuate, verify, record."""
+        decision = controller.decide(self.observe(controller, t))
+        realised = self.plant.apply(t, decision, self.state)
+        result = self.verify(t, realised)
+        self.recorder.add(_record(self.scenario, t, decision, self.state, realised, result))
+        self.operating_point = OperatingPoint(result.v_pu, result.p_from_kw, result.q_from_kvar,
+                                              realised.p_injection_kw, realised.q_injection_kvar)
+        self.state = self.plant.advance(t, self.state, realised)
+
+    def verify(self, t: int, realised: Realised) -> ACResult:
+        """AC power flow of what happened."""
+        try:
+            return self.ac.solve(realised.p_injection_kw, realised.q_injection_kvar)
+        except VerificationError as error:
+            time = self.scenario.grid.times[t]
+            raise VerificationError(f"Step {t} ({time:%Y-%m-%d %H:%M}): {error}") from error
+
+
+def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
+            realised: Realised, ac: ACResult) -> StepRecord:
+    """Everything that is known of the step."""
+    plan, row, info = decision.dispatch, decision.row, decision.info
+    clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
+    return StepRecord(
+        t=t, served=realised.served, load_kw=scenario.load_kw[t], load_kvar=scenario.load_kvar[t],
+        pv_available_kw=scenario.pv_kw[t], pv_self_kw=realised.pv_self_kw,
+        pv_export_kw=realised.pv_export_kw, pv_curtailed_kw=realised.pv_curtailed_kw,
+        pv_q_kvar=realised.pv_q_kvar, charge_kw=realised.charge_kw,
+        discharge_kw=realised.discharge_kw, batt_q_kvar=realised.batt_q_kvar,
+        soc_start=state.soc, soc_end=realised.soc_end, eta_charge=state.eta_charge,
+        eta_discharge=state.eta_discharge, temperature_c=state.t_cell_c,
+        v_model_pu=plan.v_pu[row], v_ac_pu=ac.v_pu, p_model_kw=plan.p_flow_kw[row],
+        q_model_kvar=plan.q_flow_kvar[row], p_ac_kw=ac.p_from_kw, q_ac_kvar=ac.q_from_kvar,
+        p_grid_kw=ac.p_slack_kw, q_grid_kvar=ac.q_slack_kvar, losses_kw=ac.losses_kw,
+        objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
+        solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
+        notes={"gap_abs": info.gap_abs, "gap_cost_gbp": info.gap_cost_gbp,
+               "solver_s": info.solver_s, "stages": info.stages,
+               "compilations": float(info.compilations), "clipped_kw": clipped})

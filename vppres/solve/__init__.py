@@ -1,0 +1,1 @@
+"""Solving a window: solvers, statuses, levels of precision, certificates."""

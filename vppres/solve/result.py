@@ -1,0 +1,125 @@
+"""Outcomes of solves, with statuses that hide nothing."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.errors import InfeasibleError, LimitError, NumericalError, SolveError, UnboundedError
+from vppres.model.data import Dispatch, Terms
+
+
+class Status(enum.StrEnum):
+    """What a solver's answer is worth."""
+
+    OPTIMAL = "optimal"
+    """Within the gap that was asked for."""
+    TIME_LIMIT = "time_limit"
+    """The best answer when time ran out, with a bound."""
+    INACCURATE = "inaccurate"
+    """An answer whose accuracy the solver does not vouch for."""
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    NUMERICAL = "numerical"
+    """The solver gave up."""
+    NO_ANSWER = "no_answer"
+    """Time ran out before the first answer."""
+
+    @property
+    def has_answer(self) -> bool:
+        """Whether values came with it."""
+        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.INACCURATE)
+
+
+_ERRORS: dict[Status, tuple[type[SolveError], str]] = {
+    Status.INFEASIBLE: (InfeasibleError, "has no feasible dispatch. The voltage limits or the "
+                        "PV owners' self-consumption leave nothing; widen the limits or check the "
+                        "PV inverters' ratings"),
+    Status.UNBOUNDED: (UnboundedError, "is unbounded. A price, weight or limit is not finite"),
+    Status.NUMERICAL: (NumericalError, "made the solver give up for numerical reasons. Try another "
+                       "--solver, or check the data for extreme values"),
+    Status.NO_ANSWER: (LimitError, "was not solved before the time limit. Raise --time-limit, or "
+                       "use --method decomposed"),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Status, value and bound of one solve, in the problem's own sense; seconds in the solver."""
+
+    status: Status
+    value: float
+    bound: float
+    solve_s: float
+
+    def require_answer(self, what: str) -> None:
+        """Raise the typed error of an outcome without values."""
+        if not self.status.has_answer:
+            error, text = _ERRORS[self.status]
+            raise error(f"{what} {text}.")
+
+
+@dataclass(frozen=True)
+class SolveLimits:
+    """When a solve may stop.
+
+    Parameters
+    ----------
+    gap_rel, gap_abs : float
+        Gaps on the objective; both must hold.
+    time_s : float
+        Time limit of one window in seconds.
+    """
+
+    gap_rel: float = 1e-4
+    gap_abs: float = 5e-3
+    time_s: float = 60.0
+
+    def absolute(self, scale: float) -> float:
+        """The absolute gap that meets both, for an objective of size ``scale``."""
+        return min(self.gap_abs, self.gap_rel * scale)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSolution:
+    """A window's dispatch and what is proven about it.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        Feasible for the true problem within solver tolerances.
+    terms : Terms
+        Objective terms of the dispatch.
+    objective, bound : float
+        Paper's objective F of the dispatch and a proven upper bound on it.
+    status : Status
+        ``OPTIMAL`` if the gap is within the limits.
+    cost_gap_gbp : float
+        How much cheaper the served set's dispatch could at most be, in GBP.
+    solve_s, solver_s : float
+        Wall time of the window in seconds, and the part of it inside solvers.
+    stages : tuple of str
+        What was solved, in order.
+    """
+
+    dispatch: Dispatch
+    terms: Terms
+    objective: float
+    bound: float
+    status: Status
+    cost_gap_gbp: float
+    solve_s: float
+    solver_s: float
+    stages: tuple[str, ...] = ()
+
+    @property
+    def gap_abs(self) -> float:
+        """Certified absolute gap."""
+        return max(self.bound - self.objective, 0.0)
+
+    @property
+    def gap(self) -> float:
+        """Certified gap relative to the objective."""
+        return self.gap_abs / max(abs(self.objective), 1e-9) if np.isfinite(self.bound) else np.inf

@@ -1,0 +1,193 @@
+"""The table of solvers: what each can do, how it takes limits, how its bound is read."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.errors import InputError, Problem
+from vppres.solve.result import Outcome, Status
+
+
+@dataclass(frozen=True)
+class SolverSpec:
+    """One row of the table.
+
+    Parameters
+    ----------
+    name : str
+        Name on the command line.
+    cvxpy_name : str
+        Name in cvxpy.
+    mip_cones : bool
+        Whether it takes second-order cones together with binaries; otherwise inverters become
+        polygons.
+    options : callable
+        ``(absolute gap, seconds) -> options`` of the solver.
+    slack : callable
+        ``problem -> value - bound`` of the last solve in the solver's own (minimising) sense.
+    ended : callable
+        ``problem -> Status`` for answers that cvxpy does not call optimal.
+    """
+
+    name: str
+    cvxpy_name: str
+    mip_cones: bool
+    options: Callable[[float, float], Mapping[str, Any]]
+    slack: Callable[[cp.Problem], float]
+    ended: Callable[[cp.Problem], Status]
+
+    @property
+    def installed(self) -> bool:
+        """Whether cvxpy finds it on this machine."""
+        return self.cvxpy_name in cp.installed_solvers()
+
+
+def _stats(problem: cp.Problem) -> Any:
+    return problem.solver_stats.extra_stats
+
+
+def _highs_slack(problem: cp.Problem) -> float:
+    info = _stats(problem)
+    # For a problem without binaries HiGHS leaves the MIP bound at its default of minus infinity.
+    if not problem.is_mixed_integer():
+        return 0.0
+    return float(info.objective_function_value - info.mip_dual_bound)
+
+
+def _highs_ended(problem: cp.Problem) -> Status:
+    feasible = getattr(_stats(problem), "primal_solution_status", 0) == 2
+    return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
+
+
+def _scip_slack(problem: cp.Problem) -> float:
+    model = _stats(problem)["model"]
+    return float(model.getPrimalbound() - model.getDualbound())
+
+
+def _scip_ended(problem: cp.Problem) -> Status:
+    model = _stats(problem)["model"]
+    if model.getNSols() == 0:
+        return Status.NO_ANSWER
+    return {"gaplimit": Status.OPTIMAL, "optimal": Status.OPTIMAL,
+            "timelimit": Status.TIME_LIMIT}.get(model.getStatus(), Status.INACCURATE)
+
+
+def _gurobi_slack(problem: cp.Problem) -> float:
+    model = _stats(problem)
+    return float(model.ObjVal - model.ObjBound)
+
+
+def _copt_slack(problem: cp.Problem) -> float:
+    model = _stats(problem)
+    return float(model.objval - model.bestbnd)
+
+
+def _xpress_slack(problem: cp.Problem) -> float:
+    attributes = _stats(problem)
+    return float(attributes["mipobjval"] - attributes["bestbound"])
+
+
+def _ended_with_values(problem: cp.Problem) -> Status:
+    return Status.TIME_LIMIT if problem.variables()[0].value is not None else Status.NO_ANSWER
+
+
+SOLVERS: dict[str, SolverSpec] = {spec.name: spec for spec in (
+    SolverSpec("highs", cp.HIGHS, False,
+               lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
+               _highs_slack, _highs_ended),
+    SolverSpec("scip", cp.SCIP, True,
+               lambda gap, s: {"scip_params": {"limits/gap": 0.0, "limits/absgap": gap,
+                                               "limits/time": s}},
+               _scip_slack, _scip_ended),
+    SolverSpec("gurobi", cp.GUROBI, True,
+               lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s},
+               _gurobi_slack, _ended_with_values),
+    SolverSpec("copt", cp.COPT, True,
+               lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s},
+               _copt_slack, _ended_with_values),
+    SolverSpec("xpress", cp.XPRESS, True,
+               lambda gap, s: {"miprelstop": 0.0, "mipabsstop": gap, "maxtime": int(max(s, 1))},
+               _xpress_slack, _ended_with_values),
+)}
+
+
+def find_solver(name: str) -> SolverSpec:
+    """The row of a solver.
+
+    Raises
+    ------
+    InputError
+        If the name is not in the table, or the solver is not installed.
+
+    Examples
+    --------
+    >>> find_solver("highs").mip_cones
+    False
+    """
+    spec = SOLVERS.get(name)
+    ready = ", ".join(s.name for s in SOLVERS.values() if s.installed)
+    if spec is None:
+        raise InputError(Problem("options", f"is not a known solver ({', '.join(SOLVERS)})",
+                                 f"Installed here: {ready}.", field="solver", value=name))
+    if not spec.installed:
+        raise InputError(Problem("options", "is not installed", f"Install it, or use one of: "
+                                 f"{ready}.", field="solver", value=name))
+    return spec
+
+
+def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
+        warm_start: bool = False) -> Outcome:
+    """Solve a mixed-integer or linear problem and map its status honestly."""
+    begin = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": mapped below
+            problem.solve(solver=spec.cvxpy_name, warm_start=warm_start,
+                          **spec.options(gap_abs, max(time_s, 0.01)))
+    except cp.SolverError:
+        return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)
+    elapsed = time.perf_counter() - begin
+    status = _map_status(problem, spec)
+    if not status.has_answer:
+        return Outcome(status, np.nan, np.nan, elapsed)
+    sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
+    value = float(problem.objective.value)
+    return Outcome(status, value, value + sign * max(spec.slack(problem), 0.0), elapsed)
+
+
+def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
+    """Status of the last solve."""
+    if problem.status == cp.OPTIMAL:
+        return Status.OPTIMAL
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE,
+                          cp.settings.INFEASIBLE_OR_UNBOUNDED):
+        return Status.INFEASIBLE
+    if problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
+        return Status.UNBOUNDED
+    if problem.status in (cp.USER_LIMIT, cp.OPTIMAL_INACCURATE) or _stats(problem) is not None:
+        return spec.ended(problem)
+    return Status.NUMERICAL
+
+
+def run_conic(problem: cp.Problem, time_s: float) -> Outcome:
+    """Solve a continuous problem with cones or a quadratic objective by interior points."""
+    begin = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            problem.solve(solver=cp.CLARABEL, time_limit=max(time_s, 0.01))
+    except cp.SolverError:
+        return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)
+    elapsed = time.perf_counter() - begin
+    status = {cp.OPTIMAL: Status.OPTIMAL, cp.OPTIMAL_INACCURATE: Status.INACCURATE,
+              cp.INFEASIBLE: Status.INFEASIBLE, cp.UNBOUNDED: Status.UNBOUNDED,
+              cp.USER_LIMIT: Status.NO_ANSWER}.get(problem.status, Status.NUMERICAL)
+    value = float(problem.objective.value) if status.has_answer else np.nan
+    return Outcome(status, value, value, elapsed)
