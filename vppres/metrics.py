@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import platform
-from collections.abc import Mapping
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.io.scenario_folder import scenario_digest
-from vppres.trajectory import OPTIONS, PLANNED, Trajectory
+from vppres.io.digest import scenario_digest
+from vppres.trajectory import OPTIONS, Trajectory, json_safe
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 
@@ -43,11 +41,14 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "corrections": int(trajectory.steps["corrected"].sum()),
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),
-        **{name: trajectory.options.get(name) for name in OPTIONS},
-        **{f"{name}{PLANNED}": value for name, value in (trajectory.planned or {}).items()},
+        **{name: trajectory.options[name] for name in OPTIONS},
+        "options": {name: value for name, value in trajectory.options.items()
+                    if name not in OPTIONS},
         "versions": versions(),
         "input_digest": scenario_digest(trajectory.scenario),
     }
+    if trajectory.planned is not None:
+        summary["resilience_planned"] = resilience_planned(trajectory)
     safe: dict[str, Any] = json_safe(summary)
     return safe
 
@@ -60,6 +61,16 @@ def resilience(trajectory: Trajectory) -> float | None:
     rows = _customers(trajectory, outage=True)
     total = float(rows["weight"].sum())
     return float((rows["weight"] * rows["served"]).sum()) / total if total else None
+
+
+def resilience_planned(trajectory: Trajectory) -> float | None:
+    """The resilience that the plan promised; None without a plan or an outage."""
+    in_outage = trajectory.steps["outage"].to_numpy(bool)
+    if trajectory.planned is None or not in_outage.any():
+        return None
+    weight = trajectory.scenario.customers.weight
+    served = np.asarray(trajectory.planned["served"], dtype=float)[in_outage]
+    return float(served.mean(axis=0) @ weight / weight.sum())
 
 
 def served_share(trajectory: Trajectory, outage: bool) -> dict[str, float | None]:
@@ -154,21 +165,6 @@ def solve_times(trajectory: Trajectory) -> dict[str, float]:
 def versions() -> dict[str, str | None]:
     """Versions of the packages a result depends on; None for one that is not installed."""
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
-
-
-def json_safe(value: Any) -> Any:
-    """A copy that strict JSON can hold: numpy scalars as Python's, NaN and infinities as None.
-
-    >>> json_safe({"gap": np.float64("nan"), "seed": np.int64(3), "errors": (0.1, float("inf"))})
-    {'gap': None, 'seed': 3, 'errors': [0.1, None]}
-    """
-    if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [json_safe(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vppres.controllers.base import Decision
 from vppres.scenario import Scenario
+from vppres.thermal import Power, ThermalScheme, advance, initial_state
 
 Floats = NDArray[np.float64]
 
@@ -49,14 +50,37 @@ class Realised:
 
 
 class Plant:
-    """The actual day of a scenario."""
+    """The actual day of a scenario.
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual series and the assets.
+    thermal : ThermalScheme
+        How the batteries' temperature and efficiencies evolve.
+    """
+
+    def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off") -> None:
+        self.scenario, self.thermal = scenario, thermal
         index = scenario.network.bus_index
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self._battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self._owner = scenario.pv.owner(scenario.customers)
+
+    def initial_state(self) -> BatteryState:
+        """State before the first step."""
+        b = self.scenario.batteries
+        thermal = initial_state(b, self.thermal, float(self.scenario.temperature_c[0]))
+        return BatteryState(b.soc_initial, thermal.eta_charge, thermal.eta_discharge,
+                            thermal.t_cell_c)
+
+    def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
+        """State before the step after ``t``."""
+        power = Power(realised.charge_kw, realised.discharge_kw)
+        thermal = advance(self.scenario.batteries, self.thermal, state, power,
+                          float(self.scenario.temperature_c[t]), self.scenario.grid.dt_h)
+        return BatteryState(realised.soc_end, thermal.eta_charge, thermal.eta_discharge,
+                            thermal.t_cell_c)
 
     def apply(self, t: int, decision: Decision, state: BatteryState) -> Realised:
         """Carry out a decision at step ``t``."""

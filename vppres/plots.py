@@ -8,7 +8,7 @@ line style and marker, so that the figures survive a grey print and colour-blind
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC
 from pathlib import Path
@@ -34,30 +34,46 @@ Floats = NDArray[np.float64]
 BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
 BLACK, GREY = "#000000", "#666666"
+UNNAMED = "_"  # a leading underscore keeps a line out of the legend
 
 DPI = 150
 MAX_NAMED_CUSTOMERS = 60
 HOURS_OF_PLAIN_CLOCK = 48
-# A palette and hash salt of its own keep two runs' SVG files equal if their data are.
+# A fixed salt keeps two SVG files equal if their data are.
 SVG_SETTINGS = {"svg.hashsalt": "vppres"}
 
 
 @dataclass(frozen=True)
 class Style:
-    """How one run is told from another."""
+    """How one run, or tier, is told from another where their lines coincide.
+
+    Later ones are thinner and have their markers on other steps, so that all can be seen.
+    """
 
     color: str
     linestyle: str | tuple[int, tuple[int, ...]]
     marker: str
+    linewidth: float
+    first_marker: int
 
-    def line(self, **changes: Any) -> dict[str, Any]:
+    def line(self, label: str = "") -> dict[str, Any]:
         """Keywords of a line in this style, with a marker on every third point."""
         return {"color": self.color, "linestyle": self.linestyle, "marker": self.marker,
-                "markersize": 4, "markevery": slice(0, -1, 3), "linewidth": 1.6, **changes}
+                "markersize": 4, "markevery": slice(self.first_marker, -1, 3),
+                "linewidth": self.linewidth, "label": label or UNNAMED}
+
+    def thin(self, label: str) -> dict[str, Any]:
+        """Keywords of a companion of the same run: what was planned or modelled."""
+        return self.line(label) | {"linestyle": ":", "linewidth": 1.0, "markerfacecolor": "white"}
 
 
-STYLES = (Style(BLUE, "-", "o"), Style(VERMILLION, (0, (5, 2)), "s"), Style(GREEN, "-.", "^"),
-          Style(PURPLE, (0, (1, 1)), "D"), Style(BLACK, (0, (6, 1, 1, 1, 1, 1)), "v"))
+RUN_STYLES = (Style(BLUE, "-", "o", 1.8, 0), Style(VERMILLION, (0, (5, 2)), "s", 1.6, 1),
+              Style(GREEN, "-.", "^", 1.4, 2), Style(PURPLE, (0, (1, 1)), "D", 1.4, 0),
+              Style(BLACK, (0, (6, 1, 1, 1, 1, 1)), "v", 1.2, 1))
+# Vermillion is left to the tiles that were not served.
+TIER_STYLES = (Style(BLACK, "-", "o", 2.6, 0), Style(SKY, (0, (5, 2)), "s", 2.0, 1),
+               Style(GREEN, "-.", "^", 1.4, 2), Style(PURPLE, (0, (1, 1)), "D", 1.2, 0))
+SERVED, UNSERVED = "#D6E6F2", VERMILLION
 
 
 def energy_and_price(runs: Runs) -> Figure:
@@ -65,23 +81,25 @@ def energy_and_price(runs: Runs) -> Figure:
     named = _named(runs)
     first = next(iter(named.values()))
     figure, (energy, power, price) = _panels(named, heights=(3, 2, 1.3), height_in=7.2)
-    for (label, run), style in zip(named.items(), _styles(), strict=False):
-        energy.plot(_edges(run), stored_energy_kwh(run), **style.line(label=label))
+    for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
+        energy.plot(_edges(run), stored_energy_kwh(run), **style.line(label))
+        if run.planned is not None:
+            energy.plot(_edges(run), run.planned["energy_kwh"], **style.thin(f"{label}: planned"))
         net_kw = _per_step(run, run.batteries["charge_kw"] - run.batteries["discharge_kw"],
                            run.batteries)
-        _steps(power, run, net_kw, **style.line())
+        _steps(power, run, net_kw, style.line())
     capacity = first.scenario.batteries
     _limit(energy, float(capacity.energy_kwh @ capacity.soc_max), "upper SoC limit")
     _limit(energy, float(capacity.energy_kwh @ capacity.soc_min), "lower SoC limit")
     energy.set_ylim(bottom=0.0)
     power.axhline(0.0, color=GREY, linewidth=0.8)
-    _steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), color=BLACK, linewidth=1.4)
+    _steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
     price.set_ylim(bottom=0.0)
     energy.set_ylabel("Stored energy (kWh)")
     power.set_ylabel("Charging (+)\ndischarging (−) (kW)")
     price.set_ylabel("Price\n(GBP/kWh)")
     figure.suptitle("Battery energy and price")
-    return _finished(figure, energy)
+    return _with_legend(figure, energy, columns=len(named))
 
 
 def import_load_pv(runs: Runs) -> Figure:
@@ -89,21 +107,21 @@ def import_load_pv(runs: Runs) -> Figure:
     named = _named(runs)
     first = next(iter(named.values()))
     figure, (imports, load) = _panels(named, heights=(1, 1), height_in=6.4)
-    for (label, run), style in zip(named.items(), _styles(), strict=False):
-        _steps(imports, run, run.steps["p_grid_kw"].to_numpy(), **style.line(label=label))
-        _steps(load, run, served_kw(run), **style.line(label=f"served: {label}"))
+    for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
+        _steps(imports, run, run.steps["p_grid_kw"].to_numpy(), style.line())
+        _steps(load, run, served_kw(run), style.line(f"{label}: import, and demand served"))
     demand = _per_step(first, first.customers["p_load_kw"], first.customers)
     available = _per_step(first, first.pv["available_kw"], first.pv)
-    _steps(load, first, demand, color=BLACK, linewidth=1.0, label="demand")
-    _steps(load, first, available, color=ORANGE, linewidth=1.6, linestyle=(0, (3, 1, 1, 1)),
-           label="PV available")
+    _steps(load, first, demand, {"color": BLACK, "linewidth": 1.0, "label": "demand"})
+    _steps(load, first, available, {"color": ORANGE, "linestyle": (0, (3, 1, 1, 1)),
+                                    "label": "PV available"})
     if len(named) == 1:
         _fill_unserved(load, first, served_kw(first), demand)
     imports.set_ylabel("Import at the slack bus,\nAC (kW)")
     load.set_ylabel("Power (kW)")
     load.set_ylim(bottom=0.0)
     figure.suptitle("Grid import, demand and PV")
-    return _finished(figure, imports, load)
+    return _with_legend(figure, load, columns=2)
 
 
 def voltages(runs: Runs) -> Figure:
@@ -111,21 +129,20 @@ def voltages(runs: Runs) -> Figure:
     named = _named(runs)
     network = next(iter(named.values())).scenario.network
     figure, (lowest, error) = _panels(named, heights=(3, 1.4), height_in=6.4)
-    for (label, run), style in zip(named.items(), _styles(), strict=False):
+    for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
         model = run.buses.groupby("time")["v_model_pu"].min().to_numpy()
         _steps(lowest, run, run.steps["v_min_ac_pu"].to_numpy(),
-               **style.line(label=f"{label}: AC power flow"))
-        _steps(lowest, run, model, **style.line(label=f"{label}: optimisation", linewidth=0.9,
-                                                linestyle=":", markerfacecolor="white"))
-        _steps(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), **style.line())
+               style.line(f"{label}: AC power flow"))
+        _steps(lowest, run, model, style.thin(f"{label}: optimisation"))
+        _steps(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), style.line())
     _limit(lowest, network.v_min_pu, f"{network.v_min_pu:g} optimisation limit")
     _limit(lowest, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", linestyle="-")
     lowest.margins(y=0.1)
     lowest.set_ylabel("Lowest bus voltage (pu)")
-    error.set_ylabel("Largest error\n(0.001 pu)")
+    error.set_ylabel("Largest\n|optim. − AC|\n(0.001 pu)")
     error.set_ylim(bottom=0.0)
     figure.suptitle("Voltages: optimisation against AC power flow")
-    return _finished(figure, lowest)
+    return _with_legend(figure, lowest, columns=len(named))
 
 
 def service_by_tier(runs: Runs) -> Figure:
@@ -138,16 +155,16 @@ def service_by_tier(runs: Runs) -> Figure:
                            height_ratios=(tiles_in, 1.7))
     for column, (label, run) in enumerate(named.items()):
         tiles, share = axes[0, column], axes[1, column]
-        tiles.set_title(label, fontsize=10)
+        tiles.set_title(label, fontsize=10, loc="left")
         _draw_tiles(tiles, run)
         _draw_shares(share, run)
         _mark_outage(tiles, run, shade=False)
         _mark_outage(share, run, text=False)
-        _clock(share, run)
-    figure.legend(handles=[Patch(facecolor=_SERVED, edgecolor=GREY, label="served"),
-                           Patch(facecolor=_UNSERVED, label="not served (×)")]
-                  + axes[1, 0].get_lines()[:len(share_by_tier(next(iter(named.values()))).columns)],
-                  loc="outside lower center", ncols=5, frameon=False)
+        _clock(share, run, max_ticks=9)
+    handles = [Patch(facecolor=SERVED, edgecolor=GREY, label="served"),
+               Patch(facecolor=UNSERVED, label="not served (×)"),
+               *axes[1, 0].get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
     figure.suptitle("Service by customer and tier")
     return figure
 
@@ -193,9 +210,6 @@ def served_kw(run: Trajectory) -> Floats:
     return _per_step(run, run.customers["p_load_kw"] * run.customers["served"], run.customers)
 
 
-_SERVED, _UNSERVED = "#D6E6F2", VERMILLION
-
-
 def _draw_tiles(ax: Axes, run: Trajectory) -> None:
     """A tile per customer and step, grouped by tier; crosses carry the message without colour."""
     customers = run.scenario.customers
@@ -203,7 +217,7 @@ def _draw_tiles(ax: Axes, run: Trajectory) -> None:
     served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)[:, order].T
     edges = _edges(run)
     ax.pcolormesh(edges, np.arange(len(order) + 1), served, vmin=0, vmax=1,
-                  cmap=ListedColormap([_UNSERVED, _SERVED]), edgecolors="white", linewidth=0.6)
+                  cmap=ListedColormap([UNSERVED, SERVED]), edgecolors="white", linewidth=0.6)
     rows, columns = np.nonzero(~served)
     middles = edges[:-1] + (edges[1:] - edges[:-1]) / 2
     ax.scatter(middles[columns], rows + 0.5, marker="x", s=14, color="white", linewidths=1.0)
@@ -233,8 +247,8 @@ def _name_tiers(ax: Axes, run: Trajectory) -> None:
 def _draw_shares(ax: Axes, run: Trajectory) -> None:
     """Share of each tier's customers that are served, in per cent."""
     shares = share_by_tier(run)
-    for (tier, share), style in zip(shares.items(), _styles(), strict=False):
-        _steps(ax, run, 100.0 * share.to_numpy(), **style.line(label=str(tier)))
+    for (tier, share), style in zip(shares.items(), itertools.cycle(TIER_STYLES), strict=False):
+        _steps(ax, run, 100.0 * share.to_numpy(), style.line(str(tier)))
     ax.set_ylim(-4.0, 104.0)
     ax.set_yticks([0, 50, 100])
     ax.set_ylabel("Customers\nserved (%)")
@@ -256,10 +270,6 @@ def _named(runs: Runs) -> dict[str, Trajectory]:
     return {f"MPC, H = {horizon_h:g} h" if is_mpc else str(controller): runs}
 
 
-def _styles() -> Iterable[Style]:
-    return itertools.cycle(STYLES)
-
-
 def _panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
             height_in: float) -> tuple[Figure, list[Axes]]:
     """Panels above each other over one time axis, with the outage shaded."""
@@ -274,10 +284,10 @@ def _panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
     return figure, axes
 
 
-def _finished(figure: Figure, *axes: Axes) -> Figure:
-    """Put one legend, over all the given panels, below the figure."""
-    handles = [h for ax in axes for h in ax.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+def _with_legend(figure: Figure, panel: Axes, columns: int) -> Figure:
+    """Put the legend of one panel below the figure."""
+    figure.legend(handles=panel.get_legend_handles_labels()[0], loc="outside lower center",
+                  ncols=columns, frameon=False)
     return figure
 
 
@@ -294,7 +304,7 @@ def _closed(values: Floats) -> Floats:
     return np.append(values, values[-1])
 
 
-def _steps(ax: Axes, run: Trajectory, values: Floats, **line: Any) -> None:
+def _steps(ax: Axes, run: Trajectory, values: Floats, line: Mapping[str, Any]) -> None:
     """A quantity that holds over each step."""
     ax.plot(_edges(run), _closed(values), drawstyle="steps-post", **line)
 
@@ -341,12 +351,12 @@ def _grid(ax: Axes) -> None:
         ax.spines[side].set_visible(False)
 
 
-def _clock(ax: Axes, run: Trajectory) -> None:
+def _clock(ax: Axes, run: Trajectory, max_ticks: int = 13) -> None:
     """Time axis in UTC, named with its day."""
     edges = _edges(run)
     hours = (edges[-1] - edges[0]).total_seconds() / 3600.0
     plain = hours <= HOURS_OF_PLAIN_CLOCK
     ax.set_xlim(edges[0], edges[-1])
-    ax.xaxis.set_major_locator(AutoDateLocator(tz=UTC, minticks=5, maxticks=13))
+    ax.xaxis.set_major_locator(AutoDateLocator(tz=UTC, minticks=4, maxticks=max_ticks))
     ax.xaxis.set_major_formatter(DateFormatter("%H:%M" if plain else "%d %b\n%H:%M", tz=UTC))
     ax.set_xlabel(f"Time (UTC), from {edges[0]:%d %B %Y}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
@@ -19,6 +19,7 @@ from vppres.network import Network
 from vppres.scenario import ControllerDefaults, ObjectiveWeights
 
 Unit = dict[str, Any]
+ControllerKind = Literal["mpc", "full-horizon"]
 
 KW: Unit = {"unit": "kW"}
 KVA: Unit = {"unit": "kVA"}
@@ -208,8 +209,8 @@ class OutageSection(Section):
 class ControllerSection(Section):
     """What a run uses when its options do not say otherwise."""
 
-    kind: Literal["mpc", "full-horizon"] = Field(
-        default=ControllerDefaults.kind, description="controller")
+    kind: ControllerKind = Field(
+        default=cast(ControllerKind, ControllerDefaults.kind), description="controller")
     horizon_h: float = Field(
         default=ControllerDefaults.horizon_h, ge=0, le=24 * MAX_GRID_DAYS,
         description="look-ahead of the controller; 0 is one step",
@@ -340,13 +341,12 @@ def _table_markdown(title: str, model: type[BaseModel]) -> str:
 
 def _kind(field: FieldInfo) -> str:
     """Type of a field in plain words."""
-    words = {str: "text", float: "number", int: "whole number"}
-    kinds = [field.annotation, *get_args(field.annotation)]
-    if get_args(field.annotation) == ("mpc", "full-horizon"):
+    words: dict[Any, str] = {str: "text", float: "number", int: "whole number",
+                             AwareDatetime: "date and time"}
+    kind, choices = field.annotation, get_args(field.annotation)
+    if get_origin(kind) is Literal:
         return "text"
-    if "datetime" in repr(field):
-        return "date and time"
-    return next((words[k] for k in kinds[:2] if k in words), "table")
+    return words.get(choices[0] if type(None) in choices else kind, "table")
 
 
 def _bounds(field: FieldInfo) -> str:

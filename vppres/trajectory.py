@@ -6,6 +6,7 @@ Values are realised ones unless a column's name says ``model``. Times are the be
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,9 +24,8 @@ from vppres.scenario import Scenario
 Floats = NDArray[np.float64]
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
-OPTIONS = ("controller", "horizon_h", "solver", "method", "seed", "errors", "thermal")
-SUMMARY_FILE = "summary.json"
-PLANNED = "_planned"
+OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
+OPTIONS_FILE = "options.json"
 
 # Columns of the run folder's tables, each with the field of StepRecord that fills it.
 _STEPS = {name: name for name in (
@@ -145,10 +145,12 @@ class Trajectory:
     customers, pv, batteries, buses, lines : DataFrame
         One row per step and item, in the order of time, then of the scenario.
     options : mapping
-        ``controller``, ``horizon_h``, ``solver``, ``method``, ``seed``, ``errors`` and ``thermal``;
-        values that JSON can hold.
+        At least ``controller``, ``horizon_h``, ``solver``, ``method`` and ``seed``; values that JSON
+        can hold.
     planned : mapping, optional
-        What a full-horizon plan promised, for example its ``resilience``.
+        What a full-horizon plan promised: ``served``, nested lists of bool, shape (T, C);
+        ``energy_kwh``, the stored energy at the beginning of each step and at the end, shape
+        (T + 1,); and what else is worth keeping.
     """
 
     scenario: Scenario
@@ -244,9 +246,12 @@ class Recorder:
 
 
 def write_tables(trajectory: Trajectory, folder: Path) -> None:
-    """Write the six tables as Parquet into an existing folder."""
+    """Write the tables as Parquet, and the options and the plan as JSON, into an existing folder."""
     for name, table in trajectory.tables.items():
         table.to_parquet(_table_file(folder, name), index=False)
+    record = {"options": trajectory.options, "planned": trajectory.planned}
+    (folder / OPTIONS_FILE).write_text(json.dumps(json_safe(record), indent=2) + "\n",
+                                       encoding="utf-8")
 
 
 def read_run(folder: Path) -> Trajectory:
@@ -255,20 +260,32 @@ def read_run(folder: Path) -> Trajectory:
     Raises
     ------
     InputError
-        If the folder is not a whole run folder.
+        If the folder is not a whole run folder, with every missing file, or its scenario is wrong.
     """
-    files = [folder / SUMMARY_FILE, *(_table_file(folder, name) for name in TABLES)]
+    files = [folder / OPTIONS_FILE, *(_table_file(folder, name) for name in TABLES)]
     problems = [Problem(str(folder), f"has no {file.name}", "Give a folder written by a run.")
                 for file in files if not file.is_file()]
     if problems:
         raise InputError(problems)
-    summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
-    planned = {key.removesuffix(PLANNED): value
-               for key, value in summary.items() if key.endswith(PLANNED)}
+    record = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
     tables = {name: pd.read_parquet(_table_file(folder, name)) for name in TABLES}
     return Trajectory(scenario=read_scenario(folder / "scenario"), **tables,
-                      options={name: summary.get(name) for name in OPTIONS},
-                      planned=planned or None)
+                      options=record["options"], planned=record["planned"])
+
+
+def json_safe(value: Any) -> Any:
+    """A copy that strict JSON can hold: numpy scalars as Python's, NaN and infinities as None.
+
+    >>> json_safe({"gap": np.float64("nan"), "seed": np.int64(3), "errors": (0.1, float("inf"))})
+    {'gap': None, 'seed': 3, 'errors': [0.1, None]}
+    """
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_safe(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _table_file(folder: Path, name: str) -> Path:

@@ -68,7 +68,7 @@ def read_values(table: Table, name: str, field: FieldInfo,
         for i in np.flatnonzero(bad):
             text = shown(table.texts[name].iloc[i])
             problems.append(Problem(table.file, message if text else "is empty",
-                                    schema.cure(field), row=int(column.index[i]), field=name,
+                                    schema.cure(field), row=int(column.index[int(i)]), field=name,
                                     value=text))
     return values, problems
 
@@ -114,7 +114,8 @@ def _check_step(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> li
     """A series in another step length, which would otherwise be hundreds of problems."""
     if len(times) < 3:
         return []
-    apart = float(np.median(np.abs(np.diff(times.to_numpy()) / np.timedelta64(1, "m"))))
+    gaps = np.diff(times.to_numpy(dtype="datetime64[ns]"))
+    apart = float(np.median(np.abs(gaps / np.timedelta64(1, "m"))))
     if np.isclose(apart, grid.step_minutes) or apart == 0:
         return []
     return [Problem(file, f"the rows are {apart:g} min apart", _grid_cure(grid), field=TIME)]
@@ -142,7 +143,7 @@ def _check_members(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) ->
 
 def _check_sorted(file: str, times: pd.Series[pd.Timestamp]) -> list[Problem]:
     """The first row that goes back in time."""
-    back = np.flatnonzero(np.diff(times.to_numpy()) < np.timedelta64(0))
+    back = np.flatnonzero(np.diff(times.to_numpy(dtype="datetime64[ns]")) < np.timedelta64(0))
     if len(back) == 0:
         return []
     i = int(back[0]) + 1

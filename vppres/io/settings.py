@@ -52,9 +52,10 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     network = file.network if file else _sound(document, "network", schema.NetworkSection)
     outages = file.outages if file else []
     files = file.files if file else _sound(document, "files", schema.FilesSection)
-    problems += check_length(time) if time else []
+    too_long = check_length(time) if time else []
+    problems += too_long
     problems += check_voltages(network) if network else []
-    grid = _grid(time) if time and not check_length(time) else None
+    grid = _grid(time) if time and not too_long else None
     problems += check_outages(outages, grid) if grid else []
     return Settings(
         file=file, grid=grid, slack_bus=network.slack_bus if network else None,
@@ -63,15 +64,15 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
 
 
 def check_length(time: schema.TimeSection) -> list[Problem]:
-    """A time grid that is too long to be meant."""
+    """A time grid too long, or too far away, to be meant."""
     days = minutes_to_h(time.step_minutes) * time.steps / 24
-    if days <= schema.MAX_GRID_DAYS and 1970 <= time.start.year < 2200:
-        return []
-    if days <= schema.MAX_GRID_DAYS:
+    if not 1970 <= time.start.year < 2200:
         return [Problem(SCENARIO_FILE, "must lie in the years 1970 to 2199",
                         "Correct the year.", field="time.start", value=iso(time.start))]
-    return [Problem(SCENARIO_FILE, f"the time grid must not be longer than {schema.MAX_GRID_DAYS} "
-                    "days", "Reduce steps or step_minutes.", field="time.steps", value=time.steps)]
+    if days > schema.MAX_GRID_DAYS:
+        return [Problem(SCENARIO_FILE, f"the scenario is longer than {schema.MAX_GRID_DAYS} days",
+                        "Reduce steps or step_minutes.", field="time.steps", value=time.steps)]
+    return []
 
 
 def check_voltages(network: schema.NetworkSection) -> list[Problem]:
@@ -131,7 +132,6 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if problems:
         return {}, problems
     try:
-        # TOML allows CR LF; a lone CR is an error that tomllib reports itself.
         return tomllib.loads(text), []
     except (ValueError, RecursionError) as error:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))

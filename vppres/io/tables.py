@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import TypeVar
 
@@ -51,9 +52,11 @@ class Table:
         return [str(name) for name in self.frame.columns]
 
 
-def no_table(file: str) -> Table:
-    """The table of assets that the scenario does not have."""
-    return Table(file, pd.DataFrame())
+def no_table(file: str, model: type[BaseModel]) -> Table:
+    """The table of assets that the scenario does not have: a header without rows."""
+    required = [name for name, field in model.model_fields.items()
+                if field.is_required() and field.alias is None]
+    return Table(file, pd.DataFrame(columns=required))
 
 
 def read_table(path: Path) -> tuple[Table | None, list[Problem]]:
@@ -70,15 +73,18 @@ def read_text(path: Path) -> tuple[str, list[Problem]]:
         return path.read_bytes().decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
         line = error.object[:error.start].count(b"\n") + 1
-        return "", [Problem(path.name, f"is not UTF-8 text (byte 0x{error.object[error.start]:02x})",
+        byte = f"0x{error.object[error.start]:02x}"
+        return "", [Problem(path.name, f"is not UTF-8 text (byte {byte})",
                             "Save the file with UTF-8 encoding.", row=line)]
     except OSError as error:
         return "", [Problem(path.name, f"cannot be read ({error.strerror})",
                             "Check the file and its permissions.")]
 
 
-def read_rows(table: Table, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
+def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
     """The sound rows of a table by line, and the problems of the others."""
+    if table is None:
+        return {}, []
     problems = check_columns(table, list(model.model_fields),
                              [n for n, f in model.model_fields.items() if f.is_required()],
                              {n: schema.cure(f) for n, f in model.model_fields.items()})
@@ -111,7 +117,7 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
     text, problems = read_text(path)
     if problems:
         return None, problems
-    reader = csv.reader(text.splitlines(keepends=True), strict=True)
+    reader = csv.reader(StringIO(text, newline=""), strict=True)
     lines, rows = [], []
     try:
         for cells in reader:

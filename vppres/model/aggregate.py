@@ -22,6 +22,13 @@ class AggregateModel:
         Fixed data.
     n_steps : int
         Steps W of the window.
+
+    Attributes
+    ----------
+    problem : cvxpy.Problem
+        Maximises f1, f2 and f3 as weighted.
+    cost_problem : cvxpy.Problem
+        Minimises the cost (GBP) of all served sets whose f1 and f3 reach ``service_min``.
     """
 
     def __init__(self, site: Site, n_steps: int) -> None:
@@ -36,13 +43,15 @@ class AggregateModel:
             "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.constraints = self._power() | self._energy()
-        weights = site.weights
-        self.problem = cp.Problem(cp.Maximize(
-            site.dt_h * cp.sum(self.x @ site.customers.weight)
-            - weights.lambda_grid * (self.rho_dt @ self.v["P_grid"])
-            - weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])),
-            list(self.constraints.values()))
+        self.service_min = cp.Parameter(name="service_min")
+        cost = self.rho_dt @ self.v["P_grid"]
+        service = (site.dt_h * cp.sum(self.x @ site.customers.weight)
+                   - site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"]))
+        limits = list(self.constraints.values())
+        self.problem = cp.Problem(cp.Maximize(service - site.weights.lambda_grid * cost), limits)
+        self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, service >= self.service_min])
         require_dpp(self.problem, f"lumped window of {n_steps} steps")
+        require_dpp(self.cost_problem, f"lumped cost of {n_steps} steps")
 
     def _power(self) -> dict[str, cp.Constraint]:
         """Sums of the power balances and limits."""

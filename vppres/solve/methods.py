@@ -18,32 +18,51 @@ from vppres.solve.stages import POLYGON_SIDES, ModelCache, polish, solve_cost
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
 
+COST_GAP_REL = 5e-4
+"""Gap of the cost level's search over served sets, relative to the cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A true dispatch with its objective terms; ``service`` is f1 and f3 as weighted."""
+
+    dispatch: Dispatch
+    terms: Terms
+    service: float
+    value: float
+    cost_bound_gbp: float
+
 
 @dataclass
-class _Progress:
+class Search:
     """What is known about a window while it is being solved."""
 
     limits: SolveLimits
+    gap: float
     begin: float = field(default_factory=time.perf_counter)
     bound: float = np.inf
-    value: float = -np.inf
-    dispatch: Dispatch | None = None
-    terms: Terms | None = None
-    cost: Outcome | None = None
-    worst: Outcome | None = None
+    best: Candidate | None = None
+    cost_bound_gbp: float = -np.inf
+    failed: Outcome | None = None
     stages: list[str] = field(default_factory=list)
     solver_s: float = 0.0
 
     @property
     def left_s(self) -> float:
+        """Seconds until the window's time limit."""
         return self.limits.time_s - (time.perf_counter() - self.begin)
+
+    @property
+    def certified(self) -> bool:
+        """Whether the best dispatch is within the gap of the bound."""
+        return self.best is not None and self.bound - self.best.value <= self.gap
 
     def note(self, stage: str, outcome: Outcome) -> None:
         """Record that a stage ran."""
         self.stages.append(stage if outcome.status == "optimal" else f"{stage}:{outcome.status}")
         self.solver_s += outcome.solve_s
         if not outcome.status.has_answer:
-            self.worst = outcome
+            self.failed = outcome
 
 
 class WindowSolver:
@@ -54,7 +73,7 @@ class WindowSolver:
     site : Site
         Fixed data.
     method : {"decomposed", "monolithic"}
-        How the served set is found.
+        How the served set is found; ``docs/method.md`` proves the certificates.
     solver : str
         Name in the table of solvers.
     limits : SolveLimits, optional
@@ -62,11 +81,10 @@ class WindowSolver:
     polygon_sides : int, optional
         Sides of an inverter's polygon for solvers that take no cones with binaries.
 
-    Examples
-    --------
-    >>> from vppres.solve.solvers import find_solver
-    >>> WindowSolver.method_names()
-    ('decomposed', 'monolithic')
+    Raises
+    ------
+    InputError
+        If method or solver are unknown, or the solver is not installed.
     """
 
     def __init__(self, site: Site, method: str = "decomposed", solver: str = "highs",
@@ -80,11 +98,6 @@ class WindowSolver:
         self.sides = 0 if self.spec.mip_cones else polygon_sides
         self.cache = ModelCache(site)
 
-    @staticmethod
-    def method_names() -> tuple[str, ...]:
-        """Names of the methods."""
-        return METHODS
-
     @property
     def site(self) -> Site:
         """Fixed data."""
@@ -93,84 +106,133 @@ class WindowSolver:
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window.
 
+        Parameters
+        ----------
+        data : WindowData
+            What changes from window to window.
+
+        Returns
+        -------
+        WindowSolution
+            The best dispatch, with its bound; status ``TIME_LIMIT`` where time ran out.
+
         Raises
         ------
         SolveError
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
-        progress = _Progress(self.limits)
-        gap = self.limits.absolute(self.site.customers.weight.sum() * self.site.dt_h * data.n_steps)
-        masters = (self._aggregate, self._per_battery) if self.method == "decomposed" else ()
-        for master in (*masters, self._full):
-            served = master(data, gap, progress)
-            if served is not None:
-                self._recover(data, served, progress)
-            if progress.bound - progress.value <= gap or progress.left_s <= 0:
-                break
-        return self._finish(data, gap, progress)
+        whole = self.site.customers.weight.sum() * self.site.dt_h * data.n_steps
+        search = Search(self.limits, self.limits.absolute(whole))
+        if self.method == "decomposed":
+            self._decomposed(data, whole, search)
+        if not search.certified and search.left_s > 0:
+            self._full(data, search)
+        return self._finish(data, search)
 
-    def _aggregate(self, data: WindowData, gap: float, progress: _Progress) -> Served | None:
+    def _decomposed(self, data: WindowData, whole: float, search: Search) -> None:
+        """Relaxations of growing size, each with its bound, until bound and dispatch meet."""
+        if (data.grid_limit_kw > 0.0).all():
+            self._everyone(data, whole, search)
+        for master in (self._aggregate, self._per_battery):
+            if not search.certified and search.left_s > 0:
+                master(data, search)
+        if search.certified and search.best is not None and search.cost_bound_gbp == -np.inf:
+            self._aggregate_cost(data, search)
+
+    def _everyone(self, data: WindowData, whole: float, search: Search) -> None:
+        """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
+        served = np.ones(data.load_kw.shape, dtype=bool)
+        self._recover(data, served, search)
+        best = search.best
+        if best is not None and whole - best.service <= 1e-6 * search.gap:
+            search.cost_bound_gbp = best.cost_bound_gbp
+            weight = self.site.weights.lambda_grid
+            # Any other served set loses at least the smallest weight, or the bound says less.
+            loss = self.site.customers.weight.min() * self.site.dt_h
+            search.bound = whole - min(weight * best.cost_bound_gbp, loss)
+
+    def _aggregate(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the lumped relaxation."""
         model = self.cache.aggregate(data.n_steps)
         model.fill(data)
-        outcome = run(model.problem, self.spec, 0.3 * gap, progress.left_s)
-        return _take("aggregate", outcome, model.x.value, progress)
+        outcome = run(model.problem, self.spec, 0.3 * search.gap, search.left_s)
+        self._take("aggregate", outcome, model.x.value, data, search)
 
-    def _per_battery(self, data: WindowData, gap: float, progress: _Progress) -> Served | None:
+    def _aggregate_cost(self, data: WindowData, search: Search) -> None:
+        """Cheapest served set of the same service value, and the bound on the cost of all."""
+        assert search.best is not None
+        cost = search.best.terms.f2
+        if cost <= COST_GAP_REL:
+            search.cost_bound_gbp = 0.0
+            return
+        model = self.cache.aggregate(data.n_steps)
+        model.fill(data)
+        model.service_min.value = search.best.service - 1e-6
+        outcome = run(model.cost_problem, self.spec, COST_GAP_REL * cost, search.left_s)
+        search.note("aggregate_cost", outcome)
+        if not outcome.status.has_answer:
+            return
+        search.cost_bound_gbp = max(outcome.bound, 0.0)
+        served = np.asarray(model.x.value) > 0.5
+        if (served != search.best.dispatch.served).any() and outcome.value < cost:
+            self._recover(data, served, search)
+
+    def _per_battery(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the relaxation with every battery but without the network."""
-        form = Form("service", "integer", "integer", 0, network=False)
-        return self._window(form, "per_battery", data, 0.5 * gap, progress)
+        self._window(Form("service", "integer", "integer", 0, network=False), "per_battery", data,
+                     0.5 * search.gap, search)
 
-    def _full(self, data: WindowData, gap: float, progress: _Progress) -> Served | None:
+    def _full(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the whole problem."""
-        form = Form("service", "integer", "integer", self.sides)
-        return self._window(form, "full", data, gap, progress)
+        self._window(Form("service", "integer", "integer", self.sides), "full", data, search.gap,
+                     search)
 
-    def _window(self, form: Form, name: str, data: WindowData, gap: float,
-                progress: _Progress) -> Served | None:
+    def _window(self, form: Form, name: str, data: WindowData, gap: float, search: Search) -> None:
         model = self.cache.window(form, data.n_steps)
         model.fill(data)
-        outcome = run(model.problem, self.spec, gap, progress.left_s)
-        return _take(name, outcome, model.v.x_served.value, progress)
+        outcome = run(model.problem, self.spec, gap, search.left_s)
+        self._take(name, outcome, model.v.x_served.value, data, search)
 
-    def _recover(self, data: WindowData, served: Served, progress: _Progress) -> None:
+    def _take(self, name: str, outcome: Outcome, x: np.ndarray | None, data: WindowData,
+              search: Search) -> None:
+        """Record a master's outcome and bound, and recover a dispatch of its served set."""
+        search.note(name, outcome)
+        if outcome.status.has_answer and x is not None:
+            search.bound = min(search.bound, outcome.bound)
+            self._recover(data, np.asarray(x) > 0.5, search)
+
+    def _recover(self, data: WindowData, served: Served, search: Search) -> None:
         """Cheapest true dispatch of a served set; kept if it is the best so far."""
         # A started answer is always finished: recovery gets a moment even when time is up.
         stage = solve_cost(self.cache, data, served, self.spec, self.sides,
-                           max(progress.left_s, 5.0))
-        progress.note("cost", stage.outcome)
+                           max(search.left_s, 5.0))
+        search.note("cost", stage.outcome)
         if stage.dispatch is None:
             return
-        terms = evaluate(self.site, data, stage.dispatch)
-        value = terms.upper_levels(self.site.weights)
-        if value > progress.value:
-            progress.value, progress.dispatch, progress.terms = value, stage.dispatch, terms
-            progress.cost = stage.outcome
+        terms, weights = evaluate(self.site, data, stage.dispatch), self.site.weights
+        value = terms.upper_levels(weights)
+        if search.best is None or value > search.best.value:
+            slack = abs(stage.outcome.value - stage.outcome.bound)
+            search.best = Candidate(stage.dispatch, terms, value + weights.lambda_grid * terms.f2,
+                                    value, terms.f2 - slack)
 
-    def _finish(self, data: WindowData, gap: float, progress: _Progress) -> WindowSolution:
+    def _finish(self, data: WindowData, search: Search) -> WindowSolution:
         """Tie-breakers, and the certificate."""
-        if progress.dispatch is None or progress.terms is None or progress.cost is None:
-            assert progress.worst is not None
-            progress.worst.require_answer(f"The window of {data.n_steps} steps")
+        best = search.best
+        if best is None:
+            assert search.failed is not None
+            search.failed.require_answer(f"The window of {data.n_steps} steps")
             raise AssertionError("an outcome without answer always raises")
-        dispatch, terms = progress.dispatch, progress.terms
-        stage = polish(self.cache, data, dispatch, max(progress.left_s, 5.0))
-        progress.note("tie_breakers", stage.outcome)
+        dispatch, terms = best.dispatch, best.terms
+        stage = polish(self.cache, data, dispatch, max(search.left_s, 5.0))
+        search.note("tie_breakers", stage.outcome)
         if stage.dispatch is not None:
             dispatch, terms = stage.dispatch, evaluate(self.site, data, stage.dispatch)
-        certified = progress.bound - progress.value <= gap
+        bound_gbp = max(search.cost_bound_gbp, 0.0 if best.terms.f2 >= 0 else -np.inf)
         return WindowSolution(
             dispatch=dispatch, terms=terms, objective=terms.total(self.site.weights),
-            bound=progress.bound, status=Status.OPTIMAL if certified else Status.TIME_LIMIT,
-            cost_gap_gbp=abs(progress.cost.value - progress.cost.bound),
-            solve_s=time.perf_counter() - progress.begin, solver_s=progress.solver_s,
-            stages=tuple(progress.stages))
-
-
-def _take(name: str, outcome: Outcome, x: np.ndarray | None, progress: _Progress) -> Served | None:
-    """Record a master's outcome and bound; its served set if it has one."""
-    progress.note(name, outcome)
-    if not outcome.status.has_answer or x is None:
-        return None
-    progress.bound = min(progress.bound, outcome.bound)
-    return np.asarray(x) > 0.5
+            bound=search.bound,
+            status=Status.OPTIMAL if search.certified else Status.TIME_LIMIT,
+            cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
+            solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,
+            stages=tuple(search.stages))

@@ -1,0 +1,55 @@
+"""Dispatch a virtual power plant through an outage.
+
+The names of the table below are loaded on first use, so that ``import vppres`` and the command line
+start without the solver and power-flow libraries.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOME_OF = {
+    "ForecastErrors": "vppres.forecast",
+    "InputError": "vppres.errors",
+    "RunOptions": "vppres.simulate",
+    "Scenario": "vppres.scenario",
+    "Trajectory": "vppres.trajectory",
+    "VppresError": "vppres.errors",
+    "find_scenario": "vppres.io.find",
+    "packaged_scenarios": "vppres.io.find",
+    "read_scenario": "vppres.io.scenario_folder",
+    "run_day": "vppres.simulate",
+    "summarise": "vppres.metrics",
+    "write_run": "vppres.report",
+    "write_scenario": "vppres.io.scenario_folder",
+}
+"""Public name to the module that defines it; a new public name is one row."""
+
+__all__ = ["__version__", *_HOME_OF]  # noqa: PLE0604 (the rows are names)
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module (PEP 562)."""
+    if name == "__version__":
+        value: Any = _installed_version()
+    elif name in _HOME_OF:
+        value = getattr(import_module(_HOME_OF[name]), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def _installed_version() -> str:
+    """Version of the installed distribution; a bare checkout has none."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("vppres")
+    except PackageNotFoundError:
+        return "0+not.installed"

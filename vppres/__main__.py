@@ -1,0 +1,8 @@
+"""``python -m vppres`` is the command ``vppres``."""
+
+from __future__ import annotations
+
+from vppres.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Checks across the tables of a scenario folder; one named question per function."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres import schema
+from vppres.errors import Problem
+from vppres.io.messages import did_you_mean
+from vppres.io.tables import Table
+from vppres.network import BusId
+
+# Series are written with few digits: a peak may exceed its rating by this share.
+RATING_TOLERANCE = 1e-3
+_RESERVED = "time"
+_INTEGER = re.compile(r"-?[0-9]{1,18}")
+
+
+def bus_reader(lines: Table) -> Callable[[str], BusId]:
+    """How the scenario writes buses: as integers if every bus of the lines is one."""
+    texts = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
+    if not all(_INTEGER.fullmatch(text) for text in texts):
+        return str
+    return lambda text: int(text) if _INTEGER.fullmatch(text) else text
+
+
+def check_ids(table: Table) -> list[Problem]:
+    """Identifiers that appear twice, or that a series could not use as a column."""
+    first: dict[str, int] = {}
+    problems = []
+    for row, text in table.column("id").items():
+        if text in first:
+            problems.append(Problem(table.file, f"is already used in row {first[text]}",
+                                    "Give each row its own identifier.", row=row, field="id",
+                                    value=text))
+        elif text == _RESERVED:
+            problems.append(Problem(table.file, "is reserved for the time column",
+                                    "Choose another identifier.", row=row, field="id",
+                                    value=text))
+        first.setdefault(text, row)
+    return problems
+
+
+def check_any(customers: Table) -> list[Problem]:
+    """A scenario without customers."""
+    if len(customers.frame) > 0:
+        return []
+    return [Problem(customers.file, "has no row", "Give at least one customer: without any there "
+                    "is nothing to serve.")]
+
+
+def check_buses(table: Table, lines: Table) -> list[Problem]:
+    """Assets at buses that no line reaches."""
+    read_bus = bus_reader(lines)
+    ends = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
+    known = {read_bus(text) for text in ends}
+    return [Problem(table.file, f"is not a bus of {lines.file}",
+                    did_you_mean(text, sorted(map(str, known)), "Correct the bus."),
+                    row=row, field="bus", value=text)
+            for row, text in table.column("bus").items() if known and read_bus(text) not in known]
+
+
+def check_known(table: Table, field: str, known: Collection[str], message: str) -> list[Problem]:
+    """Cells that refer to something that does not exist."""
+    return [Problem(table.file, message, did_you_mean(text, known, f"Correct the {field}."),
+                    row=row, field=field, value=text)
+            for row, text in table.column(field).items() if text not in known]
+
+
+def check_one_pv_each(pv: Table) -> list[Problem]:
+    """Customers with several PV systems: the model has one self-consumption per customer."""
+    first: dict[str, int] = {}
+    problems = []
+    for row, text in pv.column("customer").items():
+        if text in first:
+            problems.append(Problem(pv.file, f"already has the PV system of row {first[text]}",
+                                    "Join the two systems: a customer has at most one.",
+                                    row=row, field="customer", value=text))
+        first.setdefault(text, row)
+    return problems
+
+
+def check_pv_ratings(file: str, rows: dict[int, schema.PVRow]) -> list[Problem]:
+    """PV systems larger than their inverter.
+
+    What a customer uses of its own PV power is an equality in the model, so power that the
+    inverter cannot carry would force the customer to be shed.
+    """
+    return [Problem(file, f"must not exceed s_max_kva ({pv.s_max_kva:g})",
+                    "Give the larger inverter, or cap p_max_kw and the series at its rating.",
+                    row=row, field="p_max_kw", value=pv.p_max_kw)
+            for row, pv in rows.items() if pv.p_max_kw > pv.s_max_kva]
+
+
+def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Problem]:
+    """Ratings and state-of-charge limits that contradict each other."""
+    problems = []
+    for row, battery in rows.items():
+        if battery.p_max_kw > battery.s_max_kva:
+            problems.append(Problem(
+                file, f"must not exceed s_max_kva ({battery.s_max_kva:g})",
+                "Correct the power or the inverter rating.", row=row, field="p_max_kw",
+                value=battery.p_max_kw))
+        low, high, start = battery.soc_min, battery.soc_max, battery.soc_initial
+        if not low < high:
+            problems.append(Problem(file, f"must be less than soc_max ({high:g})",
+                                    "Correct one of the limits.", row=row, field="soc_min",
+                                    value=low))
+        elif start is not None and not low <= start <= high:
+            problems.append(Problem(
+                file, f"must lie between soc_min ({low:g}) and soc_max ({high:g})",
+                "Correct the state of charge at the start or the limits.", row=row,
+                field="soc_initial", value=start))
+    return problems
+
+
+def check_pv_series(series: Table, name: str, values: NDArray[np.float64],
+                    p_max_kw: float) -> list[Problem]:
+    """Available PV power above the system's rating."""
+    over = np.flatnonzero(values > p_max_kw * (1 + RATING_TOLERANCE))
+    return [Problem(series.file, f"exceeds the system's p_max_kw ({p_max_kw:g})",
+                    "Correct the series or the rating.", row=int(series.frame.index[int(i)]),
+                    field=name, value=series.texts[name].iloc[i])
+            for i in over]

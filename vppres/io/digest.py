@@ -1,0 +1,46 @@
+"""A fingerprint of a scenario's content, whatever files it came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.network import Network
+from vppres.scenario import Scenario
+
+
+def scenario_digest(scenario: Scenario) -> str:
+    """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
+
+    The file format, the order of the lines and the way a number was written (``60`` or ``60.0``)
+    do not matter; every value, identifier and name does.
+    """
+    text = json.dumps(_canonical(scenario), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    """Nested dictionaries, lists, text and floats."""
+    if isinstance(value, Network):
+        return _canonical_network(value)
+    if is_dataclass(value):
+        return {f.name: _canonical(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, pd.Timestamp):
+        return value.tz_convert("UTC").isoformat()
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_canonical(item) for item in value]
+    return value if isinstance(value, str) else float(value)
+
+
+def _canonical_network(network: Network) -> dict[str, Any]:
+    """Limits by name and the lines sorted: their order in a file means nothing."""
+    ends = [_canonical(end) for end in (network.from_bus, network.to_bus)]
+    lines = zip(*ends, network.r_ohm.tolist(), network.x_ohm.tolist(), strict=True)
+    scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]
+    return {"lines": sorted((list(line) for line in lines), key=str),
+            **{name: _canonical(getattr(network, name)) for name in scalars}}

@@ -1,0 +1,46 @@
+"""Scenarios by name: those that come with the package, or a folder."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+from vppres.errors import InputError, Problem
+from vppres.io.messages import did_you_mean
+from vppres.io.settings import SCENARIO_FILE
+
+
+def packaged_scenarios() -> list[str]:
+    """Names of the scenarios that come with the package, sorted."""
+    home = _home()
+    return sorted(entry.name for entry in (home.iterdir() if home.is_dir() else [])
+                  if (entry / SCENARIO_FILE).is_file())
+
+
+def find_scenario(name_or_folder: str | Path) -> Path:
+    """Folder of a scenario.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        Name of a packaged scenario, or a folder. A packaged name comes first; write ``./name``
+        for a folder of the same name.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    names = packaged_scenarios()
+    if str(name_or_folder) in names and isinstance(name_or_folder, str):
+        return _home() / name_or_folder
+    folder = Path(name_or_folder)
+    if folder.is_dir():
+        return folder
+    raise InputError(Problem(
+        f"scenario {name_or_folder}", "is neither a packaged scenario nor a folder",
+        did_you_mean(str(name_or_folder), names, "Give the path of a scenario folder.")))
+
+
+def _home() -> Path:
+    return Path(str(resources.files("vppres").joinpath("scenarios")))

@@ -1,0 +1,394 @@
+"""A scenario folder in and out: every problem of every file at once, never a traceback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tomli_w
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from vppres import schema
+from vppres.assets import Batteries, Customers, PVSystems
+from vppres.errors import InputError, Problem
+from vppres.io import checks
+from vppres.io.atomic import atomic_folder
+from vppres.io.messages import in_order, problems_of
+from vppres.io.series import TIME, check_times, read_values
+from vppres.io.settings import SCENARIO_FILE, Settings, iso, read_settings
+from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.network import BusId, Network, check_radial
+from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+
+Floats = NDArray[np.float64]
+
+# Tables that a folder may lack, with the model of their rows.
+_OPTIONAL: dict[str, type[BaseModel]] = {"pv": schema.PVRow, "batteries": schema.BatteryRow}
+
+
+@dataclass(frozen=True, eq=False)
+class _Folder:
+    """The files of a folder; None stands for a file that is missing or broken."""
+
+    settings: Settings
+    lines: Table | None
+    customers: Table | None
+    pv: Table | None
+    batteries: Table | None
+    load_kw: Table | None
+    pv_kw: Table | None
+    system: Table | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The sound rows of each table, by line of the file."""
+
+    lines: dict[int, schema.LineRow]
+    customers: dict[int, schema.CustomerRow]
+    pv: dict[int, schema.PVRow]
+    batteries: dict[int, schema.BatteryRow]
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """The series, shapes (T, C), (T, P) and (T,)."""
+
+    load_kw: Floats
+    pv_kw: Floats
+    price_gbp_per_kwh: Floats
+    temperature_c: Floats
+    grid_limit_kw: Floats
+
+
+def read_scenario(folder: str | Path) -> Scenario:
+    """Read and check a scenario folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        See :func:`vppres.io.find_scenario` for packaged names.
+
+    Raises
+    ------
+    InputError
+        With every problem of every file, by file and row.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        message = "is not a folder" if folder.exists() else "there is no such folder"
+        raise InputError(Problem(str(folder), message, "Give the path of a scenario folder."))
+    content, problems = _read_files(folder)
+    rows, row_problems = _read_all_rows(content)
+    series, series_problems = _read_series(content, rows)
+    problems += row_problems + _check_across(content, rows) + series_problems
+    if problems or content.lines is None or content.settings.grid is None:
+        files = [SCENARIO_FILE, *content.settings.files.model_dump().values()]
+        raise InputError(in_order(problems, files))
+    return _assemble(content.settings, rows, series, checks.bus_reader(content.lines))
+
+
+def write_scenario(scenario: Scenario, folder: str | Path) -> None:
+    """Write a scenario folder that :func:`read_scenario` reads back equal.
+
+    Numbers are written in the shortest form that reads back to the same value. Runs of steps with
+    a grid limit of zero become outages.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to write.
+    folder : str or Path
+        A folder that does not exist yet, or is empty.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something, or scenario.toml could not say what the scenario says.
+    """
+    document = _document(scenario)
+    with atomic_folder(folder) as aside:
+        (aside / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
+        for name, frame in _frames(scenario, document["tiers"]).items():
+            frame.to_csv(aside / f"{name}.csv", index=False, lineterminator="\n")
+
+
+def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
+    """All files of the folder. PV systems and batteries may be absent, unless they are listed."""
+    settings, problems = read_settings(folder)
+    names: dict[str, str] = settings.files.model_dump()
+    tables: dict[str, Table | None] = {}
+    for key, file in names.items():
+        without_pv = key == "pv_kw" and (pv := tables["pv"]) is not None and pv.frame.empty
+        optional = key in _OPTIONAL or without_pv
+        if optional and key not in settings.files.model_fields_set and not (folder / file).exists():
+            tables[key] = no_table(file, _OPTIONAL.get(key, schema.PVSeries))
+            continue
+        tables[key], found = read_table(folder / file)
+        problems += found
+    return _Folder(settings, **tables), problems
+
+
+def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
+    lines, line_problems = read_rows(content.lines, schema.LineRow)
+    customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
+    pv, pv_problems = read_rows(content.pv, schema.PVRow)
+    batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
+    return (_Rows(lines, customers, pv, batteries),
+            line_problems + customer_problems + pv_problems + battery_problems)
+
+
+def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
+    """Every check that needs more than one row or more than one file."""
+    lines, customers, pv, batteries = (content.lines, content.customers, content.pv,
+                                       content.batteries)
+    problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
+    if lines:
+        problems += _check_network(lines, content.settings.slack_bus)
+        problems += [p for table in (customers, batteries) if table
+                     for p in checks.check_buses(table, lines)]
+    if customers:
+        problems += checks.check_any(customers)
+    if customers and content.settings.tiers:
+        problems += checks.check_known(customers, "tier", content.settings.tiers,
+                                       f"is not a tier of {SCENARIO_FILE}")
+    if customers and pv:
+        problems += checks.check_known(pv, "customer", customers.column("id").values(),
+                                       f"is not a customer of {customers.file}")
+    if pv:
+        problems += checks.check_one_pv_each(pv) + checks.check_pv_ratings(pv.file, rows.pv)
+    if batteries:
+        problems += checks.check_batteries(batteries.file, rows.batteries)
+    return problems
+
+
+def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
+    """Whether the lines form a tree; only asked if every line has both ends."""
+    if slack_bus is None or not {"from_bus", "to_bus"} <= set(lines.names):
+        return []
+    ends = lines.texts[["from_bus", "to_bus"]].to_numpy(dtype=object)
+    if (ends == "").any():
+        return []
+    read_bus = checks.bus_reader(lines)
+    from_bus, to_bus = (np.array([read_bus(text) for text in end], dtype=object)
+                        for end in ends.T)
+    located = []
+    for problem in check_radial(from_bus, to_bus, read_bus(slack_bus)):
+        if problem.field == "slack_bus":
+            located.append(replace(problem, where=SCENARIO_FILE, field="network.slack_bus"))
+            continue
+        # Blank lines of a file count as lines, so that positions differ from line numbers.
+        row = None if problem.row is None else int(lines.frame.index[problem.row])
+        located.append(replace(problem, where=lines.file, row=row))
+    return located
+
+
+def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]:
+    """Times, columns and numbers of the three series; empty arrays where they are not sound."""
+    load, load_problems = _read_columns(
+        content.load_kw, content.customers, schema.LoadSeries.model_fields["load_kw"],
+        f"Add one column per customer of {content.settings.files.customers}.")
+    pv, pv_problems = _read_columns(
+        content.pv_kw, content.pv, schema.PVSeries.model_fields["pv_kw"],
+        f"Add one column per PV system of {content.settings.files.pv}.")
+    system, system_problems = _read_system(content.system)
+    problems = load_problems + pv_problems + system_problems
+    if content.pv_kw:
+        for row in rows.pv.values():
+            if row.id in pv:
+                problems += checks.check_pv_series(content.pv_kw, row.id, pv[row.id], row.p_max_kw)
+    grid = content.settings.grid
+    if grid:
+        unused = content.pv_kw if content.pv and content.pv.frame.empty else None
+        for table in (content.load_kw, content.pv_kw, content.system):
+            if table and not (table is unused and table.frame.empty):
+                problems += check_times(table, grid)
+    n_steps = grid.n_steps if grid else 0
+    return _Series(_stack(load, n_steps), _stack(pv, n_steps), **system), problems
+
+
+def _read_columns(table: Table | None, items: Table | None, field: FieldInfo,
+                  cure: str) -> tuple[dict[str, Floats], list[Problem]]:
+    """One column of numbers per item, in the order of the items' table."""
+    if table is None:
+        return {}, []
+    ids = (list(dict.fromkeys(items.column("id").values())) if items
+           else [name for name in table.names if name != TIME])
+    problems = check_columns(table, [TIME, *ids], [TIME, *ids], dict.fromkeys(ids, cure))
+    columns = {}
+    for name in ids:
+        if name in table.names:
+            columns[name], found = read_values(table, name, field)
+            problems += found
+    return columns, problems
+
+
+def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]:
+    """Price, temperature and grid limit; an absent limit is infinite."""
+    model = schema.SystemSeries.model_fields
+    values = {name: np.empty(0) for name in model if name != TIME}
+    if table is None:
+        return values, []
+    problems = check_columns(table, list(model),
+                             [name for name, field in model.items() if field.is_required()],
+                             {name: schema.cure(field) for name, field in model.items()})
+    values["grid_limit_kw"] = np.full(len(table.frame), np.inf)
+    for name in values:
+        if name in table.names:
+            values[name], found = read_values(table, name, model[name],
+                                              infinite=name == "grid_limit_kw")
+            problems += found
+    return values, problems
+
+
+def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
+    """Columns side by side, shape (T, number of columns)."""
+    return np.column_stack(list(columns.values())) if columns else np.empty((n_steps, 0))
+
+
+def _assemble(settings: Settings, rows: _Rows, series: _Series,
+              read_bus: Callable[[str], BusId]) -> Scenario:
+    """The scenario, from files in which no problem was found."""
+    file, grid = settings.file, settings.grid
+    assert file is not None
+    assert grid is not None
+    limit_kw = series.grid_limit_kw
+    for outage in file.outages:
+        start, end = pd.Timestamp(outage.start), pd.Timestamp(outage.end)
+        limit_kw = np.where((grid.times >= start) & (grid.times < end), 0.0, limit_kw)
+    return Scenario(
+        name=file.name, title=file.title or file.name, grid=grid,
+        network=_network(file.network, rows.lines, read_bus),
+        customers=_customers(rows.customers, file.tiers, read_bus),
+        pv=PVSystems(**_columns(rows.pv, schema.PVRow)),
+        batteries=_batteries(rows.batteries, read_bus),
+        load_kw=series.load_kw, pv_kw=series.pv_kw, grid_limit_kw=limit_kw,
+        price_gbp_per_kwh=series.price_gbp_per_kwh, temperature_c=series.temperature_c,
+        tiers=tuple(file.tiers),
+        objective=ObjectiveWeights(**file.objective.model_dump()),
+        controller=ControllerDefaults(**file.controller.model_dump()))
+
+
+def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:
+    """Rows turned into one list per attribute."""
+    return {name: [getattr(row, name) for row in rows.values()] for name in model.model_fields}
+
+
+def _network(section: schema.NetworkSection, rows: Mapping[int, schema.LineRow],
+             read_bus: Callable[[str], BusId]) -> Network:
+    columns = _columns(rows, schema.LineRow)
+    for end in ("from_bus", "to_bus"):
+        columns[end] = [read_bus(text) for text in columns[end]]
+    scalars = {**section.model_dump(), "slack_bus": read_bus(section.slack_bus)}
+    return Network(**columns, **scalars)
+
+
+def _customers(rows: Mapping[int, schema.CustomerRow], tiers: dict[str, float],
+               read_bus: Callable[[str], BusId]) -> Customers:
+    columns = _columns(rows, schema.CustomerRow)
+    columns["bus"] = [read_bus(text) for text in columns["bus"]]
+    columns["weight"] = [tiers[row.tier] if row.weight is None else row.weight
+                         for row in rows.values()]
+    return Customers(**columns)
+
+
+def _batteries(rows: Mapping[int, schema.BatteryRow],
+               read_bus: Callable[[str], BusId]) -> Batteries:
+    columns = _columns(rows, schema.BatteryRow)
+    columns["bus"] = [read_bus(text) for text in columns["bus"]]
+    columns["soc_initial"] = [row.soc_min if row.soc_initial is None else row.soc_initial
+                              for row in rows.values()]
+    columns["t_initial_c"] = [np.nan if row.t_initial_c is None else row.t_initial_c
+                              for row in rows.values()]
+    return Batteries(**columns)
+
+
+def _document(scenario: Scenario) -> dict[str, Any]:
+    """scenario.toml as nested dictionaries, checked like one that was read."""
+    network, grid = scenario.network, scenario.grid
+    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
+    document = {
+        "name": scenario.name,
+        "title": scenario.title,
+        "time": {"start": grid.start.to_pydatetime(), "step_minutes": float(grid.step_minutes),
+                 "steps": int(grid.n_steps)},
+        "network": {"slack_bus": _plain(network.slack_bus),
+                    **{name: float(getattr(network, name)) for name in limits}},
+        "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
+        "objective": {f.name: float(getattr(scenario.objective, f.name))
+                      for f in fields(scenario.objective)},
+        "outages": _outages(scenario),
+        "controller": {"kind": scenario.controller.kind,
+                       "horizon_h": float(scenario.controller.horizon_h)},
+    }
+    try:
+        schema.ScenarioFile.model_validate(document)
+    except ValidationError as error:
+        raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
+    return document
+
+
+def _plain(bus: object) -> BusId:
+    """A bus identifier without NumPy's types."""
+    return str(bus) if isinstance(bus, str) else int(str(bus))
+
+
+def _tier_weight(customers: Customers, tier: str) -> float:
+    """The weight that most customers of a tier have; 1 for a tier without customers."""
+    weights = customers.weight[customers.tier == tier]
+    found, count = np.unique(weights, return_counts=True)
+    return float(found[np.argmax(count)]) if len(found) else 1.0
+
+
+def _outages(scenario: Scenario) -> list[dict[str, Any]]:
+    """Runs of outage steps as half-open intervals."""
+    grid = scenario.grid
+    edges = np.diff(np.concatenate([[0], scenario.outage.astype(int), [0]]))
+    times = [*grid.times, grid.end]
+    return [{"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
+            for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)]
+
+
+def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
+    """The tables by name of their file."""
+    network, customers = scenario.network, scenario.customers
+    frames = {
+        "lines": pd.DataFrame({name: getattr(network, name)
+                               for name in schema.LineRow.model_fields}),
+        "customers": _frame(customers, schema.CustomerRow),
+        "pv": _frame(scenario.pv, schema.PVRow),
+        "batteries": _frame(scenario.batteries, schema.BatteryRow),
+        "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
+        "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
+        "system": _system_frame(scenario),
+    }
+    if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
+        frames["customers"] = frames["customers"].drop(columns="weight")
+    return frames
+
+
+def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
+    return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
+
+
+def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.DataFrame:
+    frame = pd.DataFrame(values, columns=np.asarray(ids, dtype=object))
+    frame.insert(0, TIME, [iso(time) for time in scenario.grid.times])
+    return frame
+
+
+def _system_frame(scenario: Scenario) -> pd.DataFrame:
+    """Outages are in scenario.toml, so that the limit is a column only where it limits."""
+    limit_kw = scenario.grid_limit_kw
+    columns = {TIME: [iso(time) for time in scenario.grid.times],
+               "price_gbp_per_kwh": scenario.price_gbp_per_kwh,
+               "temperature_c": scenario.temperature_c}
+    if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
+        columns["grid_limit_kw"] = limit_kw
+    return pd.DataFrame(columns)
