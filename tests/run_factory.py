@@ -1,6 +1,6 @@
 """Synthetic days and runs for the tests of the record, the figures and the report.
 
-Nothing here is optimised: the dispatch is written down, so that every figure can be checked by hand.
+Nothing here is optimised: the dispatch is written down, so that figures can be checked by hand.
 """
 
 from __future__ import annotations
@@ -116,11 +116,11 @@ def day_scenario(n_customers: int = 32) -> Scenario:
         grid_limit_kw=np.where((hour >= 12) & (hour < 18), 0.0, np.inf))
 
 
-def day_run(scenario: Scenario, energy_to_serve_kw: float = 2400.0) -> Trajectory:
-    """A made-up dispatch of a day: charge in the night and before the outage, then serve by weight."""
+def day_run(scenario: Scenario, supply_kw: float = 2400.0) -> Trajectory:
+    """A made-up dispatch: charge in the night and before the outage, then serve by weight."""
     recorder = Recorder(scenario)
     for t in range(scenario.grid.n_steps):
-        recorder.add(_day_record(scenario, t, energy_to_serve_kw))
+        recorder.add(_day_record(scenario, t, supply_kw))
     return recorder.finish(OPTIONS)
 
 

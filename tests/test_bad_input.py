@@ -30,7 +30,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         ["scenario.toml, row 11: is not valid TOML: Cannot overwrite a value. Correct this line."]),
     "toml cut off": (
         "scenario.toml", 'kind = "mpc"', "kind =",
-        ["scenario.toml, row 32: is not valid TOML: Invalid value. Correct this line."]),
+        ["scenario.toml, row 33: is not valid TOML: Invalid value. Correct this line."]),
     "unknown section": (
         "scenario.toml", "[controller]", "[controler]",
         ["scenario.toml, controler: is not a known key. Did you mean controller?"]),
@@ -97,7 +97,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
          "Reduce steps or step_minutes."]),
     "not a number": (
         "scenario.toml", "base_kv = 11.0", "base_kv = nan",
-        ["scenario.toml, network.base_kv = nan: must be greater than 0. "
+        ["scenario.toml, network.base_kv = nan: is not a finite number. "
          "Give the nominal line-to-line voltage in kV."]),
     "infinite": (
         "scenario.toml", "base_kv = 11.0", "base_kv = inf",
@@ -186,6 +186,14 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "pv.csv", "id,customer,p_max_kw,s_max_kva", "id,customer,p_max,s_max_kva",
         ["pv.csv, p_max_kw: the column is missing. Give the largest active power in kW.",
          "pv.csv, p_max: is not a known column. Did you mean p_max_kw?"]),
+    "no known column": (
+        "pv.csv", "id,customer,p_max_kw,s_max_kva", "1,2,3,4",
+        [f"pv.csv, {name}: the column is missing. Give the {what}." for name, what in [
+            ("id", "identifier of the PV system"),
+            ("customer", "customer that owns the PV system"),
+            ("p_max_kw", "largest active power in kW"), ("s_max_kva", "inverter rating in kVA")]]
+        + [f"pv.csv, {name}: is not a known column. Remove it. "
+           "Known: id, customer, p_max_kw, s_max_kva." for name in "1234"]),
     # lines
     "no line": (
         "lines.csv", "1,2,0.3,0.2\n2,3,0.4,0.3\n2,4,0.5,0.4\n", "",
@@ -240,7 +248,8 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         ["customers.csv, row 3, power_factor = good: is not a number. "
          "Give the lagging power factor of the load."]),
     "weight of zero": (
-        "customers.csv", "power_factor\nhospital,2,critical,0.95\nshop,3,high,0.9\nhomes,4,low,0.98",
+        "customers.csv",
+        "power_factor\nhospital,2,critical,0.95\nshop,3,high,0.9\nhomes,4,low,0.98",
         "power_factor,weight\nhospital,2,critical,0.95,\nshop,3,high,0.9,0\nhomes,4,low,0.98,2",
         ["customers.csv, row 3, weight = 0: must be greater than 0. "
          "Give the priority weight (empty: the weight of the tier)."]),
@@ -248,8 +257,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "customers.csv", "shop,", "time,",
         ["customers.csv, row 3, id = time: is reserved for the time column. "
          "Choose another identifier.",
-         "load_kw.csv, row 2, time = 2022-07-19T10:00:00Z: is not a number. "
-         "Give the demand of the customer if served in kW."]),
+         "load_kw.csv, shop: is not a known column. Remove it."]),
     # PV systems
     "identifier twice": (
         "pv.csv", "field,", "roof,",
@@ -326,9 +334,9 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
          "load_kw.csv, row 7, time = 2022-07-20T15:00:00Z: is not a step of the scenario. "
          + GRID_CURE]),
     "another step length": (
-        "scenario.toml", "step_minutes = 60.0", "step_minutes = 30.0",
+        "scenario.toml", "step_minutes = 60.0\nsteps = 6", "step_minutes = 30.0\nsteps = 12",
         [f"{file}, time: the rows are 60 min apart. The scenario's steps begin at "
-         "2022-07-19T10:00:00Z and last 30 min; there are 6."
+         "2022-07-19T10:00:00Z and last 30 min; there are 12."
          for file in ("load_kw.csv", "pv_kw.csv", "system.csv")]),
     "rows swapped": (
         "system.csv", "2022-07-19T11:00:00Z,0.28,30.0\n2022-07-19T12:00:00Z,0.32,32.0",
@@ -355,6 +363,11 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         ["system.csv, time: the column is missing. "
          "Give the beginning of the step, ISO 8601 with time zone.",
          "system.csv, hour: is not a known column. Remove it. Known: time, grid_limit_kw."]),
+    "no time column beside the customers": (
+        "load_kw.csv", "time,", "hour,",
+        ["load_kw.csv, time: the column is missing. "
+         "Give the beginning of the step, ISO 8601 with time zone.",
+         "load_kw.csv, hour: is not a known column. Remove it. Known: time."]),
     # series: columns and numbers
     "load of no customer": (
         "load_kw.csv", "hospital,shop,homes", "hospital,shopp,homes",

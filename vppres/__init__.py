@@ -26,7 +26,7 @@ _HOME_OF = {
 }
 """Public name to the module that defines it; a new public name is one row."""
 
-__all__ = ["__version__", *_HOME_OF]  # noqa: PLE0604 (the rows are names)
+__all__ = ["__version__", *_HOME_OF]
 
 
 def __getattr__(name: str) -> Any:

@@ -81,7 +81,8 @@ def run(
     controller: Annotated[str | None, typer.Option(
         help="mpc or full-horizon; the scenario's if not given.")] = None,
     horizon: Annotated[float | None, typer.Option(
-        metavar="HOURS", help="Prediction horizon of the MPC; the scenario's if not given.")] = None,
+        metavar="HOURS",
+        help="Prediction horizon of the MPC; the scenario's if not given.")] = None,
     solver: Annotated[str, typer.Option(help="Solver of the mixed-integer problems.")] = "highs",
     method: Annotated[str, typer.Option(help="decomposed or monolithic.")] = "decomposed",
     load_bias: Annotated[float, typer.Option(
@@ -110,7 +111,6 @@ def run(
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
-        from vppres.metrics import summarise
         from vppres.report import write_run
         from vppres.simulate import RunOptions
         from vppres.solve.result import SolveLimits
@@ -125,8 +125,7 @@ def run(
         folder = out or RESULTS / f"{day.name}-{options.controller}"
         check_target(folder)  # before the work, not after it
         trajectory = _run_with_bar(day, options, quiet)
-        write_run(trajectory, folder)
-        _print_figures(summarise(trajectory), day.title)
+        _print_figures(write_run(trajectory, folder), day.title)
         typer.echo(f"Written to {folder}")
 
 

@@ -144,10 +144,10 @@ class Forecaster:
         rows = np.array(steps, dtype=np.int64)
         last = self.scenario.grid.n_steps - 1
         outside = rows[(rows < t0) | (rows > last)]
-        if t0 < 0 or len(outside):
-            raise InputError(Problem("forecast", f"lies outside {max(t0, 0)} .. {last}",
+        if len(outside):
+            raise InputError(Problem("forecast", f"lies outside {t0} .. {last}",
                                      "Ask for steps from the current one to the last of the day.",
-                                     field="step", value=int(outside[0]) if len(outside) else t0))
+                                     field="step", value=int(outside[0])))
         return rows
 
     def _spread(self, kind: Kind, t0: int, rows: NDArray[np.int64]) -> Floats:

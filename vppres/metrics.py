@@ -13,6 +13,7 @@ from vppres.io.digest import scenario_digest
 from vppres.trajectory import OPTIONS, Trajectory, json_safe
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
+FULL_HORIZON = "full-horizon"
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
@@ -42,6 +43,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),
         **{name: trajectory.options[name] for name in OPTIONS},
+        "horizon_h": horizon_h(trajectory),
         "options": {name: value for name, value in trajectory.options.items()
                     if name not in OPTIONS},
         "versions": versions(),
@@ -142,9 +144,9 @@ def voltage_figures(trajectory: Trajectory) -> dict[str, float]:
 def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
     """What the slack bus has to balance although the grid is dead, at its largest.
 
-    The optimisation's island is lossless; the AC power flow draws the losses, and any mismatch, from
-    the slack bus. ``import`` is active power into the feeder, ``export`` a surplus that has nowhere
-    to go (both at least 0), ``reactive`` the absolute value in kvar. None without outage.
+    The optimisation's island is lossless; the AC power flow draws the losses, and any mismatch,
+    from the slack bus. ``import`` is active power into the feeder, ``export`` a surplus that has
+    nowhere to go (both at least 0), ``reactive`` the absolute value in kvar. None without outage.
     """
     island = trajectory.steps[trajectory.steps["outage"].astype(bool)]
     if island.empty:
@@ -160,6 +162,13 @@ def solve_times(trajectory: Trajectory) -> dict[str, float]:
     seconds = trajectory.steps["solve_s"]
     return {"total": float(seconds.sum()), "median": float(seconds.median()),
             "p95": float(seconds.quantile(0.95)), "max": float(seconds.max())}
+
+
+def horizon_h(trajectory: Trajectory) -> float | None:
+    """Prediction horizon in h; None for the full horizon, which looks to the end of the day."""
+    if trajectory.options["controller"] == FULL_HORIZON:
+        return None
+    return float(trajectory.options["horizon_h"])
 
 
 def versions() -> dict[str, str | None]:

@@ -21,9 +21,9 @@ BusId = int | str
 class Network:
     """A radial feeder.
 
-    Lines may be given in any order and direction; they are kept oriented away from the slack bus and
-    sorted so that every line comes after the line that feeds it. Bus 0 of every array is the slack
-    bus, and line ``l`` ends at bus ``l + 1``.
+    Lines may be given in any order and direction; they are kept oriented away from the slack bus
+    and sorted so that every line comes after the line that feeds it. Bus 0 of every array is the
+    slack bus, and line ``l`` ends at bus ``l + 1``.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Network:
     Raises
     ------
     InputError
-        If the lines do not form a tree that contains the slack bus, or an impedance is not positive.
+        If the lines do not form a tree with the slack bus in it, or an impedance is not positive.
 
     Examples
     --------
@@ -108,7 +108,7 @@ class Network:
 
     @cached_property
     def downstream(self) -> sp.csr_array:
-        """Shape (L, N): 1 where a bus is fed through a line, so lossless flow = downstream @ load."""
+        """Shape (L, N): 1 where a bus is fed through a line; lossless flow = downstream @ load."""
         dense = np.zeros((self.n_lines, self.n_buses))
         for line in range(self.n_lines - 1, -1, -1):
             dense[line, line + 1] = 1.0
@@ -198,14 +198,15 @@ def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> li
 def _graph(from_bus: NDArray[np.object_],
            to_bus: NDArray[np.object_]) -> tuple[dict[BusId, int], sp.csr_array]:
     """Bus numbering by first appearance and the adjacency matrix."""
-    names = {b: i for i, b in enumerate(dict.fromkeys([*from_bus, *to_bus]))}
+    ends = (bus for line in zip(from_bus, to_bus, strict=True) for bus in line)
+    names = {b: i for i, b in enumerate(dict.fromkeys(ends))}
     rows, cols = [names[b] for b in from_bus], [names[b] for b in to_bus]
     return names, sp.csr_array((np.ones(len(rows)), (rows, cols)), shape=(len(names),) * 2)
 
 
 def _orient(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_], slack_bus: BusId
             ) -> tuple[NDArray[np.object_], NDArray[np.int64], NDArray[np.int64]]:
-    """Buses in breadth-first order, parent of each bus but the first, and the line that feeds it."""
+    """Buses in breadth-first order, parent of each but the first, and the line that feeds it."""
     names, graph = _graph(from_bus, to_bus)
     order, before = breadth_first_order(graph, names[slack_bus], directed=False)
     position = np.empty(len(order), dtype=int)
@@ -221,6 +222,6 @@ def _check_impedance(r_ohm: NDArray[np.float64], x_ohm: NDArray[np.float64]) -> 
     """Lines without a resistance above zero, or with a negative reactance."""
     bad = [("r_ohm", i, r_ohm[i]) for i in np.flatnonzero(~(r_ohm > 0))]
     bad += [("x_ohm", i, x_ohm[i]) for i in np.flatnonzero(~(x_ohm >= 0))]
-    return [Problem("lines", "must be positive", "Give the series impedance in ohm; join buses that "
-                    "have no impedance between them.", row=int(i), field=name, value=value)
+    return [Problem("lines", "must be positive", "Give the series impedance in ohm; join buses "
+                    "that have no impedance between them.", row=int(i), field=name, value=value)
             for name, i, value in bad]

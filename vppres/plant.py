@@ -122,7 +122,8 @@ class Plant:
         room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
         held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
         charge = np.minimum(np.clip(net, 0.0, b.p_max_kw), room_kwh / (state.eta_charge * dt_h))
-        discharge = np.minimum(np.clip(-net, 0.0, b.p_max_kw), held_kwh * state.eta_discharge / dt_h)
+        discharge = np.minimum(np.clip(-net, 0.0, b.p_max_kw),
+                               held_kwh * state.eta_discharge / dt_h)
         return charge, discharge
 
     def _injections(self, t: int, served: NDArray[np.bool_], own: Floats, export: Floats,

@@ -1,8 +1,8 @@
 """Figures of one run, or of several runs of the same day side by side.
 
 Every figure takes either a trajectory or a mapping from label to trajectory. Quantities that hold
-over a step are drawn as steps, states at an instant as points joined by lines. Runs differ in colour,
-line style and marker, so that the figures survive a grey print and colour-blind eyes.
+over a step are drawn as steps, states at an instant as points joined by lines. Runs differ in
+colour, line style and marker, so that the figures survive a grey print and colour-blind eyes.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from vppres.metrics import horizon_h
 from vppres.metrics import service_by_tier as share_by_tier
 from vppres.trajectory import Trajectory
 
@@ -40,7 +41,7 @@ DPI = 150
 MAX_NAMED_CUSTOMERS = 60
 HOURS_OF_PLAIN_CLOCK = 48
 # A fixed salt keeps two SVG files equal if their data are.
-SVG_SETTINGS = {"svg.hashsalt": "vppres"}
+SVG_HASH_SALT = "vppres"
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def energy_and_price(runs: Runs) -> Figure:
     _steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
     price.set_ylim(bottom=0.0)
     energy.set_ylabel("Stored energy (kWh)")
-    power.set_ylabel("Charging (+)\ndischarging (−) (kW)")
+    power.set_ylabel("Net charging\npower (kW)")
     price.set_ylabel("Price\n(GBP/kWh)")
     figure.suptitle("Battery energy and price")
     return _with_legend(figure, energy, columns=len(named))
@@ -139,7 +140,7 @@ def voltages(runs: Runs) -> Figure:
     _limit(lowest, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", linestyle="-")
     lowest.margins(y=0.1)
     lowest.set_ylabel("Lowest bus voltage (pu)")
-    error.set_ylabel("Largest\n|optim. − AC|\n(0.001 pu)")
+    error.set_ylabel("Largest\n|optim. - AC|\n(0.001 pu)")
     error.set_ylim(bottom=0.0)
     figure.suptitle("Voltages: optimisation against AC power flow")
     return _with_legend(figure, lowest, columns=len(named))
@@ -162,7 +163,7 @@ def service_by_tier(runs: Runs) -> Figure:
         _mark_outage(share, run, text=False)
         _clock(share, run, max_ticks=9)
     handles = [Patch(facecolor=SERVED, edgecolor=GREY, label="served"),
-               Patch(facecolor=UNSERVED, label="not served (×)"),
+               Patch(facecolor=UNSERVED, label="not served (x)"),
                *axes[1, 0].get_legend_handles_labels()[0]]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
     figure.suptitle("Service by customer and tier")
@@ -190,7 +191,7 @@ def save_figures(runs: Runs, folder: Path) -> list[Path]:
     for name, draw in FIGURES.items():
         figure = draw(runs)
         png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-        with matplotlib.rc_context(SVG_SETTINGS):
+        with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
             figure.savefig(svg, metadata={"Date": None})
         figure.savefig(png, dpi=DPI)
         files += [png, svg]
@@ -265,9 +266,8 @@ def _named(runs: Runs) -> dict[str, Trajectory]:
     """Runs by label; a single run is labelled by its controller."""
     if not isinstance(runs, Trajectory):
         return dict(runs)
-    controller, horizon_h = runs.options["controller"], runs.options["horizon_h"]
-    is_mpc = str(controller) == "mpc"
-    return {f"MPC, H = {horizon_h:g} h" if is_mpc else str(controller): runs}
+    horizon = horizon_h(runs)
+    return {"full horizon" if horizon is None else f"MPC, H = {horizon:g} h": runs}
 
 
 def _panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
@@ -357,6 +357,10 @@ def _clock(ax: Axes, run: Trajectory, max_ticks: int = 13) -> None:
     hours = (edges[-1] - edges[0]).total_seconds() / 3600.0
     plain = hours <= HOURS_OF_PLAIN_CLOCK
     ax.set_xlim(edges[0], edges[-1])
-    ax.xaxis.set_major_locator(AutoDateLocator(tz=UTC, minticks=4, maxticks=max_ticks))
-    ax.xaxis.set_major_formatter(DateFormatter("%H:%M" if plain else "%d %b\n%H:%M", tz=UTC))
+    text = "%H:%M" if plain else "%d %b\n%H:%M"
+    # Two classes of matplotlib's that carry no annotations yet.
+    locator = AutoDateLocator(tz=UTC, minticks=4, maxticks=max_ticks)  # type: ignore[no-untyped-call]
+    formatter = DateFormatter(text, tz=UTC)  # type: ignore[no-untyped-call]
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(formatter)
     ax.set_xlabel(f"Time (UTC), from {edges[0]:%d %B %Y}")

@@ -124,7 +124,7 @@ class ACPowerFlow:
         if len(wrong):
             raise InputError(Problem("power flow", "is not a finite number", "Correct the load, PV "
                                      f"or battery power at bus {self.network.buses[wrong[0]]}.",
-                                     row=int(wrong[0]), field=name, value=array[wrong[0]]))
+                                     field=name, value=array[wrong[0]]))
         return array
 
     def _run(self, init: str) -> bool:

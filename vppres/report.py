@@ -19,7 +19,7 @@ from vppres.trajectory import Trajectory, write_tables
 SUMMARY_FILE = "summary.json"
 REPORT_FILE = "report.html"
 TEMPLATE = "run_report.html.j2"
-NOT_DEFINED = "–"
+NOT_DEFINED = "n/a"
 
 # Key figures of the report: key of the summary, words, unit, format.
 KEY_FIGURES = (
@@ -110,10 +110,10 @@ def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def number(value: float | None, form: str) -> str:
-    """A number in the given format, or a dash where it is not defined.
+    """A number in the given format, or "n/a" where it is not defined.
 
     >>> number(0.91873, ".3f"), number(None, ".3f")
-    ('0.919', '–')
+    ('0.919', 'n/a')
     """
     return NOT_DEFINED if value is None or pd.isna(value) else format(value, form)
 
@@ -131,8 +131,8 @@ def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
 def _step_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """The steps table with the time as text."""
     times = trajectory.steps["time"].dt.tz_convert("UTC").dt.strftime("%d %b %H:%M")
-    rows: list[dict[str, Any]] = trajectory.steps.assign(time=times).to_dict("records")
-    return rows
+    return [{str(name): value for name, value in row.items()}
+            for row in trajectory.steps.assign(time=times).to_dict("records")]
 
 
 def _embedded(svg: Path) -> str:

@@ -12,7 +12,7 @@ from vppres.controllers.base import Controller, Decision, Observation
 from vppres.controllers.full_horizon import PV_CHECKS, FullHorizonController, PVCheck
 from vppres.controllers.mpc import MPCController
 from vppres.errors import InputError, Problem, VerificationError
-from vppres.forecast import ForecastErrors, Forecaster
+from vppres.forecast import Forecaster, ForecastErrors
 from vppres.model.data import Site
 from vppres.model.linearise import CENTRES, Centre, OperatingPoint
 from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
@@ -85,7 +85,8 @@ class RunOptions:
         return asdict(self)
 
 
-def make_controller(scenario: Scenario, options: RunOptions) -> MPCController | FullHorizonController:
+def make_controller(scenario: Scenario,
+                    options: RunOptions) -> MPCController | FullHorizonController:
     """The controller that the options name, with problems that are yet to be compiled."""
     solver = WindowSolver(Site.of(scenario), options.method, options.solver, options.limits,
                           options.polygon_sides)

@@ -67,7 +67,7 @@ class TimeGrid:
 
     def steps_in_horizon(self, horizon_h: float) -> int:
         """Steps of a window ``t0 .. t0 + H``, both ends included: ``H = 0`` is one step."""
-        return int(round(horizon_h / self.dt_h)) + 1
+        return round(horizon_h / self.dt_h) + 1
 
     def window(self, t0: int, horizon_h: float) -> range:
         """Steps of the window that starts at step ``t0``, cut at the end of the grid."""

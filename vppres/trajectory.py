@@ -1,6 +1,6 @@
 """The record of a run: tidy tables of what happened, step by step, and their files.
 
-Values are realised ones unless a column's name says ``model``. Times are the beginnings of the steps.
+Values are realised ones unless a column's name says ``model``. Times are the beginnings of steps.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ OPTIONS_FILE = "options.json"
 
 # Columns of the run folder's tables, each with the field of StepRecord that fills it.
 _STEPS = {name: name for name in (
-    "p_grid_kw", "q_grid_kvar", "losses_kw", "v_min_ac_pu", "v_max_ac_pu", "v_error_pu", "objective",
-    "bound", "gap", "status", "solve_s", "corrected", "correction_reason")}
+    "p_grid_kw", "q_grid_kvar", "losses_kw", "v_min_ac_pu", "v_max_ac_pu", "v_error_pu",
+    "objective", "bound", "gap", "status", "solve_s", "corrected", "correction_reason")}
 _CUSTOMERS = {"p_load_kw": "load_kw", "q_load_kvar": "load_kvar", "served": "served"}
 _PV = {"available_kw": "pv_available_kw", "self_kw": "pv_self_kw", "export_kw": "pv_export_kw",
        "curtailed_kw": "pv_curtailed_kw", "q_kvar": "pv_q_kvar"}
@@ -145,8 +145,8 @@ class Trajectory:
     customers, pv, batteries, buses, lines : DataFrame
         One row per step and item, in the order of time, then of the scenario.
     options : mapping
-        At least ``controller``, ``horizon_h``, ``solver``, ``method`` and ``seed``; values that JSON
-        can hold.
+        At least ``controller``, ``horizon_h``, ``solver``, ``method`` and ``seed``; values that
+        JSON can hold.
     planned : mapping, optional
         What a full-horizon plan promised: ``served``, nested lists of bool, shape (T, C);
         ``energy_kwh``, the stored energy at the beginning of each step and at the end, shape
@@ -246,7 +246,7 @@ class Recorder:
 
 
 def write_tables(trajectory: Trajectory, folder: Path) -> None:
-    """Write the tables as Parquet, and the options and the plan as JSON, into an existing folder."""
+    """Write the tables as Parquet, options and plan as JSON, into an existing folder."""
     for name, table in trajectory.tables.items():
         table.to_parquet(_table_file(folder, name), index=False)
     record = {"options": trajectory.options, "planned": trajectory.planned}

@@ -46,7 +46,7 @@ def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike,
     0.035
     """
     current_a = np.asarray(power_kw, dtype=float) * W_PER_KW / np.asarray(voltage_v, dtype=float)
-    return current_a**2 * np.asarray(resistance_ohm, dtype=float) / W_PER_KW
+    return np.asarray(current_a**2 * np.asarray(resistance_ohm, dtype=float) / W_PER_KW)
 
 
 def minutes_to_h(minutes: float) -> float:

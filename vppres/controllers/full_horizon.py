@@ -36,7 +36,7 @@ class _Actual:
 
     @property
     def battery_kw(self) -> Floats:
-        return self.plan.charge_kw[self.t] - self.plan.discharge_kw[self.t]
+        return np.asarray(self.plan.charge_kw[self.t] - self.plan.discharge_kw[self.t])
 
 
 class FullHorizonController:

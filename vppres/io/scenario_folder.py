@@ -200,9 +200,9 @@ def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]
     system, system_problems = _read_system(content.system)
     problems = load_problems + pv_problems + system_problems
     if content.pv_kw:
-        for row in rows.pv.values():
-            if row.id in pv:
-                problems += checks.check_pv_series(content.pv_kw, row.id, pv[row.id], row.p_max_kw)
+        rating_kw = {row.id: row.p_max_kw for row in reversed(rows.pv.values())}
+        for name in rating_kw.keys() & pv.keys():
+            problems += checks.check_pv_series(content.pv_kw, name, pv[name], rating_kw[name])
     grid = content.settings.grid
     if grid:
         unused = content.pv_kw if content.pv and content.pv.frame.empty else None
@@ -218,9 +218,11 @@ def _read_columns(table: Table | None, items: Table | None, field: FieldInfo,
     """One column of numbers per item, in the order of the items' table."""
     if table is None:
         return {}, []
-    ids = (list(dict.fromkeys(items.column("id").values())) if items
-           else [name for name in table.names if name != TIME])
-    problems = check_columns(table, [TIME, *ids], [TIME, *ids], dict.fromkeys(ids, cure))
+    known = items.column("id").values() if items and "id" in items.names else table.names
+    ids = [name for name in dict.fromkeys(known) if name != TIME]
+    time_cure = schema.cure(schema.SystemSeries.model_fields[TIME])
+    problems = check_columns(table, [TIME, *ids], [TIME, *ids],
+                             {**dict.fromkeys(ids, cure), TIME: time_cure})
     columns = {}
     for name in ids:
         if name in table.names:

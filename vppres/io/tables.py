@@ -88,16 +88,16 @@ def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[P
     problems = check_columns(table, list(model.model_fields),
                              [n for n, f in model.model_fields.items() if f.is_required()],
                              {n: schema.cure(f) for n, f in model.model_fields.items()})
-    known = [name for name in table.names if name in model.model_fields]
+    columns = {name: table.column(name) for name in table.names if name in model.model_fields}
     rows: dict[int, R] = {}
-    for line, cells in zip(table.frame.index, table.texts[known].to_dict("records"), strict=True):
-        given = {name: text for name, text in cells.items() if text}
+    for line in table.frame.index:
+        given = {name: texts[line] for name, texts in columns.items() if line in texts}
         try:
             rows[int(line)] = model.model_validate(given)
         except ValidationError as error:
             # A missing column has been named once; it need not be named again in every row.
             problems += [p for p in problems_of(error, model, table.file, int(line))
-                         if p.field in known]
+                         if p.field in columns]
     return rows, problems
 
 

@@ -59,7 +59,8 @@ class AggregateModel:
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
         return {
-            "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + v["P_dch"] == load + v["P_ch"],
+            "lumped_balance":
+                v["P_grid"] + p["P_pv"] - v["P_curt"] + v["P_dch"] == load + v["P_ch"],
             "lumped_circular_charging": v["P_dch"] <= load - own,
             "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
             "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],

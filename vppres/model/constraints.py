@@ -107,10 +107,18 @@ def voltage_limits(site: Site, v: Variables, p: Parameters) -> Named:
 
 def inverter_discs(site: Site, v: Variables, p: Parameters) -> Named:
     """Apparent power of batteries and PV systems within their inverters' ratings (cones)."""
-    return {
-        "battery_inverter_capacity": _disc(v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva),
-        "pv_inverter_capacity": _disc(v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
-    }
+    return battery_disc(site, v, p) | pv_disc(site, v, p)
+
+
+def battery_disc(site: Site, v: Variables, p: Parameters) -> Named:
+    """Battery inverters alone."""
+    return {"battery_inverter_capacity":
+            _disc(v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva)}
+
+
+def pv_disc(site: Site, v: Variables, p: Parameters) -> Named:
+    """PV inverters alone."""
+    return {"pv_inverter_capacity": _disc(v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva)}
 
 
 def inverter_polygons(sides: int) -> Family:

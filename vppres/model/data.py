@@ -113,7 +113,7 @@ class WindowData:
         Nothing can be exported, so no more than all demand and all charging is ever imported.
         """
         useful = self.load_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
-        return np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful)
+        return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
@@ -124,9 +124,10 @@ class WindowData:
 
 @dataclass(frozen=True, eq=False)
 class Dispatch:
-    """A dispatch of W steps as plain arrays; names as in the paper's Table "Optimization Variables".
+    """A dispatch of W steps as plain arrays, after the paper's Table "Optimization Variables".
 
-    ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window.
+    ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
+    dispatch of a form without network has NaN in place of reactive power, flows and voltages.
     """
 
     served: NDArray[np.bool_]

@@ -41,7 +41,8 @@ class Parameters:
         return cls(**{name: cp.Parameter(shape, name=name, nonneg=name not in signed)
                       for name, shape in shapes.items()})
 
-    def fill(self, site: Site, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
+    def fill(self, site: Site, data: WindowData,
+             served: NDArray[np.bool_] | None = None) -> None:
         """Write a window's data: all values are computed first, then all are written.
 
         With a served set, shape (W, C), demand and self-consumption are those of the served
@@ -67,18 +68,18 @@ class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
     ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where the
-    form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand;
-    where it fixes the modes, ``delta`` is a parameter.
+    form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand.
+    :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
     """
 
-    x_served: cp.Variable | cp.Constant
-    P_self: cp.Variable
-    P_exp: cp.Variable
-    P_curt: cp.Variable
+    x_served: cp.Expression
+    P_self: cp.Expression
+    P_exp: cp.Expression
+    P_curt: cp.Expression
     Q_pv: cp.Variable
-    P_ch: cp.Variable
-    P_dch: cp.Variable
-    delta: cp.Variable | cp.Parameter
+    P_ch: cp.Expression
+    P_dch: cp.Expression
+    delta: cp.Expression
     Q_batt: cp.Variable
     SoC: cp.Variable
     P_grid: cp.Variable
@@ -105,8 +106,7 @@ class Variables:
             P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
             P_curt=nonneg("P_curt", W, P), Q_pv=free("Q_pv", W, P),
             P_ch=nonneg("P_ch", W, B), P_dch=nonneg("P_dch", W, B),
-            delta=(cp.Parameter((W, B), name="delta", nonneg=True) if exclusivity == "fixed" else
-                   cp.Variable((W, B), name="delta", boolean=exclusivity == "integer")),
+            delta=cp.Variable((W, B), name="delta", boolean=exclusivity == "integer"),
             Q_batt=free("Q_batt", W, B), SoC=free("SoC", W + 1, B),
             P_grid=nonneg("P_grid", W), Q_grid=free("Q_grid", W), u=nonneg("u", W, N),
             P_flow=free("P_flow", W, L), Q_flow=free("Q_flow", W, L),
@@ -115,7 +115,9 @@ class Variables:
     def dispatch(self, site: Site, served: NDArray[np.bool_] | None = None) -> Dispatch:
         """The solution as arrays, cleaned of solver noise below 1e-7."""
 
-        def clean(variable: cp.Variable, lower: float = -np.inf) -> Floats:
+        def clean(variable: cp.Expression, lower: float = -np.inf) -> Floats:
+            if variable.value is None:  # not part of this form
+                return np.full(variable.shape, np.nan)
             value = np.asarray(variable.value, dtype=float)
             return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
 

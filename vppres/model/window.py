@@ -15,7 +15,7 @@ from vppres.model import objective as terms
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.variables import Mode, Parameters, Variables
 
-Goal = Literal["service", "cost", "tie_breakers"]
+Goal = Literal["service", "cost"]
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,12 @@ class Form:
 
     Parameters
     ----------
-    goal : {"service", "cost", "tie_breakers"}
-        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted;
-        ``tie_breakers`` minimises f4 and f5 as weighted while f2 and f3 keep their values.
-    service, exclusivity : {"integer", "relaxed", "fixed"}
-        What the binaries x_served and delta are.
+    goal : {"service", "cost"}
+        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
+    service : {"integer", "relaxed", "fixed"}
+        What the binaries x_served are.
+    exclusivity : {"integer", "relaxed"}
+        What the binaries delta are.
     polygon_sides : int
         0 states the inverters as cones, otherwise as inscribed polygons.
     network : bool
@@ -65,7 +66,6 @@ class WindowModel:
         self.site, self.n_steps, self.form = site, n_steps, form
         self.p = Parameters.create(site, n_steps)
         self.v = Variables.create(site, n_steps, form.service, form.exclusivity)
-        self.held = {name: cp.Parameter(name=f"{name}_held") for name in ("f2", "f3")}
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -78,11 +78,7 @@ class WindowModel:
         network = ((inverters, *families.NETWORK_FAMILIES) if form.network
                    else families.LUMPED_NETWORK_FAMILIES)
         chosen = (*families.DEVICE_FAMILIES, *network)
-        named = {name: c for family in chosen for name, c in family(*args).items()}
-        if form.goal == "tie_breakers":
-            named["cost_held"] = terms.f2_cost(*args) <= self.held["f2"]
-            named["curtailment_held"] = terms.f3_curtailment(*args) <= self.held["f3"]
-        return named
+        return {name: c for family in chosen for name, c in family(*args).items()}
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
         """The objective of the form's goal, scaled to numbers that solvers like."""
@@ -92,24 +88,11 @@ class WindowModel:
                 + spending * w.lambda_curt * terms.f3_curtailment(*args))
         if self.form.goal == "cost":
             return cp.Minimize(cost)
-        if self.form.goal == "service":
-            return cp.Maximize(terms.f1_service(*args) - cost / spending)
-        # f4 over the squared base voltage is about the ohmic loss in kW: numbers near 1.
-        loss = 1.0 / (1000.0 * self.site.network.base_kv**2)
-        total = max(w.lambda_l, w.lambda_q)
-        return cp.Minimize(loss * (w.lambda_l / total * terms.f4_flows(*args)
-                                   + w.lambda_q / total * terms.f5_reactive(*args)))
+        return cp.Maximize(terms.f1_service(*args) - cost / spending)
 
-    def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None,
-             charging: NDArray[np.bool_] | None = None) -> None:
-        """Write the window's data and, where the form fixes them, service and battery modes."""
+    def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
+        """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
-        if isinstance(self.v.delta, cp.Parameter):
-            self.v.delta.value = np.asarray(charging, dtype=float)
-
-    def hold(self, f2_gbp: float, f3_kwh: float) -> None:
-        """Write the values of cost and curtailment that the tie-breakers must not worsen."""
-        self.held["f2"].value, self.held["f3"].value = f2_gbp, f3_kwh
 
     def dispatch(self, served: NDArray[np.bool_] | None = None) -> Dispatch:
         """The solution of the last solve."""

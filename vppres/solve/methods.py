@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
 from vppres.model.window import Form
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, find_solver, run
-from vppres.solve.stages import POLYGON_SIDES, ModelCache, polish, solve_cost
+from vppres.solve.stages import POLYGON_SIDES, ModelCache, cost_form, polish, solve_cost
 
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
@@ -24,13 +24,17 @@ COST_GAP_REL = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A true dispatch with its objective terms; ``service`` is f1 and f3 as weighted."""
+    """A dispatch with its objective terms; ``service`` is f1 and f3 as weighted.
+
+    ``in_network`` says whether flows, reactive power and voltages have been found too.
+    """
 
     dispatch: Dispatch
     terms: Terms
     service: float
     value: float
     cost_bound_gbp: float
+    in_network: bool
 
 
 @dataclass
@@ -43,6 +47,7 @@ class Search:
     bound: float = np.inf
     best: Candidate | None = None
     cost_bound_gbp: float = -np.inf
+    polished: bool = False
     failed: Outcome | None = None
     stages: list[str] = field(default_factory=list)
     solver_s: float = 0.0
@@ -130,19 +135,44 @@ class WindowSolver:
         return self._finish(data, search)
 
     def _decomposed(self, data: WindowData, whole: float, search: Search) -> None:
-        """Relaxations of growing size, each with its bound, until bound and dispatch meet."""
+        """Relaxations of growing size, each with its bound, until bound and dispatch meet.
+
+        Dispatches are first found without the network; the best one is then put into it.
+        """
         if (data.grid_limit_kw > 0.0).all():
             self._everyone(data, whole, search)
         for master in (self._aggregate, self._per_battery):
             if not search.certified and search.left_s > 0:
                 master(data, search)
-        if search.certified and search.best is not None and search.cost_bound_gbp == -np.inf:
+        if search.certified and search.cost_bound_gbp == -np.inf:
             self._aggregate_cost(data, search)
+        if search.best is not None:
+            self._enter_network(data, search)
+
+    def _enter_network(self, data: WindowData, search: Search) -> None:
+        """Tie-breakers of the best dispatch; where they are infeasible, its cost in the network."""
+        best = search.best
+        assert best is not None
+        if not self._polish(data, search):
+            search.best = None
+            self._recover(data, best.dispatch.served, search, network=True)
+
+    def _polish(self, data: WindowData, search: Search) -> bool:
+        """Replace the best dispatch by one that the tie-breakers prefer; False if there is none."""
+        best = search.best
+        assert best is not None
+        stage = polish(self.cache, data, best.dispatch, max(search.left_s, 5.0))
+        search.note("tie_breakers", stage.outcome)
+        if stage.dispatch is not None:
+            terms = evaluate(self.site, data, stage.dispatch)
+            search.best = replace(best, dispatch=stage.dispatch, terms=terms, in_network=True)
+            search.polished = True
+        return stage.dispatch is not None
 
     def _everyone(self, data: WindowData, whole: float, search: Search) -> None:
         """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
         served = np.ones(data.load_kw.shape, dtype=bool)
-        self._recover(data, served, search)
+        self._recover(data, served, search, network=False)
         best = search.best
         if best is not None and whole - best.service <= 1e-6 * search.gap:
             search.cost_bound_gbp = best.cost_bound_gbp
@@ -155,8 +185,8 @@ class WindowSolver:
         """Served set and bound of the lumped relaxation."""
         model = self.cache.aggregate(data.n_steps)
         model.fill(data)
-        outcome = run(model.problem, self.spec, 0.3 * search.gap, search.left_s)
-        self._take("aggregate", outcome, model.x.value, data, search)
+        outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s)
+        self._take("aggregate", outcome, model.x.value, data, search, network=False)
 
     def _aggregate_cost(self, data: WindowData, search: Search) -> None:
         """Cheapest served set of the same service value, and the bound on the cost of all."""
@@ -175,38 +205,39 @@ class WindowSolver:
         search.cost_bound_gbp = max(outcome.bound, 0.0)
         served = np.asarray(model.x.value) > 0.5
         if (served != search.best.dispatch.served).any() and outcome.value < cost:
-            self._recover(data, served, search)
+            self._recover(data, served, search, network=False)
 
     def _per_battery(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the relaxation with every battery but without the network."""
-        self._window(Form("service", "integer", "integer", 0, network=False), "per_battery", data,
-                     0.5 * search.gap, search)
+        form = Form("service", "integer", "integer", 0, network=False)
+        self._window(form, "per_battery", data, 0.8 * search.gap, search)
 
     def _full(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the whole problem."""
-        self._window(Form("service", "integer", "integer", self.sides), "full", data, search.gap,
-                     search)
+        form = Form("service", "integer", "integer", self.sides)
+        self._window(form, "full", data, search.gap, search)
 
     def _window(self, form: Form, name: str, data: WindowData, gap: float, search: Search) -> None:
+        """Solve a master with every battery, and recover its served set."""
         model = self.cache.window(form, data.n_steps)
         model.fill(data)
         outcome = run(model.problem, self.spec, gap, search.left_s)
-        self._take(name, outcome, model.v.x_served.value, data, search)
+        self._take(name, outcome, model.v.x_served.value, data, search, form.network)
 
     def _take(self, name: str, outcome: Outcome, x: np.ndarray | None, data: WindowData,
-              search: Search) -> None:
+              search: Search, network: bool) -> None:
         """Record a master's outcome and bound, and recover a dispatch of its served set."""
         search.note(name, outcome)
         if outcome.status.has_answer and x is not None:
             search.bound = min(search.bound, outcome.bound)
-            self._recover(data, np.asarray(x) > 0.5, search)
+            self._recover(data, np.asarray(x) > 0.5, search, network)
 
-    def _recover(self, data: WindowData, served: Served, search: Search) -> None:
-        """Cheapest true dispatch of a served set; kept if it is the best so far."""
+    def _recover(self, data: WindowData, served: Served, search: Search, network: bool) -> None:
+        """Cheapest dispatch of a served set; kept if it is the best so far."""
         # A started answer is always finished: recovery gets a moment even when time is up.
-        stage = solve_cost(self.cache, data, served, self.spec, self.sides,
+        stage = solve_cost(self.cache, data, served, self.spec, cost_form(self.sides, network),
                            max(search.left_s, 5.0))
-        search.note("cost", stage.outcome)
+        search.note("network_cost" if network else "cost", stage.outcome)
         if stage.dispatch is None:
             return
         terms, weights = evaluate(self.site, data, stage.dispatch), self.site.weights
@@ -214,24 +245,21 @@ class WindowSolver:
         if search.best is None or value > search.best.value:
             slack = abs(stage.outcome.value - stage.outcome.bound)
             search.best = Candidate(stage.dispatch, terms, value + weights.lambda_grid * terms.f2,
-                                    value, terms.f2 - slack)
+                                    value, terms.f2 - slack, network)
 
     def _finish(self, data: WindowData, search: Search) -> WindowSolution:
-        """Tie-breakers, and the certificate."""
-        best = search.best
-        if best is None:
+        """The certificate, and the tie-breakers if they have not been settled on the way."""
+        if search.best is None or not search.best.in_network:
             assert search.failed is not None
             search.failed.require_answer(f"The window of {data.n_steps} steps")
             raise AssertionError("an outcome without answer always raises")
-        dispatch, terms = best.dispatch, best.terms
-        stage = polish(self.cache, data, dispatch, max(search.left_s, 5.0))
-        search.note("tie_breakers", stage.outcome)
-        if stage.dispatch is not None:
-            dispatch, terms = stage.dispatch, evaluate(self.site, data, stage.dispatch)
-        bound_gbp = max(search.cost_bound_gbp, 0.0 if best.terms.f2 >= 0 else -np.inf)
+        if not search.polished:
+            self._polish(data, search)
+        best = search.best
+        bound_gbp = max(search.cost_bound_gbp, 0.0)
         return WindowSolution(
-            dispatch=dispatch, terms=terms, objective=terms.total(self.site.weights),
-            bound=search.bound,
+            dispatch=best.dispatch, terms=best.terms,
+            objective=best.terms.total(self.site.weights), bound=search.bound,
             status=Status.OPTIMAL if search.certified else Status.TIME_LIMIT,
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,

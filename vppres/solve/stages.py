@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
+from vppres.model.tie_breakers import TieBreakerModel, charging_modes
 from vppres.model.window import Form, WindowModel
-from vppres.solve.result import Outcome
+from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
 
 POLYGON_SIDES = 16
@@ -31,11 +32,12 @@ class ModelCache:
     site: Site
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
     lumped: dict[int, AggregateModel] = field(default_factory=dict)
+    ties: dict[tuple[int, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
     def compilations(self) -> int:
         """Problems compiled so far."""
-        return len(self.models) + len(self.lumped)
+        return len(self.models) + len(self.lumped) + len(self.ties)
 
     def window(self, form: Form, n_steps: int) -> WindowModel:
         """The window problem of a form and length."""
@@ -49,6 +51,12 @@ class ModelCache:
             self.lumped[n_steps] = AggregateModel(self.site, n_steps)
         return self.lumped[n_steps]
 
+    def tie_breakers(self, n_steps: int, curtailing: bool) -> TieBreakerModel:
+        """The last level's problem of a length."""
+        if (n_steps, curtailing) not in self.ties:
+            self.ties[n_steps, curtailing] = TieBreakerModel(self.site, n_steps, curtailing)
+        return self.ties[n_steps, curtailing]
+
 
 @dataclass(frozen=True, eq=False)
 class Stage:
@@ -59,30 +67,38 @@ class Stage:
 
 
 def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
-               sides: int, time_s: float) -> Stage:
-    """Cheapest dispatch of a served set: a linear problem, with binaries only where it needs them."""
-    stage = _cost(cache, data, served, spec, Form("cost", "fixed", "relaxed", sides), time_s)
+               form: Form, time_s: float) -> Stage:
+    """Cheapest dispatch of a served set: a linear problem, with binaries only where it needs them.
+
+    ``form`` says how the inverters are stated and whether the network is part of it.
+    """
+    stage = _cost(cache, data, served, spec, replace(form, exclusivity="relaxed"), time_s)
     if stage.dispatch is None:
         return stage
     netted, done = net_modes(cache.site, data, stage.dispatch)
     if done:
         return replace(stage, dispatch=netted)
-    return _cost(cache, data, served, spec, Form("cost", "fixed", "integer", sides),
+    return _cost(cache, data, served, spec, replace(form, exclusivity="integer"),
                  time_s - stage.outcome.solve_s)
+
+
+def cost_form(polygon_sides: int, network: bool) -> Form:
+    """Form of the cost level."""
+    return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network)
 
 
 def _cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
           form: Form, time_s: float) -> Stage:
     model = cache.window(form, data.n_steps)
     model.fill(data, served)
-    conic = form.polygon_sides == 0 and form.exclusivity != "integer"
+    conic = form.network and form.polygon_sides == 0 and form.exclusivity == "relaxed"
     # 1e-4 GBP is far below any price difference that a dispatch could exploit.
     outcome = run_conic(model.problem, time_s) if conic else run(model.problem, spec, 1e-4, time_s)
     return Stage(outcome, model.dispatch(served) if outcome.status.has_answer else None)
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
-    """Cancel charging against simultaneous discharging, and say whether every battery could take it.
+    """Cancel charging against simultaneous discharging, and say whether every battery can take it.
 
     The net power stays, so no balance changes; what used to be lost is stored, so only the upper
     SoC limit can forbid it.
@@ -104,26 +120,21 @@ def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floa
 def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: float) -> Stage:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
-    The answer is dropped if it is inaccurate or worsens cost or curtailment beyond the tolerance.
+    It also decides whether a dispatch that was found without the network can be had in it: reactive
+    power, voltages and true discs are all here. The answer is dropped if it is inaccurate or
+    worsens cost or curtailment beyond the tolerance.
     """
     site = cache.site
-    model = cache.window(Form("tie_breakers", "fixed", "fixed", 0), data.n_steps)
-    model.fill(data, dispatch.served, charging_modes(dispatch))
     terms = evaluate(site, data, dispatch)
     f2_max = terms.f2 + HELD_REL * abs(terms.f2) + HELD_ABS
     f3_max = terms.f3 + HELD_REL * terms.f3 + HELD_ABS
-    model.hold(f2_max, f3_max)
+    curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
+    model = cache.tie_breakers(data.n_steps, curtailing)
+    model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
     outcome = run_conic(model.problem, time_s)
-    if outcome.status != "optimal":
+    if outcome.status != Status.OPTIMAL:
         return Stage(outcome, None)
-    better, netted = net_modes(site, data, model.dispatch(dispatch.served))
+    better = model.dispatch(dispatch.served)
     after = evaluate(site, data, better)
-    kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS and netted
+    kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
     return Stage(outcome, better if kept else None)
-
-
-def charging_modes(dispatch: Dispatch) -> NDArray[np.bool_]:
-    """Mode of every battery and step; an idle battery takes the fleet's."""
-    net = dispatch.charge_kw - dispatch.discharge_kw
-    fleet = net.sum(axis=1, keepdims=True) >= 0
-    return np.where(np.abs(net) > 1e-6, net > 0, fleet)

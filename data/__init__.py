@@ -1,0 +1,1 @@
+"""Builders of the packaged scenarios: one folder for each, with the public figures it uses."""

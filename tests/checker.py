@@ -1,0 +1,176 @@
+"""An independent check of a dispatch: every equation of the paper again, in plain numpy.
+
+It shares data classes with the package and no function: network sums are loops over the lines, and
+limits are read from the assets' tables.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.model.data import Dispatch, WindowData
+from vppres.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+
+class Check(NamedTuple):
+    """Worst violation of every equation, scaled to numbers near 1, and the paper's objective F."""
+
+    violations: dict[str, float]
+    objective: float
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """The equation that is violated most, and by how much."""
+        name = max(self.violations, key=lambda equation: self.violations[equation])
+        return name, self.violations[name]
+
+
+class Items(NamedTuple):
+    """Positions of buses and owners, looked up apart from the package's matrices."""
+
+    customer_bus: list[int]
+    battery_bus: list[int]
+    owner: list[int]
+    pv_bus: list[int]
+
+
+def check_dispatch(scenario: Scenario, data: WindowData, dispatch: Dispatch) -> Check:
+    """Violations and objective of a dispatch of W steps.
+
+    Powers are scaled by the largest demand of a customer (at least 1 kW), inverters and battery
+    powers by their rating; SoC and squared voltages are near 1 by nature.
+    """
+    scale_kw = max(1.0, float(data.load_kw.max(initial=0.0)))
+    items = _items(scenario)
+    families = (_signs(dispatch, scale_kw), _batteries(scenario, data, dispatch),
+                _pv(scenario, data, dispatch, items), _grid(data, dispatch, scale_kw),
+                _balances(scenario, data, dispatch, items, scale_kw),
+                _voltages(scenario, data, dispatch))
+    violations = {name: value for family in families for name, value in family.items()}
+    return Check(violations, _objective(scenario, data, dispatch))
+
+
+def _items(scenario: Scenario) -> Items:
+    bus = list(scenario.network.buses)
+    customer = list(scenario.customers.id)
+    customer_bus = [bus.index(b) for b in scenario.customers.bus]
+    owner = [customer.index(c) for c in scenario.pv.customer]
+    return Items(customer_bus, [bus.index(b) for b in scenario.batteries.bus], owner,
+                 [customer_bus[c] for c in owner])
+
+
+def _most(*excess: Floats | float) -> float:
+    """Largest excess of any of the arrays, not below 0."""
+    return max(0.0, *(float(np.max(e, initial=0.0)) for e in excess))
+
+
+def _signs(d: Dispatch, scale_kw: float) -> dict[str, float]:
+    parts = (d.pv_self_kw, d.pv_export_kw, d.pv_curtailed_kw, d.charge_kw, d.discharge_kw,
+             d.p_grid_kw)
+    return {"not negative": _most(*(-part / scale_kw for part in parts))}
+
+
+def _batteries(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
+    b, dt_h = s.batteries, s.grid.step_minutes / 60.0
+    charged_kwh = dt_h * (data.eta_charge * d.charge_kw - d.discharge_kw / data.eta_discharge)
+    apparent = np.hypot(d.charge_kw - d.discharge_kw, d.batt_q_kvar)
+    return {
+        "charge rating": _most(d.charge_kw / b.p_max_kw - 1.0),
+        "discharge rating": _most(d.discharge_kw / b.p_max_kw - 1.0),
+        "exclusivity": _most(np.minimum(d.charge_kw, d.discharge_kw) / b.p_max_kw),
+        "soc start": _most(np.abs(d.soc[0] - data.soc)),
+        "soc dynamics": _most(np.abs(np.diff(d.soc, axis=0) - charged_kwh / b.energy_kwh)),
+        "soc limits": _most(b.soc_min - d.soc[1:], d.soc[1:] - b.soc_max),
+        "battery disc": _most(apparent / b.s_max_kva - 1.0),
+        # The limits once more by energy alone, in case the stored SoC were made up.
+        "energy limits": _energy_limits(s, data, np.cumsum(charged_kwh, axis=0)),
+    }
+
+
+def _energy_limits(s: Scenario, data: WindowData, charged_kwh: Floats) -> float:
+    b = s.batteries
+    held = data.soc + charged_kwh / b.energy_kwh
+    return _most(b.soc_min - held, held - b.soc_max)
+
+
+def _pv(s: Scenario, data: WindowData, d: Dispatch, items: Items) -> dict[str, float]:
+    rating, owner = s.pv.s_max_kva, items.owner
+    own_kw = np.minimum(data.load_kw[:, owner], data.pv_kw) * d.served[:, owner]
+    through = d.pv_self_kw + d.pv_export_kw
+    return {
+        "pv balance": _most(np.abs(through + d.pv_curtailed_kw - data.pv_kw) / rating),
+        "self-consumption": _most(np.abs(d.pv_self_kw - own_kw) / rating),
+        "pv disc": _most(np.hypot(through, d.pv_q_kvar) / rating - 1.0),
+    }
+
+
+def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
+    dark = data.grid_limit_kw <= 0.0
+    from_outside = d.p_grid_kw + d.pv_export_kw.sum(axis=1)
+    return {
+        "grid limit": _most((d.p_grid_kw - data.grid_limit_kw) / scale_kw),
+        "no reactive power in the dark": _most(np.abs(d.q_grid_kvar[dark]) / scale_kw),
+        "circular charging": _most((d.charge_kw.sum(axis=1) - from_outside) / scale_kw),
+    }
+
+
+def _balances(s: Scenario, data: WindowData, d: Dispatch, items: Items,
+              scale_kw: float) -> dict[str, float]:
+    """Kirchhoff at every bus: what arrives and is made there, less what leaves and is used."""
+    tan_phi = np.sqrt(1.0 - s.customers.power_factor**2) / s.customers.power_factor
+    left_p = np.zeros((d.n_steps, s.network.n_buses))
+    left_q = np.zeros_like(left_p)
+    left_p[:, 0], left_q[:, 0] = d.p_grid_kw, d.q_grid_kvar
+    for c, n in enumerate(items.customer_bus):
+        left_p[:, n] -= data.load_kw[:, c] * d.served[:, c]
+        left_q[:, n] -= data.load_kw[:, c] * d.served[:, c] * tan_phi[c]
+    for p, n in enumerate(items.pv_bus):
+        left_p[:, n] += d.pv_self_kw[:, p] + d.pv_export_kw[:, p]
+        left_q[:, n] += d.pv_q_kvar[:, p]
+    for b, n in enumerate(items.battery_bus):
+        left_p[:, n] += d.discharge_kw[:, b] - d.charge_kw[:, b]
+        left_q[:, n] += d.batt_q_kvar[:, b]
+    for line, upstream in enumerate(s.network.parent):
+        for left, flow in ((left_p, d.p_flow_kw), (left_q, d.q_flow_kvar)):
+            left[:, upstream] -= flow[:, line]
+            left[:, line + 1] += flow[:, line]
+    return {"active balance": _most(np.abs(left_p) / scale_kw),
+            "reactive balance": _most(np.abs(left_q) / scale_kw)}
+
+
+def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
+    net, u = s.network, d.v_pu**2
+    base = 1000.0 * net.base_kv**2
+    worst = 0.0
+    for line, upstream in enumerate(net.parent):
+        drop = 2.0 * (net.r_ohm[line] * d.p_flow_kw[:, line]
+                      + net.x_ohm[line] * d.q_flow_kvar[:, line]) / base
+        expected = u[:, upstream] - drop + data.delta_pu2[:, line]
+        worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
+    return {
+        "slack voltage": _most(np.abs(u[:, 0] - net.v_slack_pu**2)),
+        "voltage drop": worst,
+        "voltage limits": _most(net.v_min_pu**2 - u[:, 1:], u[:, 1:] - net.v_max_pu**2),
+    }
+
+
+def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
+    """F = sum of f1 - lambda_grid f2 - lambda_curt f3 - lambda_l f4 - lambda_q f5."""
+    dt_h, w = s.grid.step_minutes / 60.0, s.objective
+    total = 0.0
+    for t in range(d.n_steps):
+        service = sum(s.customers.weight[c] for c in range(len(s.customers)) if d.served[t, c])
+        cost_gbp = data.price_gbp_per_kwh[t] * d.p_grid_kw[t] * dt_h
+        flows = sum(r * (p**2 + q**2) for r, p, q in
+                    zip(s.network.r_ohm, d.p_flow_kw[t], d.q_flow_kvar[t], strict=True))
+        use = sum((q / rating) ** 2 for q, rating in
+                  zip([*d.pv_q_kvar[t], *d.batt_q_kvar[t]],
+                      [*s.pv.s_max_kva, *s.batteries.s_max_kva], strict=True))
+        total += (dt_h * (service - w.lambda_curt * d.pv_curtailed_kw[t].sum())
+                  - w.lambda_grid * cost_gbp - w.lambda_l * flows - w.lambda_q * use)
+    return float(total)

@@ -1,0 +1,231 @@
+"""The command line: exit statuses, plain errors, nothing half written, and a light start."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+import vppres
+from vppres import cli, simulate
+
+HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
+
+
+def call(*arguments: str | Path) -> Result:
+    """Run the command in this process; stdout and stderr are kept apart."""
+    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="vppres")
+
+
+def names_below(folder: Path) -> list[str]:
+    """What a folder holds, hidden names included."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("argument", ["--help", "--version"])
+def test_start_loads_no_heavy_library(argument: str) -> None:
+    code = ("import sys\nfrom vppres.cli import app\n"
+            f"app([{argument!r}], standalone_mode=False)\n"
+            f"print('loaded', [name for name in {HEAVY!r} if name in sys.modules])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded []"
+
+
+def test_module_is_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "vppres", "--version"], capture_output=True,
+                          text=True, check=True)
+    assert done.stdout == f"vppres {vppres.__version__}\n"
+
+
+def test_version_of_a_checkout_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.delitem(vars(vppres), "__version__", raising=False)
+    monkeypatch.setattr("importlib.metadata.version", absent)
+    assert vppres.__version__ == "0+not.installed"
+    monkeypatch.delitem(vars(vppres), "__version__")
+
+
+@pytest.mark.parametrize("name", [name for name in vppres.__all__ if name != "__version__"])
+def test_public_name_is_its_own(name: str) -> None:
+    found = getattr(vppres, name)
+    assert found.__name__ == name
+    assert inspect.getmodule(found).__name__ == vppres._HOME_OF[name]
+    assert name in dir(vppres)
+
+
+def test_unknown_public_name() -> None:
+    with pytest.raises(AttributeError, match="module 'vppres' has no attribute 'run_night'"):
+        _ = vppres.run_night
+
+
+def test_scenarios_lists_one_name_per_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vppres.io.find.packaged_scenarios", lambda: ["flood", "heat"])
+    result = call("scenarios")
+    assert (result.exit_code, result.stdout) == (0, "flood\nheat\n")
+
+
+def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    result = call("run", tiny_folder, "--horizon", 2, "--load-bias", 0.1, "--pv-error", 0.05,
+                  "--seed", 3, "--thermal", "exact", "--gap", 1e-3, "--time-limit", 30,
+                  "--out", out)
+    assert (result.exit_code, result.stderr) == (0, "")
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert f"{summary['resilience']:.4f}" in result.stdout
+    assert f"{summary['cost_gbp']:,.2f} │ GBP" in result.stdout
+    assert result.stdout.endswith(f"Written to {out}\n")
+    assert sorted(tmp_path.iterdir()) == [out, tiny_folder]
+
+
+def test_options_reach_the_run(tiny_folder: Path, tmp_path: Path,
+                               monkeypatch: pytest.MonkeyPatch) -> None:
+    options = caught_options(monkeypatch)
+    call("run", tiny_folder, "--controller", "full-horizon", "--horizon", 2, "--solver", "scip",
+         "--method", "monolithic", "--load-bias", 0.1, "--load-error", 0.2, "--pv-bias", -0.3,
+         "--pv-error", 0.4, "--thermal", "euler", "--seed", 3, "--gap", 1e-3, "--time-limit", 30,
+         "--out", tmp_path / "run")
+    errors = {"load_bias": 0.1, "load_alpha_per_h": 0.2, "pv_bias": -0.3, "pv_alpha_per_h": 0.4}
+    record = options[0].as_record()
+    expected = {"controller": "full-horizon", "horizon_h": 2.0, "solver": "scip", "seed": 3,
+                "method": "monolithic", "errors": errors, "thermal": "euler"}
+    assert {name: record[name] for name in expected} == expected
+    assert (record["limits"]["gap_rel"], record["limits"]["time_s"]) == (1e-3, 30.0)
+
+
+def test_scenario_names_controller_and_horizon(tiny_folder: Path,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    toml = tiny_folder / "scenario.toml"
+    text = toml.read_text(encoding="utf-8")
+    assert 'kind = "mpc"\nhorizon_h = 5.0' in text
+    toml.write_text(text.replace('kind = "mpc"\nhorizon_h = 5.0',
+                                 'kind = "full-horizon"\nhorizon_h = 3.0'), encoding="utf-8")
+    options = caught_options(monkeypatch)
+    call("run", tiny_folder)
+    call("run", tiny_folder, "--controller", "mpc", "--horizon", 0)
+    assert [(o.controller, o.horizon_h) for o in options] == [("full-horizon", 3.0), ("mpc", 0.0)]
+
+
+def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]:
+    """Options of the runs that follow, none of which is done."""
+    caught = []
+
+    def catch(scenario: object, options: simulate.RunOptions, progress: object) -> None:
+        caught.append(options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulate, "run_day", catch)
+    return caught
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
+    (["--method", "magic"], "method = magic: is not a known method. "
+                            "Use one of: decomposed, monolithic."),
+    (["--controller", "pid"], "controller = pid: is not known. Use one of: mpc, full-horizon."),
+    (["--horizon", "-1"], "horizon_h = -1.0: must be zero or positive. Give hours."),
+    (["--load-error", "-1"], "load_alpha_per_h = -1.0: must be a number not below 0."),
+    (["--seed", "-1"], "seed = -1: must not be negative."),
+])
+def test_bad_option_is_one_sentence(tiny_folder: Path, tmp_path: Path, arguments: list[str],
+                                    message: str) -> None:
+    result = call("run", tiny_folder, "--out", tmp_path / "run", *arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert names_below(tmp_path) == ["tiny"]
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["run"], "Missing argument"),
+    (["run", "x", "--gap", "nan"], "nan is not a positive number."),
+    (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
+    (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
+    (["walk"], "No such command 'walk'."),
+])
+def test_bad_usage(arguments: list[str], message: str) -> None:
+    result = call(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    text = " ".join(result.stderr.replace("│", " ").split())
+    assert message in text
+
+
+def test_unknown_scenario() -> None:
+    result = call("run", "nowhere")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("scenario nowhere: is neither a packaged scenario nor ")
+
+
+def test_every_problem_of_the_data_is_named(tiny_folder: Path) -> None:
+    lines = tiny_folder / "lines.csv"
+    lines.write_text("from_bus,to_bus,r_ohm,x_ohm\n1,2,-0.3,0.2\n2,3,0.4,none\n2,4,0.5,0.4\n",
+                     encoding="utf-8")
+    result = call("run", tiny_folder)
+    assert result.exit_code == 2
+    assert [line.partition(":")[0] for line in result.stderr.splitlines()] == [
+        "lines.csv, row 2, r_ohm = -0.3", "lines.csv, row 3, x_ohm = none"]
+
+
+def test_foreign_folder_is_refused_before_the_work(tiny_folder: Path, tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("keep", encoding="utf-8")
+    options = caught_options(monkeypatch)
+    result = call("run", tiny_folder, "--out", tmp_path / "mine")
+    assert (result.exit_code, options) == (2, [])
+    assert "exists and is not a run folder" in result.stderr
+    assert names_below(tmp_path / "mine") == ["letter.txt"]
+
+
+def test_interrupt_leaves_nothing(tiny_folder: Path, tmp_path: Path,
+                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    caught_options(monkeypatch)
+    result = call("run", tiny_folder, "--out", tmp_path / "run")
+    assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
+    assert names_below(tmp_path) == ["tiny"]
+
+
+def test_interrupt_while_writing_leaves_nothing(tiny_folder: Path, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vppres.report.save_figures", interrupt)
+    result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run")
+    assert result.exit_code == 130
+    assert names_below(tmp_path) == ["tiny"]
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_unexpected_error(tiny_folder: Path, monkeypatch: pytest.MonkeyPatch, debug: bool) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise KeyError("bus")
+
+    monkeypatch.setattr(simulate, "run_day", fail)
+    result = call("run", tiny_folder, *["--debug"] * debug)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert ("Traceback" in result.stderr) is debug
+    assert ("Unexpected KeyError: 'bus'. Run again with --debug" in result.stderr) is not debug
+
+
+def test_debug_shows_the_traceback_and_keeps_the_status(tiny_folder: Path) -> None:
+    result = call("run", tiny_folder, "--solver", "glpk", "--debug")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("Traceback")
+    assert "InputError" in result.stderr
+
+
+def test_documentation_lists_every_option() -> None:
+    page = Path(__file__).parents[1] / "docs" / "command-line.md"
+    documented = re.findall(r"^\| `(--[a-z-]+)`", page.read_text(encoding="utf-8"), re.MULTILINE)
+    offered = [f"--{name.replace('_', '-')}" for name in inspect.signature(cli.run).parameters
+               if name != "scenario"]
+    assert documented == offered

@@ -1,0 +1,170 @@
+"""The figures of a run, against values worked out by hand on the small day."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
+
+from vppres import metrics
+from vppres.trajectory import Trajectory
+
+CONTRACT = {"resilience", "served_share", "cost_gbp", "import_kwh", "pv_curtailed_kwh",
+            "v_min_ac_pu", "v_max_ac_pu", "v_mean_of_min_ac_pu", "v_error_max_pu",
+            "island_import_max_kw", "corrections", "solve_s", "gap_max", "controller", "horizon_h",
+            "solver", "method", "seed", "versions", "input_digest"}
+
+
+def with_served(run: Trajectory, served: bool) -> Trajectory:
+    return replace(run, customers=run.customers.assign(served=served))
+
+
+def with_steps(run: Trajectory, column: str, values: list[float | bool]) -> Trajectory:
+    return replace(run, steps=run.steps.assign(**{column: values}))
+
+
+def test_resilience_by_hand():
+    # Weights 1, 0.1, 0.2; only a served in step 1, only b in step 2: (1 + 0.1) / (2 x 1.3).
+    assert metrics.resilience(small_run()) == pytest.approx(1.1 / 2.6)
+
+
+@pytest.mark.parametrize(("served", "expected"), [(True, 1.0), (False, 0.0)])
+def test_resilience_limits(served, expected):
+    assert metrics.resilience(with_served(small_run(), served)) == expected
+
+
+def test_resilience_looks_at_the_outage_only():
+    run = small_run()
+    connected = ~run.customers["time"].isin(run.steps.loc[run.steps["outage"], "time"])
+    dark = replace(run, customers=run.customers.assign(
+        served=run.customers["served"] & ~connected))
+    assert metrics.resilience(dark) == metrics.resilience(run)
+    assert metrics.served_share(dark, outage=False) == {"critical": 0.0, "high": None, "low": 0.0}
+
+
+def test_served_share_by_hand():
+    run = small_run()
+    # Critical: a, one step of two. Low: b and c, one customer-step of four. Nobody is high.
+    assert metrics.served_share(run, outage=True) == {"critical": 0.5, "high": None, "low": 0.25}
+    assert metrics.served_share(run, outage=False) == {"critical": 1.0, "high": None, "low": 1.0}
+
+
+def test_service_by_tier_by_hand():
+    shares = metrics.service_by_tier(small_run())
+    assert shares["critical"].tolist() == [1.0, 1.0, 0.0, 1.0]
+    assert shares["low"].tolist() == [1.0, 0.0, 0.5, 1.0]
+
+
+def test_service_by_customer_by_hand():
+    lost = metrics.service_by_customer(small_run())
+    assert lost["id"].tolist() == ["a", "b", "c"]
+    assert lost["bus"].tolist() == [2, 3, 4]
+    # Half-hour steps at 10, 20 and 40 kW.
+    assert lost["unserved_h"].tolist() == [0.5, 0.5, 1.0]
+    assert lost["unserved_kwh"].tolist() == [5.0, 10.0, 40.0]
+
+
+def test_import_and_cost_count_grid_available_steps_only():
+    # Steps 0 and 3 import 100 and 103 kW for half an hour at 0.1 and 0.4 GBP/kWh.
+    assert metrics.import_kwh(small_run()) == pytest.approx(0.5 * 203)
+    assert metrics.cost_gbp(small_run()) == pytest.approx(0.5 * (0.1 * 100 + 0.4 * 103))
+
+
+def test_energy_and_cost_are_proportional_to_the_step_length():
+    hourly = small_run(small_scenario(step_minutes=60.0))
+    for figure in (metrics.import_kwh, metrics.cost_gbp, metrics.pv_curtailed_kwh):
+        assert figure(hourly) == pytest.approx(2 * figure(small_run()))
+
+
+def test_curtailed_energy_by_hand():
+    assert metrics.pv_curtailed_kwh(small_run()) == 4 * 0.5 * 1.0
+
+
+def test_voltage_figures_by_hand():
+    # Lowest AC voltages 0.98, 0.97, 0.96, 0.95; the model says 0.99.
+    assert metrics.voltage_figures(small_run()) == pytest.approx(
+        {"v_min_ac_pu": 0.95, "v_max_ac_pu": 1.0, "v_mean_of_min_ac_pu": 0.965,
+         "v_error_max_pu": 0.04})
+
+
+def test_island_figures_by_hand():
+    run = with_steps(small_run(), "p_grid_kw", [500.0, 3.0, -2.0, -700.0])
+    assert metrics.island_figures(run) == {
+        "island_import_max_kw": 3.0, "island_export_max_kw": 2.0, "island_reactive_max_kvar": 2.0}
+
+
+def test_an_island_that_only_exports_imports_nothing():
+    run = with_steps(small_run(), "p_grid_kw", [500.0, -1.0, -2.0, 700.0])
+    assert metrics.island_figures(run)["island_import_max_kw"] == 0.0
+
+
+def test_solve_times_by_hand():
+    # 0, 1, 2 and 3 s; the 95th percentile lies 0.85 of the way from 2 to 3.
+    assert metrics.solve_times(small_run()) == pytest.approx(
+        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0})
+
+
+def test_summary_has_the_keys_of_the_contract():
+    summary = metrics.summarise(small_run())
+    assert summary.keys() >= CONTRACT
+    assert "resilience_planned" not in summary
+    assert summary["gap_max"] == 0.003
+    assert summary["options"] == {"errors": OPTIONS["errors"], "thermal": "off"}
+    assert summary["versions"]["numpy"] == np.__version__
+
+
+def test_summary_counts_corrections():
+    run = with_steps(small_run(), "corrected", [False, True, True, False])
+    assert metrics.summarise(run)["corrections"] == 2
+
+
+def test_without_outage_what_is_about_the_outage_is_null():
+    summary = metrics.summarise(small_run(small_scenario(outage=False)))
+    assert summary["resilience"] is None
+    assert set(summary["served_share"].values()) == {None}
+    assert summary["island_import_max_kw"] is None
+    assert summary["import_kwh"] == pytest.approx(0.5 * (100 + 101 + 102 + 103))
+
+
+def test_planned_resilience_by_hand():
+    # The plan serves a and c in both outage steps: 1.2 / 1.3.
+    run = small_run(planned={"served": [[True, False, True]] * 4})
+    assert metrics.summarise(run)["resilience_planned"] == pytest.approx(1.2 / 1.3)
+
+
+def test_planned_resilience_of_what_happened_is_the_resilience():
+    run = small_run(planned={"served": SERVED})
+    assert metrics.resilience_planned(run) == pytest.approx(metrics.resilience(run))
+
+
+def test_the_full_horizon_has_no_prediction_horizon():
+    run = replace(small_run(), options=OPTIONS | {"controller": "full-horizon"})
+    assert metrics.summarise(run)["horizon_h"] is None
+    assert metrics.summarise(small_run())["horizon_h"] == 5.0
+
+
+def test_summary_is_strict_json_even_where_a_figure_is_undefined():
+    run = with_steps(small_run(), "gap", [np.inf, 0.0, 0.0, 0.0])
+    run = replace(with_steps(run, "v_error_pu", [np.nan] * 4),
+                  options=OPTIONS | {"time_limit_s": np.inf, "seed": np.int64(3)})
+    summary = metrics.summarise(run)
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert summary["gap_max"] is None
+    assert summary["v_error_max_pu"] is None
+    assert summary["options"]["time_limit_s"] is None
+
+
+def test_digest_follows_the_scenario():
+    digest = metrics.summarise(small_run())["input_digest"]
+    assert digest == metrics.summarise(small_run())["input_digest"]
+    assert digest != metrics.summarise(small_run(small_scenario(outage=False)))["input_digest"]
+
+
+def test_more_supply_never_lowers_resilience():
+    day = day_scenario()
+    values = [metrics.resilience(day_run(day, supply)) for supply in (0.0, 800.0, 1700.0, 9e9)]
+    assert values == sorted(values)
+    assert (values[0], values[-1]) == (0.0, 1.0)

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import opendssdirect as dss
+import pandapower.networks as pp_networks
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from vppres.errors import InputError, VerificationError
+from vppres.network import Network
+from vppres.powerflow import ACPowerFlow, ACResult
+
+Floats = NDArray[np.float64]
+Case = tuple[Network, Floats, Floats]
+
+TIE_LINES = (33, 34, 35, 36, 37)
+RECONFIGURED = (7, 9, 14, 32, 37)
+OPENDSS_AGREEMENT_PU = 1e-6
+
+
+def _case(lines: pd.DataFrame, loads: pd.DataFrame) -> Case:
+    """Network and net injections; tables of lines (ohm) and of loads (kW, kvar) by bus."""
+    network = Network(lines.from_bus, lines.to_bus, lines.r_ohm, lines.x_ohm, slack_bus=1,
+                      base_kv=12.66)
+    at = network.place(loads.bus.to_numpy())
+    return network, -(at @ loads.p_kw.to_numpy()), -(at @ loads.q_kvar.to_numpy())
+
+
+def case33(open_lines: tuple[int, ...] = TIE_LINES) -> Case:
+    """Baran and Wu's 33 buses with the given lines (from 1) open."""
+    source = pp_networks.case33bw()
+    line = source.line[~(source.line.index + 1).isin(open_lines)]
+    lines = pd.DataFrame({"from_bus": line.from_bus + 1, "to_bus": line.to_bus + 1,
+                          "r_ohm": line.r_ohm_per_km, "x_ohm": line.x_ohm_per_km})
+    loads = pd.DataFrame({"bus": source.load.bus + 1, "p_kw": source.load.p_mw * 1e3,
+                          "q_kvar": source.load.q_mvar * 1e3})
+    return _case(lines, loads)
+
+
+def case69() -> Case:
+    table = pd.read_csv(Path(__file__).parent / "data" / "case69.csv", comment="#")
+    return _case(table, table.rename(columns={"to_bus": "bus"}))
+
+
+def two_bus(v_slack_pu: float = 1.0) -> ACPowerFlow:
+    """One line of 2 + 3j ohm at 10 kV: 0.02 + 0.03j pu for 1 MVA."""
+    return ACPowerFlow(Network(["grid"], ["end"], [2.0], [3.0], slack_bus="grid", base_kv=10.0,
+                               v_slack_pu=v_slack_pu))
+
+
+@pytest.mark.parametrize(("case", "load_kw", "load_kvar", "losses_kw", "v_min_pu"), [
+    pytest.param(case33(), 3715.0, 2300.0, 202.677, 0.91309, id="33 buses"),
+    pytest.param(case33(RECONFIGURED), 3715.0, 2300.0, 139.551, 0.93782, id="33 reconfigured"),
+    pytest.param(case69(), 3802.1, 2694.7, 224.99, 0.90919, id="69 buses"),
+])
+def test_published_feeders(case: Case, load_kw: float, load_kvar: float, losses_kw: float,
+                           v_min_pu: float) -> None:
+    network, p_kw, q_kvar = case
+    result = ACPowerFlow(network).solve(p_kw, q_kvar)
+    assert -p_kw.sum() == pytest.approx(load_kw)
+    assert -q_kvar.sum() == pytest.approx(load_kvar)
+    assert result.losses_kw == pytest.approx(losses_kw, abs=6e-4 if losses_kw < 220 else 6e-3)
+    assert result.v_pu.min() == pytest.approx(v_min_pu, abs=6e-6)
+    assert result.converged
+
+
+def test_two_buses_by_hand() -> None:
+    # Load 1 + 0.5j pu. With a = r p + x q = 0.02 + 0.015 and b = |z|² |s|² the receiving voltage
+    # solves u² - (1 - 2 a) u + b = 0; the losses are r |s|² / u.
+    a, b = 0.02 * 1.0 + 0.03 * 0.5, (0.02**2 + 0.03**2) * (1.0**2 + 0.5**2)
+    u = ((1 - 2 * a) + np.sqrt((1 - 2 * a) ** 2 - 4 * b)) / 2
+    loss_kw, loss_kvar = 1000 * 0.02 * 1.25 / u, 1000 * 0.03 * 1.25 / u
+    result = two_bus().solve([0.0, -1000.0], [0.0, -500.0])
+    assert result.v_pu == pytest.approx([1.0, np.sqrt(u)], abs=1e-9)
+    assert result.losses_kw == pytest.approx(loss_kw, abs=1e-5)
+    assert result.p_from_kw == pytest.approx([1000.0 + loss_kw], abs=1e-5)
+    assert result.q_from_kvar == pytest.approx([500.0 + loss_kvar], abs=1e-5)
+    assert result.p_to_kw == pytest.approx([1000.0], abs=1e-5)
+    assert result.q_to_kvar == pytest.approx([500.0], abs=1e-5)
+    assert result.p_slack_kw == pytest.approx(1000.0 + loss_kw, abs=1e-5)
+
+
+def test_without_load_every_voltage_is_the_slack_voltage() -> None:
+    result = two_bus(v_slack_pu=1.02).solve([0.0, 0.0], [0.0, 0.0])
+    assert result.v_pu == pytest.approx([1.02, 1.02], abs=1e-12)
+    assert (result.losses_kw, result.p_slack_kw) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_injection_raises_the_voltage_and_exports() -> None:
+    result = two_bus().solve([0.0, 800.0], [0.0, 0.0])
+    assert result.v_pu[1] > 1.0
+    assert result.p_slack_kw == pytest.approx(-800.0 + result.losses_kw, abs=1e-5)
+    assert result.p_to_kw == pytest.approx([-800.0], abs=1e-5)
+
+
+def test_injection_at_the_slack_bus_changes_the_import_only() -> None:
+    network, p_kw, q_kvar = case33()
+    flow = ACPowerFlow(network)
+    before = flow.solve(p_kw, q_kvar)
+    at_slack = np.eye(network.n_buses)[0]
+    after = flow.solve(p_kw + 300.0 * at_slack, q_kvar - 70.0 * at_slack)
+    assert after.p_slack_kw == pytest.approx(before.p_slack_kw - 300.0, abs=1e-5)
+    assert after.q_slack_kvar == pytest.approx(before.q_slack_kvar + 70.0, abs=1e-5)
+    assert after.v_pu == pytest.approx(before.v_pu, abs=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_power_balances_at_every_bus(seed: int) -> None:
+    network, p_kw, q_kvar = case69()
+    share = np.random.default_rng(seed).uniform(-1.0, 1.2, network.n_buses)
+    result = ACPowerFlow(network).solve(p_kw * share, q_kvar * share)
+    slack = np.eye(network.n_buses)[0]
+    for injection, sent, arrived, from_slack in [
+            (p_kw * share, result.p_from_kw, result.p_to_kw, result.p_slack_kw),
+            (q_kvar * share, result.q_from_kvar, result.q_to_kvar, result.q_slack_kvar)]:
+        leaving = np.bincount(network.parent, sent, network.n_buses)
+        balance = injection + from_slack * slack + np.append(0.0, arrived) - leaving
+        assert np.abs(balance).max() < 1e-5
+    assert result.losses_kw == pytest.approx((result.p_from_kw - result.p_to_kw).sum(), abs=1e-9)
+    assert result.losses_kw > 0
+
+
+def _opendss(network: Network, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, float]:
+    """Voltages in pu in the network's bus order and the losses in kW, by OpenDSS."""
+    run = dss.Text.Command
+    run("clear")
+    run(f"new circuit.feeder basekv={network.base_kv} pu={network.v_slack_pu} phases=3 "
+        f"bus1={network.buses[0]} isc3=1e9 isc1=1e9")
+    for line in range(network.n_lines):
+        r, x = network.r_ohm[line], network.x_ohm[line]
+        run(f"new line.l{line} bus1={network.from_bus[line]} bus2={network.to_bus[line]} phases=3 "
+            f"r1={r} x1={x} r0={r} x0={x} c1=0 c0=0 length=1 units=none")
+    for bus, p, q in zip(network.buses, p_kw, q_kvar, strict=True):
+        # The wide band keeps the load a constant power at every voltage met here.
+        run(f"new load.d{bus} bus1={bus} phases=3 kv={network.base_kv} kw={-p} kvar={-q} model=1 "
+            "vminpu=0.5 vmaxpu=1.5")
+    run(f"set voltagebases=[{network.base_kv}]")
+    run("calcvoltagebases")
+    run("set tolerance=1e-10 maxiterations=200")
+    run("solve")
+    assert dss.Solution.Converged()
+    by_name = {}
+    for bus in network.buses:
+        dss.Circuit.SetActiveBus(str(bus))
+        by_name[bus] = np.mean(dss.Bus.puVmagAngle()[0::2])
+    return np.array([by_name[bus] for bus in network.buses]), dss.Circuit.Losses()[0] / 1e3
+
+
+@pytest.mark.parametrize("case", [pytest.param(case33(), id="33 buses"),
+                                  pytest.param(case33(RECONFIGURED), id="33 reconfigured"),
+                                  pytest.param(case69(), id="69 buses")])
+@pytest.mark.parametrize(("lowest", "highest"), [(1.0, 1.0), (0.5, 0.5), (1.2, 1.2),
+                                                 (-1.5, 1.5), (-1.2, -0.8)])
+def test_agrees_with_opendss(case: Case, lowest: float, highest: float) -> None:
+    network, p_kw, q_kvar = case
+    share = np.random.default_rng(5).uniform(lowest, highest, network.n_buses)
+    ours = ACPowerFlow(network).solve(p_kw * share, q_kvar * share)
+    v_pu, losses_kw = _opendss(network, p_kw * share, q_kvar * share)
+    assert np.abs(ours.v_pu - v_pu).max() < OPENDSS_AGREEMENT_PU
+    assert ours.losses_kw == pytest.approx(losses_kw, rel=1e-5)
+
+
+def test_a_solve_does_not_depend_on_the_one_before() -> None:
+    network, p_kw, q_kvar = case33()
+    fresh = ACPowerFlow(network).solve(p_kw, q_kvar)
+    used = ACPowerFlow(network)
+    used.solve(-2.0 * p_kw, q_kvar)
+    again = used.solve(p_kw, q_kvar)
+    _assert_same(again, fresh)
+
+
+def test_divergence_names_the_load_and_the_next_solve_is_sound() -> None:
+    network, p_kw, q_kvar = case33()
+    flow = ACPowerFlow(network)
+    first = flow.solve(p_kw, q_kvar)
+    with pytest.raises(VerificationError) as caught:
+        flow.solve(5.0 * p_kw, 5.0 * q_kvar)
+    assert str(caught.value) == (
+        "the AC power flow does not converge: net load 18575.0 kW and 11500.0 kvar, the largest "
+        "2100.0 kW at bus 24. The lines cannot carry it: check the units of loads and impedances, "
+        "or serve less.")
+    _assert_same(flow.solve(p_kw, q_kvar), first)
+
+
+def _assert_same(one: ACResult, other: ACResult) -> None:
+    assert one.v_pu == pytest.approx(other.v_pu, abs=1e-9)
+    assert one.p_from_kw == pytest.approx(other.p_from_kw, abs=1e-5)
+    assert one.q_from_kvar == pytest.approx(other.q_from_kvar, abs=1e-5)
+
+
+def test_two_buses_diverge_just_beyond_the_largest_load() -> None:
+    # With q = 0 the square root of the hand solution vanishes at
+    # p = 1 / (2 (r + |z|)) pu, here 8.9 MW.
+    limit_kw = 1000.0 / (2 * (0.02 + np.hypot(0.02, 0.03)))
+    assert two_bus().solve([0.0, -0.99 * limit_kw], [0.0, 0.0]).v_pu[1] > 0.5
+    with pytest.raises(VerificationError, match="at bus end"):
+        two_bus().solve([0.0, -1.01 * limit_kw], [0.0, 0.0])
+
+
+def test_results_are_read_only() -> None:
+    result = two_bus().solve([0.0, -10.0], [0.0, 0.0])
+    with pytest.raises(ValueError, match="read-only"):
+        result.v_pu[0] = 0.0
+
+
+@pytest.mark.parametrize(("p_kw", "message"), [
+    ([0.0, -1.0, -1.0], "power flow, p_kw = (3,): has the wrong shape. Give one injection for each "
+                        "of the 2 buses."),
+    ([0.0, np.nan], "power flow, p_kw = nan: is not a finite number. Correct the load, PV or "
+                    "battery power at bus end."),
+])
+def test_wrong_injections_are_named(p_kw: list[float], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        two_bus().solve(p_kw, [0.0, 0.0])
+    assert str(caught.value) == message

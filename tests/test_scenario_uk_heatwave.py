@@ -1,0 +1,374 @@
+"""The day of the paper: every published input, to the digits printed, for the data and ten seeds.
+
+The figures are compared as text, as the paper prints them; they are written down here anew, not
+taken from the builder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandapower
+import pandapower.networks
+import pytest
+from numpy.typing import NDArray
+
+from data.uk_heatwave_2022 import build as builder
+from data.uk_heatwave_2022 import published, series
+from data.uk_heatwave_2022.build import build, feeder
+from vppres.errors import InputError
+from vppres.io import find_scenario, read_scenario, scenario_digest
+from vppres.scenario import Scenario
+
+Floats = NDArray[np.float64]
+PACKAGED = "uk-heatwave-2022"
+
+
+@pytest.fixture(scope="module", params=["packaged", *range(10)])
+def day(request: pytest.FixtureRequest) -> Scenario:
+    """The packaged day, and the day of ten other seeds."""
+    if request.param == "packaged":
+        return read_scenario(find_scenario(PACKAGED))
+    return build(seed=request.param)
+
+
+def hour_of_peak(day: Scenario, values: Floats) -> str:
+    """Hour of the one largest value."""
+    assert (values == values.max()).sum() == 1
+    return f"{day.grid.times[int(values.argmax())]:%H:%M}"
+
+
+def low_mean_high(values: Floats, digits: tuple[int, int, int]) -> tuple[str, ...]:
+    figures = (values.min(), values.mean(), values.max())
+    return tuple(f"{figure:.{n}f}" for figure, n in zip(figures, digits, strict=True))
+
+
+def total_load(day: Scenario) -> Floats:
+    return np.asarray(day.load_kw.sum(axis=1), dtype=np.float64)
+
+
+def total_pv(day: Scenario) -> Floats:
+    return np.asarray(day.pv_kw.sum(axis=1), dtype=np.float64)
+
+
+def test_i1_horizon_and_step(day: Scenario) -> None:
+    assert str(day.grid.times[0]) == "2022-07-19 00:00:00+00:00"
+    assert str(day.grid.times[-1]) == "2022-07-19 23:00:00+00:00"
+    assert day.grid.dt_h == 1.0
+
+
+def test_i2_outage(day: Scenario) -> None:
+    assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
+    assert np.isinf(day.grid_limit_kw[~day.outage]).all()
+
+
+def test_i3_price(day: Scenario) -> None:
+    price = day.price_gbp_per_kwh
+    assert low_mean_high(price, (2, 2, 2)) == ("0.20", "0.36", "0.54")
+    assert hour_of_peak(day, price) == "18:00"
+    assert hour_of_peak(day, -price) == "23:00"
+
+
+def test_i4_price_text(day: Scenario) -> None:
+    price = day.price_gbp_per_kwh
+    assert price[2] < min(price[1], price[3])
+    assert price[6] > max(price[5], price[7])
+
+
+def test_i5_customers(day: Scenario) -> None:
+    assert sorted(day.customers.bus) == list(range(2, 34))
+    assert day.network.slack_bus == 1
+    tiers, counts = np.unique(day.customers.tier.astype(str), return_counts=True)
+    assert dict(zip(tiers, counts, strict=True)) == {"critical": 12, "high": 10, "low": 10}
+
+
+def test_i6_power_factor(day: Scenario) -> None:
+    assert low_mean_high(day.customers.power_factor, (2, 3, 2)) == ("0.90", "0.954", "0.98")
+
+
+def test_i7_load(day: Scenario) -> None:
+    assert f"{total_load(day).sum() / 1e3:.2f}" == "86.44"
+    assert f"{total_load(day).max() / 1e3:.3f}" == "4.068"
+    assert hour_of_peak(day, total_load(day)) == "17:00"
+
+
+def test_i8_pv_sizes(day: Scenario) -> None:
+    assert len(set(day.pv.customer)) == len(day.pv) == 28
+    assert f"{day.pv.p_max_kw.sum() / 1e3:.3f}" == "1.857"
+    assert low_mean_high(day.pv.p_max_kw, (2, 2, 2)) == ("24.77", "66.34", "92.87")
+
+
+def test_i9_pv_inverters(day: Scenario) -> None:
+    assert set(day.pv.s_max_kva) == {30.0, 40.0, 100.0}
+    assert (day.pv.p_max_kw <= day.pv.s_max_kva).all()
+
+
+def test_i10_pv_energy(day: Scenario) -> None:
+    energy_kwh = total_pv(day).sum()
+    assert f"{energy_kwh / 1e3:.2f}" == "15.08"
+    assert f"{100 * energy_kwh / total_load(day).sum():.1f}" == "17.4"
+    assert f"{total_pv(day).max() / 1e3:.3f}" == "1.857"
+    assert hour_of_peak(day, total_pv(day)) == "11:00"
+    assert (day.pv_kw <= day.pv.p_max_kw).all()
+
+
+def test_i11_battery_totals(day: Scenario) -> None:
+    assert sorted(day.batteries.bus) == list(range(2, 34))
+    assert f"{day.batteries.energy_kwh.sum() / 1e3:.3f}" == "2.542"
+    assert f"{day.batteries.p_max_kw.sum() / 1e3:.3f}" == "1.272"
+
+
+def test_i12_battery_energy(day: Scenario) -> None:
+    assert low_mean_high(day.batteries.energy_kwh, (2, 2, 1)) == ("38.59", "79.44", "165.5")
+
+
+def test_i13_battery_power(day: Scenario) -> None:
+    assert low_mean_high(day.batteries.p_max_kw, (1, 2, 1)) == ("19.3", "39.74", "82.8")
+
+
+def test_i14_battery_inverters(day: Scenario) -> None:
+    assert set(day.batteries.s_max_kva) == {25.0, 45.0, 70.0, 90.0}
+    assert (day.batteries.p_max_kw <= day.batteries.s_max_kva).all()
+
+
+def test_i15_state_of_charge(day: Scenario) -> None:
+    assert set(day.batteries.soc_initial) == {0.15}
+    assert set(day.batteries.soc_min) == {0.15}
+    assert set(day.batteries.soc_max) == {0.85}
+
+
+def test_i16_net_peak(day: Scenario) -> None:
+    net_kw = total_load(day) - total_pv(day)
+    assert f"{net_kw.max() / 1e3:.3f}" == "3.786"
+    assert hour_of_peak(day, net_kw) == "18:00"
+
+
+def test_i17_voltage_limits(day: Scenario) -> None:
+    assert (day.network.v_min_pu, day.network.v_max_pu) == (0.947, 1.053)
+    assert day.network.v_min_ac_pu == 0.94
+
+
+def test_i18_weights(day: Scenario) -> None:
+    weights = {"critical": 1.0, "high": 0.1, "low": 0.02}
+    assert day.tiers == tuple(weights)
+    assert day.customers.weight.tolist() == [weights[t] for t in day.customers.tier]
+
+
+def test_i19_efficiency(day: Scenario) -> None:
+    assert set(day.batteries.eta_charge) == {0.95}
+    assert set(day.batteries.eta_discharge) == {0.95}
+
+
+def test_i20_lambdas(day: Scenario) -> None:
+    weights = day.objective
+    assert (weights.lambda_grid, weights.lambda_curt) == (1e-6, 0.1)
+    assert (weights.lambda_l, weights.lambda_q) == (1e-14, 1e-15)
+    # The paper's own bound, below which a low-priority customer is worth its import.
+    assert weights.lambda_grid < 0.02 / (day.price_gbp_per_kwh.max() * day.load_kw.max())
+
+
+def test_i21_i22_battery_constants(day: Scenario) -> None:
+    batteries = day.batteries
+    assert set(batteries.alpha_charge_per_c2) | set(batteries.alpha_discharge_per_c2) == {1e-4}
+    assert set(batteries.r_int_ohm) == {0.0035}
+    assert set(batteries.beta_per_c) == {0.003}
+    assert set(batteries.u_batt_v) == {900.0}
+
+
+def test_i23_zones(day: Scenario) -> None:
+    r_theta, c_theta = day.batteries.r_theta_c_per_kw, day.batteries.c_theta_kwh_per_c
+    assert (r_theta.min(), r_theta.max()) == (2.771, 4.486)
+    assert (c_theta.min(), c_theta.max()) == (0.104, 0.439)
+    assert len(set(zip(r_theta, c_theta, strict=True))) == 4
+
+
+def test_i24_temperature(day: Scenario) -> None:
+    assert set(day.batteries.t_ref_c) == {25.0}
+    # NaN: the cells start at the ambient temperature of the first step.
+    assert np.isnan(day.batteries.t_initial_c).all()
+    assert day.temperature_c[0] == 22.0
+    assert day.temperature_c.max() == 40.3
+    assert hour_of_peak(day, day.temperature_c) == "15:00"
+    heatwave = np.flatnonzero(day.temperature_c > 27.0)
+    assert heatwave.tolist() == list(range(7, 23))
+
+
+def test_critical_share(day: Scenario) -> None:
+    assert critical_share(day) == pytest.approx(0.36, abs=0.001)
+
+
+def critical_share(day: Scenario) -> float:
+    critical = day.customers.tier == "critical"
+    return float(day.load_kw[:, critical].sum() / day.load_kw.sum())
+
+
+def test_packaged_day_is_what_the_builder_builds() -> None:
+    packaged = read_scenario(find_scenario(PACKAGED))
+    assert scenario_digest(packaged) == scenario_digest(build())
+
+
+def test_writing_anew_gives_the_packaged_files(tmp_path: Path,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(builder, "FOLDER", tmp_path / "anew")
+    builder.write()
+    builder.write()  # over an older one
+    for file in sorted(find_scenario(PACKAGED).iterdir()):
+        assert (tmp_path / "anew" / file.name).read_bytes() == file.read_bytes(), file.name
+
+
+def test_feeder_has_the_known_losses() -> None:
+    """AC losses and lowest voltage of case33bw at nominal load with its tie lines open."""
+    network, _ = feeder()
+    net = pandapower.networks.case33bw()
+    r_ohm, x_ohm = (dict(zip(network.to_bus, values, strict=True))
+                    for values in (network.r_ohm, network.x_ohm))
+    net.line = net.line[net.line["in_service"]]
+    net.line["r_ohm_per_km"] = [r_ohm[bus + 1] for bus in net.line["to_bus"]]
+    net.line["x_ohm_per_km"] = [x_ohm[bus + 1] for bus in net.line["to_bus"]]
+    pandapower.runpp(net, numba=False)
+    assert network.n_lines == 32
+    assert f"{net.res_line['pl_mw'].sum() * 1e3:.3f}" == "202.677"
+    assert f"{net.res_bus['vm_pu'].min():.5f}" == "0.91309"
+
+
+def test_nominal_load_of_the_feeder() -> None:
+    network, nominal_kw = feeder()
+    assert nominal_kw.sum() == pytest.approx(3715.0)
+    assert (nominal_kw[0], nominal_kw[23], nominal_kw[31]) == (100.0, 420.0, 60.0)
+    assert network.base_kv == 12.66
+
+
+def test_every_customer_has_the_same_shape() -> None:
+    day, nominal_kw = build(), feeder()[1]
+    share = day.load_kw / total_load(day)[:, None]
+    assert share == pytest.approx(np.tile(nominal_kw / 3715.0, (24, 1)), abs=1e-6)
+
+
+def test_load_stays_near_the_public_shape() -> None:
+    """Far less is moved than the load varies over the day (1240 kW)."""
+    public = series.public_figures()["gb_transmission_demand_mw"].to_numpy()
+    moved_kw = np.abs(series.load_and_pv_kw()[0] - public * 4068.0 / public.max())
+    assert moved_kw.mean() < 18.0
+    assert moved_kw.max() < 73.0
+
+
+def test_pv_stays_near_the_public_shape() -> None:
+    public = series.public_figures()["gb_embedded_solar_mw"].to_numpy()
+    pv_kw = series.load_and_pv_kw()[1]
+    moved_kw = np.abs(pv_kw - public * 1857.4 / public.max())
+    assert moved_kw.mean() < 7.5
+    assert moved_kw.max() < 23.0
+    assert (pv_kw[public == 0.0] == 0.0).all()
+
+
+@pytest.mark.parametrize(("name", "bound_hours"), [
+    ("load", [17, 18, 19, 20]), ("pv", [11, 12, 18, 19]),
+    ("A", [1, 2, 6, 7, 18, 23]), ("B", [1, 2, 6, 7, 10, 11, 18, 23])])
+def test_hours_without_a_margin_keep_the_public_shape(name: str, bound_hours: list[int]) -> None:
+    """Optimality of the least-squares problem: all free hours are scaled by one factor."""
+    load_kw, pv_kw = series.load_and_pv_kw()
+    column, values, last_digit = {
+        "load": ("gb_transmission_demand_mw", load_kw, 0.1),
+        "pv": ("gb_embedded_solar_mw", pv_kw, 0.1),
+    }.get(name) or ("gb_day_ahead_eur_per_mwh", series.price_gbp_per_kwh(name), 1e-4)
+    public = series.public_figures()[column].to_numpy()
+    free = np.setdiff1d(np.arange(24), bound_hours)
+    factor = values[free].sum() / public[free].sum()
+    assert np.abs(values[free] - factor * public[free]).max() < last_digit
+    assert np.abs(values[bound_hours] - factor * public[bound_hours]).max() > 10 * last_digit
+
+
+def test_price_b_tells_the_story_of_hour_seven() -> None:
+    price = series.price_gbp_per_kwh("B")
+    assert price[7:12].argmin() == 0
+    # 1 kWh sold at hour 6 costs price[7] / 0.95² to put back.
+    assert price[7] / 0.95**2 < price[6]
+
+
+def test_price_a_lacks_it() -> None:
+    price = series.price_gbp_per_kwh("A")
+    assert price[7:12].argmin() == 4
+    assert price[7] / 0.95**2 > price[6]
+    assert low_mean_high(price, (2, 2, 2)) == ("0.20", "0.36", "0.54")
+
+
+def test_seed_changes_the_unpublished_data_only() -> None:
+    one, other = build(seed=1), build(seed=2)
+    for table, names in (("customers", ("tier", "power_factor")), ("pv", ("p_max_kw",)),
+                         ("batteries", ("energy_kwh",))):
+        for name in names:
+            values = [getattr(getattr(day, table), name).tolist() for day in (one, other)]
+            assert values[0] != values[1], name
+    assert np.array_equal(one.load_kw, other.load_kw)
+    assert np.array_equal(one.price_gbp_per_kwh, other.price_gbp_per_kwh)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.32, 0.40, 0.50])
+def test_critical_share_is_an_option_of_its_own(share: float) -> None:
+    day, default = build(critical_share=share), build()
+    assert critical_share(day) == pytest.approx(share, abs=0.001)
+    assert (day.customers.tier == "critical").sum() == 12
+    assert np.array_equal(day.batteries.energy_kwh, default.batteries.energy_kwh)
+    assert np.array_equal(day.customers.power_factor, default.customers.power_factor)
+
+
+def test_larger_loads_tend_to_have_larger_assets() -> None:
+    nominal_kw = feeder()[1]
+    rank = nominal_kw.argsort().argsort()
+    for seed in range(10):
+        size_rank = build(seed=seed).batteries.energy_kwh.argsort().argsort()
+        assert 0.3 < np.corrcoef(rank, size_rank)[0, 1] < 0.95
+
+
+def test_seven_outage_steps() -> None:
+    assert np.flatnonzero(build(outage_steps=7).outage).tolist() == list(range(12, 19))
+
+
+def test_zone_pairing() -> None:
+    """Buses 2, 19, 23 and 33 lie in different zones."""
+    default, same_order = build().batteries, build(zone_pairing=(0, 1, 2, 3)).batteries
+    at = [list(default.bus).index(bus) for bus in (2, 19, 23, 33)]
+    assert default.r_theta_c_per_kw[at].tolist() == [2.771, 3.343, 3.914, 4.486]
+    assert default.c_theta_kwh_per_c[at].tolist() == [0.439, 0.327, 0.216, 0.104]
+    assert same_order.c_theta_kwh_per_c[at].tolist() == [0.104, 0.216, 0.327, 0.439]
+    assert same_order.r_theta_c_per_kw.tolist() == default.r_theta_c_per_kw.tolist()
+
+
+def test_share_out_of_reach() -> None:
+    """The 12 smallest loads are 45 + 11 x 60 = 705 kW of 3715, the 12 largest 2350 kW."""
+    with pytest.raises(InputError) as caught:
+        build(critical_share=0.9)
+    assert str(caught.value) == (
+        "build, critical_share = 0.9: no 12 customers have this share of the load. "
+        "Choose a share between 0.190 and 0.633.")
+
+
+def test_unknown_price() -> None:
+    with pytest.raises(InputError) as caught:
+        build(price="C")
+    assert str(caught.value) == (
+        "build, price = C: is not a rebuild of the price. Choose A or B.")
+
+
+@pytest.mark.parametrize("steps", [0, 13])
+def test_outage_that_does_not_fit(steps: int) -> None:
+    with pytest.raises(InputError) as caught:
+        build(outage_steps=steps)
+    assert str(caught.value) == (
+        f"build, outage_steps = {steps}: does not fit into the day. Give 1 to 12 steps.")
+
+
+def test_wrong_zone_pairing() -> None:
+    with pytest.raises(InputError) as caught:
+        build(zone_pairing=(0, 0, 1, 2))
+    assert str(caught.value) == (
+        "build, zone_pairing = (0, 0, 1, 2): does not name each rank once. "
+        "Give a permutation of (0, 1, 2, 3).")
+
+
+def test_aggregates_that_contradict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(published, "LOAD_ENERGY_KWH", 24 * 4068.0)  # every hour at the peak
+    with pytest.raises(InputError) as caught:
+        series.load_and_pv_kw.__wrapped__()
+    assert str(caught.value) == "The published aggregates contradict each other."

@@ -1,0 +1,114 @@
+"""The last level: minimise f4 and f5 with service, battery modes, cost and curtailment held.
+
+With these held most of the problem is constant: one signed power per battery replaces charge,
+discharge and mode, PV self-consumption is data, and where nothing is curtailed PV export is data
+too, so that a PV inverter's disc leaves a plain interval for the reactive power.
+"""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.model import constraints as families
+from vppres.model import objective as terms
+from vppres.model.data import Dispatch, Floats, Site, WindowData
+from vppres.model.variables import Parameters, Variables
+from vppres.model.window import require_dpp
+
+
+class TieBreakerModel:
+    """Tie-breakers over W steps; feasible exactly if the held values can be had in the network.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    curtailing : bool
+        Whether PV power may be curtailed, up to the held sum.
+    """
+
+    def __init__(self, site: Site, n_steps: int, curtailing: bool) -> None:
+        self.site, self.n_steps, self.curtailing = site, n_steps, curtailing
+        W, P, B = n_steps, len(site.pv), len(site.batteries)
+        self.p = Parameters.create(site, W)
+        self.P_batt = cp.Variable((W, B), name="P_batt")
+        self.gain = cp.Parameter((W, B), name="gain", nonneg=True)
+        self.P_min, self.P_max = (cp.Parameter((W, B), name=n) for n in ("P_min", "P_max"))
+        self.charging = cp.Parameter((W, B), name="charging", nonneg=True)
+        self.Q_pv_max = cp.Parameter((W, P), name="Q_pv_max", nonneg=True)
+        self.f2_held, self.f3_held = cp.Parameter(name="f2_held"), cp.Parameter(name="f3_held")
+        self.v = self._variables()
+        self.constraints = self._constraints()
+        self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
+        require_dpp(self.problem, f"tie-breakers of {n_steps} steps")
+
+    def _variables(self) -> Variables:
+        """The paper's variables, expressions where something is held."""
+        free = Variables.create(self.site, self.n_steps, "fixed", "relaxed")
+        P_curt = free.P_curt if self.curtailing else cp.Constant(np.zeros(free.P_curt.shape))
+        P_ch = cp.multiply(self.charging, self.P_batt)
+        return Variables(
+            x_served=free.x_served, P_self=self.p.P_self_max,
+            P_exp=self.p.P_pv - self.p.P_self_max - P_curt, P_curt=P_curt, Q_pv=free.Q_pv,
+            P_ch=P_ch, P_dch=P_ch - self.P_batt, delta=self.charging, Q_batt=free.Q_batt,
+            SoC=free.SoC, P_grid=free.P_grid, Q_grid=free.Q_grid, u=free.u, P_flow=free.P_flow,
+            Q_flow=free.Q_flow)
+
+    def _constraints(self) -> families.Named:
+        """The network's families as they are, the devices' with what is held put in."""
+        args, b = (self.site, self.v, self.p), self.site.batteries
+        named: families.Named = {}
+        for family in (families.circular_charging, families.grid_connection,
+                       *families.NETWORK_FAMILIES, families.battery_disc):
+            named |= family(*args)
+        if self.curtailing:
+            named |= families.pv_disc(*args)
+            named["pv_export"] = self.v.P_exp >= 0
+        else:
+            named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
+        soc, step = self.v.SoC, self.site.dt_h / b.energy_kwh[None, :]
+        return named | {
+            "battery_power_min": self.P_batt >= self.P_min,
+            "battery_power_max": self.P_batt <= self.P_max,
+            "battery_soc_start": soc[0] == self.p.SoC_0,
+            "battery_soc_dynamics":
+                soc[1:] == soc[:-1] + cp.multiply(step, cp.multiply(self.gain, self.P_batt)),
+            "battery_soc_min": soc[1:] >= b.soc_min[None, :],
+            "battery_soc_max": soc[1:] <= b.soc_max[None, :],
+            "cost_held": terms.f2_cost(*args) <= self.f2_held,
+            "curtailment_held": terms.f3_curtailment(*args) <= self.f3_held,
+        }
+
+    def _objective(self) -> cp.Minimize:
+        """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
+        args, w = (self.site, self.v, self.p), self.site.weights
+        scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * max(w.lambda_l, w.lambda_q))
+        return cp.Minimize(scale * w.lambda_l * terms.f4_flows(*args)
+                           + scale * w.lambda_q * terms.f5_reactive(*args))
+
+    def fill(self, data: WindowData, dispatch: Dispatch, charging: NDArray[np.bool_],
+             f2_held_gbp: float, f3_held_kwh: float) -> None:
+        """Write the window's data and what is held of a dispatch."""
+        site, P_max = self.site, self.site.batteries.p_max_kw
+        self.p.fill(site, data, dispatch.served)
+        self.charging.value = charging.astype(float)
+        self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
+        self.P_min.value, self.P_max.value = (np.where(charging, 0.0, -P_max),
+                                              np.where(charging, P_max, 0.0))
+        self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
+        self.f2_held.value, self.f3_held.value = f2_held_gbp, f3_held_kwh
+
+    def dispatch(self, served: NDArray[np.bool_]) -> Dispatch:
+        """The solution of the last solve, exactly in its modes."""
+        return self.v.dispatch(self.site, served)
+
+
+def charging_modes(dispatch: Dispatch) -> NDArray[np.bool_]:
+    """Mode of every battery and step; an idle battery takes the fleet's."""
+    net: Floats = dispatch.charge_kw - dispatch.discharge_kw
+    fleet = net.sum(axis=1, keepdims=True) >= 0
+    return np.where(np.abs(net) > 1e-6, net > 0, fleet)
