@@ -192,6 +192,7 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
         p_grid_kw=ac.p_slack_kw, q_grid_kvar=ac.q_slack_kvar, losses_kw=ac.losses_kw,
         objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
         solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
-        notes={"gap_abs": info.gap_abs, "gap_cost_gbp": info.gap_cost_gbp,
+        notes={"gap_abs": info.gap_abs, "gap_service": info.gap_service,
+               "gap_cost_gbp": info.gap_cost_gbp,
                "solver_s": info.solver_s, "stages": info.stages,
                "compilations": float(info.compilations), "clipped_kw": clipped})

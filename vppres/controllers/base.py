@@ -56,6 +56,7 @@ class SolveInfo:
     bound: float = np.nan
     gap: float = np.nan
     gap_abs: float = np.nan
+    gap_service: float = np.nan
     gap_cost_gbp: float = np.nan
     status: str = "not_solved"
     solve_s: float = 0.0
@@ -67,7 +68,7 @@ class SolveInfo:
     def of(cls, solution: WindowSolution, compilations: int) -> SolveInfo:
         """Record of a window's solution."""
         return cls(solution.objective, solution.bound, solution.gap, solution.gap_abs,
-                   solution.cost_gap_gbp, str(solution.status), solution.solve_s,
+                   solution.service_gap, solution.cost_gap_gbp, str(solution.status), solution.solve_s,
                    solution.solver_s, compilations, " ".join(solution.stages))
 
 

@@ -6,6 +6,9 @@ an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
 
 from __future__ import annotations
 
+import math
+from fractions import Fraction
+
 import cvxpy as cp
 import numpy as np
 
@@ -29,6 +32,10 @@ class AggregateModel:
         Maximises f1, f2 and f3 as weighted.
     cost_problem : cvxpy.Problem
         Minimises the cost (GBP) of all served sets whose f1 and f3 reach ``service_min``.
+    grid_problem : cvxpy.Problem
+        Maximises f1 and f3 in units of ``grid``, f3 rounded in favour.
+    grid : float
+        Largest number of which every weight is a multiple, 0 if there is none worth using.
     """
 
     def __init__(self, site: Site, n_steps: int) -> None:
@@ -45,13 +52,30 @@ class AggregateModel:
         self.constraints = self._power() | self._energy()
         self.service_min = cp.Parameter(name="service_min")
         cost = self.rho_dt @ self.v["P_grid"]
-        service = (site.dt_h * cp.sum(self.x @ site.customers.weight)
-                   - site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"]))
+        f1 = site.dt_h * cp.sum(self.x @ site.customers.weight)
+        curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
         limits = list(self.constraints.values())
-        self.problem = cp.Problem(cp.Maximize(service - site.weights.lambda_grid * cost), limits)
-        self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, service >= self.service_min])
-        require_dpp(self.problem, f"lumped window of {n_steps} steps")
-        require_dpp(self.cost_problem, f"lumped cost of {n_steps} steps")
+        self.problem = cp.Problem(
+            cp.Maximize(f1 - curtailment - site.weights.lambda_grid * cost), limits)
+        self.cost_problem = cp.Problem(
+            cp.Minimize(cost), [*limits, f1 - curtailment >= self.service_min])
+        self.grid = weight_grid(site.customers.weight * site.dt_h)
+        self.grid_problem = self._on_grid(curtailment, limits)
+        for problem in (self.problem, self.cost_problem, self.grid_problem):
+            require_dpp(problem, f"lumped window of {n_steps} steps")
+
+    def _on_grid(self, curtailment: cp.Expression, limits: list[cp.Constraint]) -> cp.Problem:
+        """Service in units of the weights' grid, with an objective that is always a whole number.
+
+        Whole numbers let a solver round its bound, which is most of the proof. The penalty of
+        curtailment is rounded down to a whole number, so that the optimum stays an upper bound.
+        """
+        if not self.grid:
+            return self.problem
+        units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
+        penalty = cp.Variable(name="penalty", integer=True, nonneg=True)
+        return cp.Problem(cp.Maximize(cp.sum(self.x @ units) - penalty),
+                          [*limits, penalty >= curtailment / self.grid - 1])
 
     def _power(self) -> dict[str, cp.Constraint]:
         """Sums of the power balances and limits."""
@@ -109,6 +133,22 @@ class AggregateModel:
         for name, value in values.items():
             self.p[name].value = value
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+
+
+def weight_grid(weights: Floats, most: int = 10_000) -> float:
+    """Largest number of which all weights are multiples, 0 if it needs more than ``most`` units.
+
+    >>> weight_grid(np.array([1.0, 0.1, 0.02]))
+    0.02
+    """
+    parts = [Fraction(float(w)).limit_denominator(most) for w in np.unique(weights) if w > 0]
+    if not parts:
+        return 0.0
+    common = math.lcm(*(part.denominator for part in parts))
+    unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
+    exact = all(abs(float(part) - w) <= 1e-12 for part, w in
+                zip(parts, [w for w in np.unique(weights) if w > 0], strict=True))
+    return float(unit) if exact and max(parts) / unit <= most else 0.0
 
 
 def _active_limit_kw(site: Site) -> Floats:

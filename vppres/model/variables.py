@@ -67,8 +67,8 @@ class Parameters:
 class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
-    ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where the
-    form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand.
+    ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where
+    the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand.
     :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
     """
 

@@ -18,7 +18,7 @@ from vppres.solve.stages import POLYGON_SIDES, ModelCache, cost_form, polish, so
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
 
-COST_GAP_REL = 5e-4
+COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
 
 
@@ -46,6 +46,7 @@ class Search:
     begin: float = field(default_factory=time.perf_counter)
     bound: float = np.inf
     best: Candidate | None = None
+    service_bound: float = np.inf
     cost_bound_gbp: float = -np.inf
     polished: bool = False
     failed: Outcome | None = None
@@ -141,11 +142,9 @@ class WindowSolver:
         """
         if (data.grid_limit_kw > 0.0).all():
             self._everyone(data, whole, search)
-        for master in (self._aggregate, self._per_battery):
+        for master in (self._levels, self._aggregate, self._per_battery):
             if not search.certified and search.left_s > 0:
                 master(data, search)
-        if search.certified and search.cost_bound_gbp == -np.inf:
-            self._aggregate_cost(data, search)
         if search.best is not None:
             self._enter_network(data, search)
 
@@ -175,37 +174,62 @@ class WindowSolver:
         self._recover(data, served, search, network=False)
         best = search.best
         if best is not None and whole - best.service <= 1e-6 * search.gap:
-            search.cost_bound_gbp = best.cost_bound_gbp
+            search.service_bound, search.cost_bound_gbp = whole, best.cost_bound_gbp
             weight = self.site.weights.lambda_grid
             # Any other served set loses at least the smallest weight, or the bound says less.
             loss = self.site.customers.weight.min() * self.site.dt_h
             search.bound = whole - min(weight * best.cost_bound_gbp, loss)
 
+    def _levels(self, data: WindowData, search: Search) -> None:
+        """Service first, on the weights' grid, then the cost of all sets that serve as much.
+
+        A set outside the cost level's search has ``S < F`` of the dispatch at hand, so it cannot
+        be better; a set inside costs at least the cost level's bound.
+        """
+        model = self.cache.aggregate(data.n_steps)
+        if not model.grid:
+            return
+        model.fill(data)
+        outcome = run(model.grid_problem, self.spec, 0.99, search.left_s)
+        search.note("service", outcome)
+        if not outcome.status.has_answer:
+            return
+        self._recover(data, np.asarray(model.x.value) > 0.5, search, network=False)
+        best = search.best
+        # The objective is whole, so the bound may be rounded down to the grid.
+        service_bound = model.grid * np.floor(outcome.bound + 1e-6)
+        if best is not None and service_bound - best.service <= search.gap:
+            self._cost_level(data, search)
+            search.service_bound = service_bound
+            weight = self.site.weights.lambda_grid
+            search.bound = max(service_bound - weight * max(search.cost_bound_gbp, 0.0),
+                               best.value)
+
+    def _cost_level(self, data: WindowData, search: Search) -> None:
+        """Cheapest served set of the same service value, and the bound on the cost of all."""
+        assert search.best is not None
+        best = search.best
+        if best.terms.f2 <= 0.0:
+            search.cost_bound_gbp = 0.0
+            return
+        model = self.cache.aggregate(data.n_steps)
+        model.service_min.value = best.value
+        gap_gbp = COST_GAP_REL * best.terms.f2
+        outcome = run(model.cost_problem, self.spec, gap_gbp, search.left_s)
+        search.note("cost_level", outcome)
+        if not outcome.status.has_answer:
+            return
+        search.cost_bound_gbp = outcome.bound
+        served = np.asarray(model.x.value) > 0.5
+        if (served != best.dispatch.served).any() and outcome.value < best.terms.f2:
+            self._recover(data, served, search, network=False)
+
     def _aggregate(self, data: WindowData, search: Search) -> None:
-        """Served set and bound of the lumped relaxation."""
+        """Served set and bound of the lumped relaxation with all terms as weighted."""
         model = self.cache.aggregate(data.n_steps)
         model.fill(data)
         outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s)
         self._take("aggregate", outcome, model.x.value, data, search, network=False)
-
-    def _aggregate_cost(self, data: WindowData, search: Search) -> None:
-        """Cheapest served set of the same service value, and the bound on the cost of all."""
-        assert search.best is not None
-        cost = search.best.terms.f2
-        if cost <= COST_GAP_REL:
-            search.cost_bound_gbp = 0.0
-            return
-        model = self.cache.aggregate(data.n_steps)
-        model.fill(data)
-        model.service_min.value = search.best.service - 1e-6
-        outcome = run(model.cost_problem, self.spec, COST_GAP_REL * cost, search.left_s)
-        search.note("aggregate_cost", outcome)
-        if not outcome.status.has_answer:
-            return
-        search.cost_bound_gbp = max(outcome.bound, 0.0)
-        served = np.asarray(model.x.value) > 0.5
-        if (served != search.best.dispatch.served).any() and outcome.value < cost:
-            self._recover(data, served, search, network=False)
 
     def _per_battery(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the relaxation with every battery but without the network."""
@@ -255,12 +279,16 @@ class WindowSolver:
             raise AssertionError("an outcome without answer always raises")
         if not search.polished:
             self._polish(data, search)
-        best = search.best
+        best, weights = search.best, self.site.weights
         bound_gbp = max(search.cost_bound_gbp, 0.0)
+        # Whatever serves more than the bound on F allows would have to cost more than is possible.
+        dearest = data.price_gbp_per_kwh @ data.grid_p_max_kw(self.site) * self.site.dt_h
+        service_bound = min(search.service_bound, search.bound + weights.lambda_grid * dearest)
         return WindowSolution(
             dispatch=best.dispatch, terms=best.terms,
-            objective=best.terms.total(self.site.weights), bound=search.bound,
+            objective=best.terms.total(weights), bound=search.bound,
             status=Status.OPTIMAL if search.certified else Status.TIME_LIMIT,
+            service_gap=max(service_bound - best.service, 0.0),
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,
             stages=tuple(search.stages))

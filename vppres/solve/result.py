@@ -96,8 +96,11 @@ class WindowSolution:
         Paper's objective F of the dispatch and a proven upper bound on it.
     status : Status
         ``OPTIMAL`` if the gap is within the limits.
+    service_gap : float
+        How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
+        hours.
     cost_gap_gbp : float
-        How much cheaper the served set's dispatch could at most be, in GBP.
+        How much cheaper the same service could at most be had, over all served sets, in GBP.
     solve_s, solver_s : float
         Wall time of the window in seconds, and the part of it inside solvers.
     stages : tuple of str
@@ -109,6 +112,7 @@ class WindowSolution:
     objective: float
     bound: float
     status: Status
+    service_gap: float
     cost_gap_gbp: float
     solve_s: float
     solver_s: float

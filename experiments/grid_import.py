@@ -1,0 +1,80 @@
+"""Figure 1d: grid import, load and PV."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments import ideal
+from experiments.config import Config
+from experiments.drawing import (
+    FULL,
+    LINES,
+    MPC,
+    SERIES,
+    day_axis,
+    legend,
+    over_steps,
+    panels,
+)
+from experiments.ideal import jobs as jobs
+from experiments.results import DayResult
+from experiments.rows import Row, asserted, measured
+from experiments.runner import Results
+
+LABEL = "fig:1d"
+TITLE = "Grid import, total load, total PV"
+PAPER = ("The import is largest at hour 2 and, with a grid, smallest at hour 6; it is zero in the "
+         "outage, when PV and batteries serve a part of the load. MPC and full horizon nearly "
+         "overlap.")
+
+
+def figure(config: Config, results: Results) -> Figure:
+    """Imports of both controllers, load and PV in one panel."""
+    days = ideal.days(config, results)
+    picture, (ax,) = panels((1,), 4.8, "Grid import, load and PV, ideal conditions")
+    over_steps(ax, days[MPC].series("load_kw"), SERIES["load"], "load")
+    over_steps(ax, days[MPC].series("pv_kw"), SERIES["pv"], "PV available")
+    for name, day in days.items():
+        over_steps(ax, day.series("p_grid_kw"), LINES[name], f"import, {name}")
+    over_steps(ax, days[MPC].series("served_kw"), SERIES["load"] | {"linestyle": ":"},
+               "load served, MPC")
+    ax.set_ylabel("Power (kW)")
+    ax.set_ylim(bottom=0.0)
+    day_axis([ax], days[MPC])
+    return legend(picture, ax, 3)
+
+
+def rows(config: Config, results: Results) -> list[Row]:
+    """R12, R22 and R23."""
+    days = ideal.days(config, results)
+    both = [row for name, day in days.items() for row in _rows_of(name, day)]
+    mpc, full = (days[name].series("p_grid_kw") for name in (MPC, FULL))
+    overlap = float(np.abs(mpc - full).mean() / mpc.mean())
+    return [*both, measured("R12d", overlap, ".4f")]
+
+
+def ours(config: Config, results: Results) -> str:
+    """What our figure shows."""
+    day = ideal.days(config, results)[MPC]
+    imported_kw = day.series("p_grid_kw")
+    in_outage = day.series("outage") > 0
+    served = day.series("served_kw")[in_outage].sum() / day.series("load_kw")[in_outage].sum()
+    return (f"The MPC's import peaks at hour {imported_kw.argmax()} with {imported_kw.max():,.0f} kW "
+            f"and is {imported_kw[6]:,.0f} kW at hour 6. In the outage the AC power flow takes only "
+            f"the losses, at most {imported_kw[in_outage].max():.1f} kW, from the slack bus; "
+            f"{served:.0%} of the load's energy is served.")
+
+
+def _rows_of(name: str, day: DayResult) -> list[Row]:
+    imported_kw, connected = day.series("p_grid_kw"), day.series("outage") == 0
+    island_kw = (imported_kw - day.series("losses_kw"))[~connected]
+    curtailed = day.series("pv_curtailed_kw").sum() / day.series("pv_kw").sum()
+    return [
+        asserted("R12a", {"at hour 2": int(imported_kw.argmax()) == 2},
+                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name),
+        measured("R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name),
+        measured("R12c", float(np.abs(island_kw).max()), ".3f", name),
+        measured("R22", min(day.summary["served_share_connected"].values()), ".4f", name),
+        measured("R23", float(curtailed), ".5f", name),
+    ]

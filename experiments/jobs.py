@@ -1,0 +1,94 @@
+"""A job is one simulated day: which day, and how it is run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+
+import data.uk_heatwave_2022.build as builder
+import vppres
+from vppres.io.digest import scenario_digest
+from vppres.metrics import versions
+from vppres.scenario import Scenario
+from vppres.simulate import RunOptions
+
+# What shows, reads or writes results cannot change them.
+PRESENTATION = ("__init__.py", "__main__.py", "cli.py", "plots.py", "report.py", "schema.py", "io")
+RESULT_FORMAT = Path(__file__).with_name("results.py")
+
+
+@dataclass(frozen=True)
+class Day:
+    """Arguments of the builder of the paper's day; the defaults are the packaged scenario.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the per-bus data that the paper does not publish.
+    critical_share : float
+        Share of the load that the critical customers have.
+    price : {"A", "B"}
+        Rebuild of the price.
+    outage_steps : int
+        Hours without grid from 12:00 on.
+    zone_pairing : tuple of int
+        Which thermal capacity goes with which thermal resistance.
+    """
+
+    seed: int = builder.SEED
+    critical_share: float = builder.CRITICAL_SHARE
+    price: str = "B"
+    outage_steps: int = 6
+    zone_pairing: tuple[int, ...] = builder.ZONE_PAIRING
+
+
+@dataclass(frozen=True)
+class Job:
+    """A day and the options of its run."""
+
+    day: Day = field(default_factory=Day)
+    options: RunOptions = field(default_factory=RunOptions)
+
+    def digest(self) -> str:
+        """SHA-256 of all that the result depends on: day, options, sources and libraries."""
+        inputs = {"day": _digest_of_day(self.day), "options": self.options.as_record(),
+                  "sources": sources_digest(), "versions": versions()}
+        return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+    def text(self) -> str:
+        """What the job is, in a line."""
+        changed = {**_changed(self.day, Day()), **_changed(self.options, RunOptions())}
+        return ", ".join(f"{name} = {value}" for name, value in changed.items()) or "defaults"
+
+
+@cache
+def scenario(day: Day) -> Scenario:
+    """The day's data."""
+    return builder.build(seed=day.seed, critical_share=day.critical_share, price=day.price,
+                         outage_steps=day.outage_steps, zone_pairing=day.zone_pairing)
+
+
+@cache
+def sources_digest() -> str:
+    """SHA-256 of the source files that compute a result."""
+    package = Path(vppres.__file__).parent
+    files = [file for file in sorted(package.rglob("*.py"))
+             if file.relative_to(package).parts[0] not in PRESENTATION]
+    digest = hashlib.sha256()
+    for file in [*files, RESULT_FORMAT]:
+        digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@cache
+def _digest_of_day(day: Day) -> str:
+    return scenario_digest(scenario(day))
+
+
+def _changed(value: Day | RunOptions, default: Day | RunOptions) -> dict[str, object]:
+    """Fields that differ from the defaults."""
+    usual = asdict(default)
+    return {name: item for name, item in asdict(value).items() if item != usual[name]}

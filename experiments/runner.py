@@ -1,0 +1,113 @@
+"""Runs jobs on all cores, keeps every finished day, and goes on where it was interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from joblib import Parallel, cpu_count, delayed, parallel_config
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import TimeRemainingColumn as Remaining
+
+from experiments.jobs import Job, scenario
+from experiments.results import DayResult, shorten
+from vppres.io.atomic import atomic_write_text
+from vppres.simulate import run_day
+
+Results = Mapping[Job, DayResult]
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Finished days by the digest of their inputs, one JSON file each."""
+
+    folder: Path
+
+    def get(self, job: Job) -> DayResult | None:
+        """The job's result, None if it is yet to be run."""
+        file = self._file(job)
+        return DayResult.from_json(file.read_text(encoding="utf-8")) if file.is_file() else None
+
+    def put(self, job: Job, result: DayResult) -> None:
+        """Keep a result."""
+        atomic_write_text(self._file(job), result.to_json())
+
+    def _file(self, job: Job) -> Path:
+        return self.folder / f"{job.digest()}.json"
+
+
+def run_jobs(jobs: Iterable[Job], folder: Path, processes: int = -1) -> dict[Job, DayResult]:
+    """Results of all jobs, from the cache where it has them.
+
+    Parameters
+    ----------
+    jobs : iterable of Job
+        What to run; repeated jobs are run once.
+    folder : Path
+        Folder of the cache, made if missing.
+    processes : int
+        How many at a time; -1 is one for each core that this process may use.
+
+    Returns
+    -------
+    dict
+        In the order of the jobs.
+
+    Raises
+    ------
+    VppresError
+        If a day fails, once the days that finished before it are kept.
+    """
+    wanted = list(dict.fromkeys(jobs))
+    folder.mkdir(parents=True, exist_ok=True)
+    cache = Cache(folder)
+    known = {job: result for job in wanted if (result := cache.get(job)) is not None}
+    missing = sorted((job for job in wanted if job not in known), key=_expected_work, reverse=True)
+    for job, result in _compute(missing, cache, processes):
+        known[job] = result
+    return {job: known[job] for job in wanted}
+
+
+def processes_for(wanted: int) -> int:
+    """How many processes run at a time."""
+    return int(cpu_count()) if wanted == -1 else wanted
+
+
+def simulate(job: Job) -> tuple[Job, DayResult]:
+    """Run one job."""
+    return job, shorten(run_day(scenario(job.day), job.options))
+
+
+def _compute(jobs: list[Job], cache: Cache, processes: int) -> Iterable[tuple[Job, DayResult]]:
+    """Run jobs and keep each result as soon as it is there."""
+    if not jobs:
+        return
+    count = min(processes_for(processes), len(jobs))
+    # One thread each: solvers and linear algebra would only fight for the cores.
+    with _bar() as bar, parallel_config("loky", inner_max_num_threads=1):
+        task = bar.add_task("days", total=len(jobs))
+        parallel = Parallel(n_jobs=count, return_as="generator_unordered", batch_size=1)
+        # Closing the generator stops the workers, whatever ends the loop.
+        with closing(parallel(delayed(simulate)(job) for job in jobs)) as finished:
+            for job, result in finished:
+                cache.put(job, result)
+                bar.advance(task)
+                yield job, result
+
+
+def _expected_work(job: Job) -> float:
+    """Rough size of a job: the longest come first, so that no core waits at the end."""
+    options = job.options
+    steps = 24.0 if options.controller == "full-horizon" else options.horizon_h
+    return steps + 10.0 * (options.thermal != "off")
+
+
+def _bar() -> Progress:
+    """A progress bar on stderr, if that is a terminal."""
+    console = Console(stderr=True)
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                    TimeElapsedColumn(), Remaining(), console=console,
+                    disable=not console.is_terminal)

@@ -1,0 +1,423 @@
+"""One window: hand-solved cases, statuses, and methods and solvers against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import cvxpy as cp
+import numpy as np
+import pandas as pd
+import pytest
+from checker import check_dispatch
+from numpy.typing import NDArray
+from random_feeders import Window, random_window
+
+from vppres.assets import Batteries, Customers, PVSystems
+from vppres.errors import InfeasibleError, InputError, LimitError, ModelError
+from vppres.io import find_scenario, read_scenario
+from vppres.model.data import Site, WindowData
+from vppres.model.window import require_dpp
+from vppres.network import Network
+from vppres.scenario import Scenario
+from vppres.solve.methods import METHODS, WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.timegrid import TimeGrid
+
+Floats = NDArray[np.float64]
+
+CHECKER_TOLERANCE = 1e-5
+BOUND_TOLERANCE = 1e-6
+DARK, OPEN = 0.0, np.inf
+
+RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(22)]
+CONE_WINDOWS = [(seed, True) for seed in range(8, 20)]
+PACKAGED_WINDOWS = [(t0, steps, soc) for steps in (1, 2, 3)
+                    for t0, soc in ((2, 0.15), (12, 0.5), (11, 0.85), (16, 0.3))]
+
+
+def two_buses(load_kw: Sequence[Sequence[float]], weights: Sequence[float],
+              grid_limit_kw: Sequence[float], price: Sequence[float] | float = 0.3,
+              r_ohm: float = 0.01) -> Scenario:
+    """Customers of power factor 1 at bus 2, without devices; hourly steps."""
+    steps, count = np.shape(load_kw)
+    return Scenario(
+        name="two-buses", title="Two buses",
+        grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
+        network=Network([1], [2], [r_ohm], [r_ohm], slack_bus=1, base_kv=11.0),
+        customers=Customers(id=[f"c{i}" for i in range(count)], bus=[2] * count,
+                            tier=["critical"] * count, weight=weights,
+                            power_factor=[1.0] * count),
+        pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]), batteries=battery(count=0),
+        load_kw=load_kw, pv_kw=np.zeros((steps, 0)), grid_limit_kw=grid_limit_kw,
+        price_gbp_per_kwh=np.broadcast_to(price, steps), temperature_c=np.full(steps, 25.0))
+
+
+def battery(energy_kwh: float = 100.0, p_max_kw: float = 50.0, s_max_kva: float = 100.0,
+            soc: float = 0.15, count: int = 1) -> Batteries:
+    """A battery at bus 2 with the paper's efficiencies and limits."""
+    values = {"energy_kwh": energy_kwh, "p_max_kw": p_max_kw, "s_max_kva": s_max_kva,
+              "soc_min": 0.15, "soc_max": 0.85, "soc_initial": soc, "eta_charge": 0.95,
+              "eta_discharge": 0.95, "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3,
+              "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
+              "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": 25.0}
+    return Batteries(id=[f"b{i}" for i in range(count)], bus=[2] * count,
+                     **{name: np.full(count, value) for name, value in values.items()})
+
+
+def with_pv(scenario: Scenario, pv_kw: Sequence[float], s_max_kva: float = 100.0) -> Scenario:
+    """The scenario with a PV system of customer ``c0``."""
+    pv = PVSystems(id=["p0"], customer=["c0"], p_max_kw=[max(pv_kw)], s_max_kva=[s_max_kva])
+    return replace(scenario, pv=pv, pv_kw=np.reshape(pv_kw, (-1, 1)))
+
+
+def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = None) -> WindowData:
+    """The true series of some steps as a window, with plain LinDistFlow."""
+    b, n_steps = scenario.batteries, len(scenario.price_gbp_per_kwh[steps])
+    return WindowData(
+        scenario.load_kw[steps], scenario.pv_kw[steps], scenario.price_gbp_per_kwh[steps],
+        scenario.grid_limit_kw[steps], b.soc_initial if soc is None else np.full(len(b), soc),
+        b.eta_charge, b.eta_discharge, np.zeros((n_steps, scenario.network.n_lines)))
+
+
+def solve(scenario: Scenario, method: str = "decomposed", solver: str = "highs",
+          limits: SolveLimits | None = None) -> WindowSolution:
+    """All steps of a scenario as one window."""
+    return WindowSolver(Site.of(scenario), method, solver, limits).solve(window(scenario))
+
+
+@pytest.fixture(scope="module")
+def packaged() -> Scenario:
+    return read_scenario(find_scenario("uk-heatwave-2022"))
+
+
+# Hand-solved cases.
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
+    # 70 kWh between the SoC limits give 66.5 kWh at the terminals: one customer of 66 kW.
+    day = replace(two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
+                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    answer = solve(day, method)
+    assert answer.dispatch.served.tolist() == [[False, True]]
+    assert answer.objective == pytest.approx(1.0, abs=1e-9)
+    assert answer.dispatch.discharge_kw[0, 0] == pytest.approx(66.0, abs=1e-4)
+    assert answer.dispatch.soc[1, 0] == pytest.approx(0.85 - 66.0 / 0.95 / 100.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_energy_that_falls_short_by_a_hair_serves_nobody(method: str) -> None:
+    day = replace(two_buses([[66.6]], [1.0], [DARK]),
+                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    assert not solve(day, method).dispatch.served.any()
+
+
+def test_many_low_customers_outweigh_a_larger_one() -> None:
+    # 1.0 for the large customer alone, 0.6 + 0.6 for the two small ones: 60 kW either way.
+    day = replace(two_buses([[60.0, 30.0, 30.0]], [1.0, 0.6, 0.6], [DARK]),
+                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    assert solve(day).dispatch.served.tolist() == [[False, True, True]]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_arbitrage_earns_what_the_efficiencies_leave(method: str) -> None:
+    # 50 kWh bought at 0.1 come back as 45.125 kWh that need not be bought at 0.5.
+    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]),
+                  batteries=battery())
+    answer = solve(day, method)
+    assert answer.dispatch.charge_kw[:, 0] == pytest.approx([50.0, 0.0], abs=1e-3)
+    assert answer.dispatch.discharge_kw[:, 0] == pytest.approx([0.0, 45.125], abs=1e-3)
+    assert answer.terms.f2 == pytest.approx(0.1 * 150.0 + 0.5 * (100.0 - 45.125), abs=1e-3)
+
+
+@pytest.mark.parametrize(("second_price", "cost_gbp"), [
+    (0.33, 0.3 * 100.0 + 0.33 * 100.0), (0.34, 0.3 * 150.0 + 0.34 * (100.0 - 45.125))])
+def test_arbitrage_starts_where_prices_differ_by_more_than_the_losses(
+        second_price: float, cost_gbp: float) -> None:
+    # 0.95² = 0.9025: it pays from 0.3 / 0.9025 = 0.3324 GBP/kWh. The tie-breakers may spend 1e-6
+    # of the cost and 1e-5 GBP.
+    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.3, second_price]),
+                  batteries=battery())
+    assert solve(day).terms.f2 == pytest.approx(cost_gbp, abs=1e-4)
+
+
+def test_half_hours_move_half_the_energy_and_weigh_half() -> None:
+    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]),
+                  batteries=battery())
+    halves = replace(day, grid=replace(day.grid, step_minutes=30.0))
+    whole, half = solve(day), solve(halves)
+    assert half.terms.f1 == pytest.approx(0.5 * whole.terms.f1)
+    assert half.terms.f2 == pytest.approx(0.5 * whole.terms.f2, abs=1e-3)
+    assert half.dispatch.soc[1, 0] - 0.15 == pytest.approx(0.5 * 0.475, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("neighbour_kw", "soc", "curtailed_kw"), [(0.0, 0.85, 10.0), (10.0, 0.85, 0.0),
+                                              (4.0, 0.85, 10.0 - 4.0), (0.0, 0.5, 0.0)])
+def test_curtailment_only_where_nothing_can_take_the_power(
+        neighbour_kw: float, soc: float, curtailed_kw: float) -> None:
+    # The owner takes 20 of 30 kW; 10 kW are left for a neighbour or a battery with room.
+    day = with_pv(two_buses([[20.0, neighbour_kw]], [1.0, 0.1], [DARK]), [30.0])
+    answer = solve(replace(day, batteries=battery(soc=soc)))
+    assert answer.dispatch.served.all()
+    assert answer.terms.f3 == pytest.approx(curtailed_kw, abs=1e-4)
+
+
+def test_pv_above_the_inverters_rating_is_curtailed_even_with_a_grid() -> None:
+    day = with_pv(two_buses([[20.0, 50.0]], [1.0, 0.1], [OPEN]), [30.0], s_max_kva=25.0)
+    answer = solve(day)
+    assert answer.dispatch.served.all()
+    assert answer.terms.f3 == pytest.approx(5.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_owner_whose_self_consumption_exceeds_the_inverter_cannot_be_served(method: str) -> None:
+    day = with_pv(two_buses([[40.0, 50.0]], [1.0, 0.1], [OPEN]), [30.0], s_max_kva=25.0)
+    assert solve(day, method).dispatch.served.tolist() == [[False, True]]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_battery_never_charges_another(method: str) -> None:
+    # Free energy now, dear energy later: still only import can fill a battery, and there is none.
+    day = two_buses([[0.0], [50.0]], [1.0], [DARK, DARK])
+    two = battery(count=2)
+    day = replace(day, batteries=replace(two, soc_initial=np.array([0.15, 0.85])))
+    answer = solve(day, method)
+    assert answer.dispatch.charge_kw == pytest.approx(np.zeros((2, 2)), abs=1e-6)
+    assert answer.dispatch.served.tolist() == [[True], [True]]
+
+
+# u = 1 - 2 r P / (1000 kV²) >= 0.947² allows 623.9 kW through 10 ohm at 11 kV.
+VOLTAGE_LIMIT_KW = (1.0 - 0.947**2) * 1000.0 * 11.0**2 / (2 * 10.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_voltage_limit_forces_shedding(method: str) -> None:
+    day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
+    assert solve(day, method).dispatch.served.tolist() == [[False, True]]
+
+
+@pytest.mark.parametrize(("share", "served"), [(0.999, True), (1.001, False)])
+def test_voltage_limit_binds_where_the_formula_says(share: float, served: bool) -> None:
+    day = two_buses([[share * VOLTAGE_LIMIT_KW]], [1.0], [OPEN], r_ohm=10.0)
+    assert bool(solve(day).dispatch.served[0, 0]) is served
+
+
+def test_battery_beyond_the_weak_line_keeps_everybody_served() -> None:
+    day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
+    answer = solve(replace(day, batteries=battery(energy_kwh=1000.0, p_max_kw=200.0,
+                                                  s_max_kva=200.0, soc=0.85)))
+    assert answer.dispatch.served.all()
+    assert answer.dispatch.v_pu[0, 1] >= 0.947 - 1e-6
+
+
+@pytest.mark.parametrize(("method", "solver"), [
+    ("decomposed", "highs"), ("decomposed", "scip"), ("monolithic", "highs"),
+    ("monolithic", "scip")])
+def test_bound_holds_between_polygon_and_disc(method: str, solver: str) -> None:
+    # 99.5 kVA at the middle of a side of the 16-gon: inside the disc of 100 kVA, whose dispatch
+    # serves the customer, outside the polygon, which reaches 98.1 kVA there.
+    angle = np.pi / 16
+    day = two_buses([[99.5 * np.cos(angle)]], [1.0], [DARK])
+    day = replace(day, customers=replace(day.customers, power_factor=np.array([np.cos(angle)])),
+                  batteries=battery(energy_kwh=1000.0, p_max_kw=200.0, soc=0.5))
+    assert solve(day, method, solver).bound >= 1.0 - BOUND_TOLERANCE
+
+
+def test_compiled_problems_are_kept() -> None:
+    day = replace(two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
+                  batteries=battery(p_max_kw=200.0, soc=0.85))
+    solver = WindowSolver(Site.of(day))
+    first = solver.solve(window(day))
+    compiled = solver.cache.compilations
+    programs = [model.problem._cache.param_prog for model in solver.cache.models.values()]
+    poorer = solver.solve(replace(window(day), soc=np.array([0.5])))
+    assert first.dispatch.served.any() and not poorer.dispatch.served.any()
+    assert solver.cache.compilations == compiled
+    again = [model.problem._cache.param_prog for model in solver.cache.models.values()]
+    assert all(a is b for a, b in zip(again, programs, strict=True))
+
+
+# Statuses.
+
+
+def test_unknown_method_is_named() -> None:
+    day = two_buses([[1.0]], [1.0], [OPEN])
+    with pytest.raises(InputError) as error:
+        WindowSolver(Site.of(day), method="magic")
+    assert str(error.value) == ("options, method = magic: is not a known method. Use one of: "
+                                "decomposed, monolithic.")
+
+
+def test_unknown_solver_is_named_with_those_that_work() -> None:
+    day = two_buses([[1.0]], [1.0], [OPEN])
+    with pytest.raises(InputError) as error:
+        WindowSolver(Site.of(day), solver="gluroby")
+    text = str(error.value)
+    assert text.startswith("options, solver = gluroby: is not a known solver "
+                           "(highs, scip, gurobi, copt, xpress). Installed here: ")
+    assert "highs" in text.rsplit(":", 1)[1] and "scip" in text.rsplit(":", 1)[1]
+
+
+def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cp, "installed_solvers", lambda: [cp.HIGHS])
+    with pytest.raises(InputError) as error:
+        WindowSolver(Site.of(two_buses([[1.0]], [1.0], [OPEN])), solver="scip")
+    assert str(error.value) == ("options, solver = scip: is not installed. Install it, or use one "
+                                "of: highs.")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("solver", ["highs", "scip"])
+def test_infeasible_window_says_so(method: str, solver: str) -> None:
+    day = two_buses([[10.0]], [1.0], [OPEN])
+    day = replace(day, network=replace_slack(day.network, 0.94))
+    with pytest.raises(InfeasibleError) as error:
+        solve(day, method, solver)
+    assert str(error.value) == (
+        "The window of 1 steps has no feasible dispatch. The voltage limits or the PV owners' "
+        "self-consumption leave nothing; widen the limits or check the PV inverters' ratings.")
+
+
+def replace_slack(network: Network, v_slack_pu: float) -> Network:
+    """The network with another voltage at the slack bus."""
+    return Network(network.from_bus, network.to_bus, network.r_ohm, network.x_ohm,
+                   network.slack_bus, network.base_kv, v_slack_pu=v_slack_pu)
+
+
+def test_time_limit_returns_the_best_answer_with_its_bound(packaged: Scenario) -> None:
+    data = window(packaged, slice(11, 17), soc=0.85)
+    solver = WindowSolver(Site.of(packaged), "monolithic", "highs", SolveLimits(time_s=1.0))
+    try:
+        answer = solver.solve(data)
+    except LimitError as error:
+        assert "was not solved before the time limit" in str(error)
+        return
+    assert answer.status == "time_limit"
+    assert answer.bound >= answer.objective
+    assert answer.gap_abs > solver.limits.absolute(answer.bound)
+    assert check_dispatch(packaged, data, answer.dispatch).worst[1] <= CHECKER_TOLERANCE
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("time_s", [0.0, 1e-4])
+def test_running_out_of_time_is_not_called_infeasible(method: str, time_s: float) -> None:
+    # The voltage limit refuses the first served set; there is no time to look for another.
+    day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
+    try:
+        answer = solve(day, method, limits=SolveLimits(time_s=time_s))
+    except LimitError as error:
+        assert str(error) == ("The window of 1 steps was not solved before the time limit. Raise "
+                              "--time-limit, or use --method decomposed.")
+    else:
+        assert answer.dispatch.served.sum() <= 1
+
+
+def test_problem_that_is_not_dpp_is_refused() -> None:
+    a, b, x = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True), cp.Variable()
+    with pytest.raises(ModelError) as error:
+        require_dpp(cp.Problem(cp.Minimize(x), [x >= a * b]), "product of parameters")
+    assert str(error.value) == (
+        "The problem (product of parameters) is not DPP: a parameter multiplies a parameter or "
+        "enters non-affinely. Move the product into the parameter's value.")
+    require_dpp(cp.Problem(cp.Minimize(x), [x >= a + b]), "sum of parameters")
+
+
+# Methods and solvers against each other, and against the checker.
+
+
+@cache
+def random_answer(seed: int, stressed: bool, method: str,
+                  solver: str) -> tuple[Window, WindowSolution]:
+    case = random_window(seed, stressed)
+    return case, WindowSolver(Site.of(case.scenario), method, solver).solve(case.data)
+
+
+@pytest.fixture(scope="module")
+def packaged_solvers(packaged: Scenario) -> dict[tuple[str, str], WindowSolver]:
+    return {key: WindowSolver(Site.of(packaged), *key) for key in (
+        ("decomposed", "highs"), ("monolithic", "highs"), ("monolithic", "scip"))}
+
+
+def largest_objective(scenario: Scenario, data: WindowData) -> float:
+    """f1 with everybody served in every step."""
+    return float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
+
+
+def assert_sound(scenario: Scenario, data: WindowData, answer: WindowSolution) -> None:
+    """The dispatch satisfies every equation, its objective is what it says, its bound above it."""
+    check = check_dispatch(scenario, data, answer.dispatch)
+    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    assert answer.bound >= answer.objective - BOUND_TOLERANCE
+    assert answer.status == "optimal"
+
+
+def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowSolution]) -> None:
+    """Objectives are equal within the gap, and no bound lies below any dispatch's objective."""
+    gap = SolveLimits().absolute(largest_objective(scenario, data))
+    best = max(answer.objective for answer in answers)
+    for answer in answers:
+        assert_sound(scenario, data, answer)
+        assert answer.objective >= best - gap
+        assert answer.bound >= best - BOUND_TOLERANCE
+
+
+@pytest.mark.parametrize(("t0", "steps", "soc"), PACKAGED_WINDOWS)
+def test_solvers_and_methods_agree_on_the_packaged_day(
+        packaged: Scenario, packaged_solvers: dict[tuple[str, str], WindowSolver], t0: int,
+        steps: int, soc: float) -> None:
+    data = window(packaged, slice(t0, t0 + steps), soc)
+    assert_agree(packaged, data, [s.solve(data) for s in packaged_solvers.values()])
+
+
+@pytest.mark.parametrize(("seed", "stressed"), RANDOM_WINDOWS)
+def test_decomposed_equals_monolithic(seed: int, stressed: bool) -> None:
+    case, answer = random_answer(seed, stressed, "decomposed", "highs")
+    _, other = random_answer(seed, stressed, "monolithic", "highs")
+    assert_agree(*case, [answer, other])
+
+
+@pytest.mark.parametrize(("seed", "stressed"), CONE_WINDOWS)
+def test_decomposed_equals_the_problem_with_cones(seed: int, stressed: bool) -> None:
+    case, answer = random_answer(seed, stressed, "decomposed", "highs")
+    _, other = random_answer(seed, stressed, "monolithic", "scip")
+    assert_agree(*case, [answer, other])
+
+
+def test_random_windows_cover_what_they_are_meant_to() -> None:
+    cases = [random_window(*key) for key in RANDOM_WINDOWS]
+    dark = [(case.data.grid_limit_kw <= 0).mean() for case in cases]
+    assert {len(case.scenario.batteries) for case in cases} >= {0, 1, 2, 3}
+    assert {len(case.scenario.pv) == 0 for case in cases} == {True, False}
+    assert 0.0 in dark and 1.0 in dark and any(0.0 < share < 1.0 for share in dark)
+    assert {case.scenario.grid.step_minutes for case in cases} == {15.0, 30.0, 60.0}
+    assert any(np.ptp(case.data.price_gbp_per_kwh) == 0 for case in cases)
+    lowest = [random_answer(*key, "decomposed", "highs")[1].dispatch.v_pu.min()
+              for key in RANDOM_WINDOWS]
+    assert sum(v < 0.94701 for v in lowest) >= 2
+
+
+def test_checker_finds_a_fault_in_every_equation() -> None:
+    """A dispatch that is spoilt in one place fails the equation of that place."""
+    case, answer = random_answer(0, False, "decomposed", "highs")
+    good = answer.dispatch
+    spoilt = {
+        "exclusivity": replace(good, charge_kw=good.charge_kw + 1.0,
+                               discharge_kw=good.discharge_kw + 1.0),
+        "soc dynamics": replace(good, soc=good.soc + np.linspace(0, 1e-3, len(good.soc))[:, None]),
+        "self-consumption": replace(good, pv_self_kw=good.pv_self_kw + 1.0),
+        "pv balance": replace(good, pv_export_kw=good.pv_export_kw + 1.0),
+        "active balance": replace(good, p_grid_kw=good.p_grid_kw + 1.0),
+        "reactive balance": replace(good, q_grid_kvar=good.q_grid_kvar + 1.0),
+        "grid limit": replace(good, p_grid_kw=good.p_grid_kw + 1.0),
+        "voltage drop": replace(good, p_flow_kw=good.p_flow_kw + 1.0),
+        "voltage limits": replace(good, v_pu=good.v_pu * 0.94),
+        "battery disc": replace(good, batt_q_kvar=good.batt_q_kvar + 1e3),
+        "pv disc": replace(good, pv_q_kvar=good.pv_q_kvar + 1e3),
+        "circular charging": replace(good, charge_kw=good.charge_kw + 1e3),
+    }
+    for name, dispatch in spoilt.items():
+        assert check_dispatch(*case, dispatch).violations[name] > CHECKER_TOLERANCE, name
