@@ -26,8 +26,8 @@ from experiments.runner import Results
 
 LABEL = "fig:1c"
 TITLE = "Total battery energy and electricity price"
-PAPER = ("Batteries charge in hours 0 to 2, most at hour 2, and discharge in hours 3 to 6, at hour 6 "
-         "against the local price peak. At hour 7 the MPC sees the outage; from then on both "
+PAPER = ("Batteries charge in hours 0 to 2, most at hour 2, and discharge in hours 3 to 6, at hour "
+         "6 against the local price peak. At hour 7 the MPC sees the outage; from then on both "
          "controllers charge fast and are near the maximum by hour 11. In the outage the discharge "
          "is modest at first, faster in hours 16 to 18, and ends near the minimum.")
 
@@ -89,10 +89,10 @@ def _before_the_alert(name: str, day: DayResult) -> list[Row]:
     return [
         asserted("R8", {"no hour discharges": bool((night > -NOISE_KW).all()),
                         "most at hour 2": int(night.argmax()) == 2},
-                 f"{numbers(night, ',.0f')} kW in hours 0 to 2", name),
+                 f"{numbers(night, ',.0f')} kW in hours 0 to 2", name, day.why_corrected),
         asserted("R9", {"net discharge over hours 3 to 6": morning.sum() < 0,
                         "largest at hour 6": int(morning.argmin()) == 3},
-                 f"{numbers(morning, ',.0f')} kW in hours 3 to 6", name),
+                 f"{numbers(morning, ',.0f')} kW in hours 3 to 6", name, day.why_corrected),
     ]
 
 
@@ -109,9 +109,10 @@ def _from_the_alert_on(name: str, day: DayResult) -> list[Row]:
                          "near the maximum at the end of hour 11":
                              energy_kwh[first] > highest - near},
                  f"{numbers(alert, ',.0f')} kW in hours 7 to 11; {energy_kwh[first]:,.0f} of "
-                 f"{highest:,.0f} kWh", name),
+                 f"{highest:,.0f} kWh", name, day.why_corrected),
         asserted("R11", {"slower in hours 12 to 15 than after": -early.mean() < -late.mean(),
                          "near the minimum at the end": energy_kwh[last] < lowest + near},
                  f"{numbers(-charge_kw[first:last], ',.0f')} kW from hour 12 on; "
-                 f"{energy_kwh[last]:,.0f} kWh at the end (least: {lowest:,.0f})", name),
+                 f"{energy_kwh[last]:,.0f} kWh at the end (least: {lowest:,.0f})", name,
+                 day.why_corrected),
     ]

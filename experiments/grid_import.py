@@ -51,7 +51,7 @@ def rows(config: Config, results: Results) -> list[Row]:
     both = [row for name, day in days.items() for row in _rows_of(name, day)]
     mpc, full = (days[name].series("p_grid_kw") for name in (MPC, FULL))
     overlap = float(np.abs(mpc - full).mean() / mpc.mean())
-    return [*both, measured("R12d", overlap, ".4f")]
+    return [*both, measured("R12d", overlap, ".4f", reason=days[FULL].why_corrected)]
 
 
 def ours(config: Config, results: Results) -> str:
@@ -60,9 +60,9 @@ def ours(config: Config, results: Results) -> str:
     imported_kw = day.series("p_grid_kw")
     in_outage = day.series("outage") > 0
     served = day.series("served_kw")[in_outage].sum() / day.series("load_kw")[in_outage].sum()
-    return (f"The MPC's import peaks at hour {imported_kw.argmax()} with {imported_kw.max():,.0f} kW "
-            f"and is {imported_kw[6]:,.0f} kW at hour 6. In the outage the AC power flow takes only "
-            f"the losses, at most {imported_kw[in_outage].max():.1f} kW, from the slack bus; "
+    return (f"The MPC's import peaks at hour {imported_kw.argmax()} with {imported_kw.max():,.0f} "
+            f"kW and is {imported_kw[6]:,.0f} kW at hour 6. In the outage the AC power flow takes "
+            f"only the losses, at most {imported_kw[in_outage].max():.1f} kW, from the slack bus; "
             f"{served:.0%} of the load's energy is served.")
 
 
@@ -72,9 +72,11 @@ def _rows_of(name: str, day: DayResult) -> list[Row]:
     curtailed = day.series("pv_curtailed_kw").sum() / day.series("pv_kw").sum()
     return [
         asserted("R12a", {"at hour 2": int(imported_kw.argmax()) == 2},
-                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name),
-        measured("R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name),
-        measured("R12c", float(np.abs(island_kw).max()), ".3f", name),
-        measured("R22", min(day.summary["served_share_connected"].values()), ".4f", name),
-        measured("R23", float(curtailed), ".5f", name),
+                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name, day.why_corrected),
+        measured("R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name,
+                 day.why_corrected),
+        measured("R12c", float(np.abs(island_kw).max()), ".3f", name, day.why_corrected),
+        measured("R22", min(day.summary["served_share_connected"].values()), ".4f", name,
+                 day.why_corrected),
+        measured("R23", float(curtailed), ".5f", name, day.why_corrected),
     ]

@@ -66,9 +66,11 @@ def rows(config: Config, results: Results) -> list[Row]:
     before = np.diff(cost[rising])
     return [
         measured("R1", chosen.resilience, ".4f"),
-        measured("R2", chosen.resilience - full.resilience, "+.4f"),
-        measured("R2b", full.summary["corrections"], ".0f"),
-        measured("R3a", float(np.abs(resilience[plateau] - full.resilience).max()), ".4f"),
+        measured("R2", chosen.resilience - full.resilience, "+.4f",
+                 reason=full.why_corrected),
+        measured("R2b", full.summary["corrections"], ".0f", reason=full.why_corrected),
+        measured("R3a", float(np.abs(resilience[plateau] - full.resilience).max()), ".4f",
+                 reason=full.why_corrected),
         asserted("R3b", {"R grows with H up to the plateau": bool((np.diff(
                      resilience[rising]) > 0).all()),
                          "every shorter horizon is below the plateau":
@@ -84,7 +86,7 @@ def ours(config: Config, results: Results) -> str:
     horizons, resilience, cost = curves(config, results)
     full = results[ideal.FULL_HORIZON]
     return (f"R grows from {resilience[0]:.3f} at H = {horizons[0]:g} to "
-            f"{results[ideal.mpc(CHOSEN_H)].resilience:.3f} at H = {CHOSEN_H}; the full horizon has "
-            f"{full.resilience:.3f}. The cost rises from GBP {cost[0]:,.0f} to "
+            f"{results[ideal.mpc(CHOSEN_H)].resilience:.3f} at H = {CHOSEN_H}; the full horizon "
+            f"has {full.resilience:.3f}. The cost rises from GBP {cost[0]:,.0f} to "
             f"{cost[horizons >= PLATEAU_H].max():,.0f}; the full horizon pays "
             f"{full.summary['cost_gbp']:,.0f}.")

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vppres.forecast import ForecastErrors, Forecaster
+from vppres.forecast import Forecaster, ForecastErrors
 from vppres.metrics import summarise
 from vppres.plots import served_kw, stored_energy_kwh
 from vppres.trajectory import Trajectory, json_safe
@@ -52,6 +52,12 @@ class DayResult:
     def corrected_hours(self) -> list[int]:
         """Steps in which the plan was overruled."""
         return [hour for hour, was in enumerate(self.steps["corrected"]) if was]
+
+    def why_corrected(self) -> str:
+        """Which hours were corrected, and why the first one was."""
+        reasons = [text for text in self.steps["correction_reason"] if text]
+        first = f" (first: {reasons[0]})" if reasons else ""
+        return f"Corrected hours: {', '.join(map(str, self.corrected_hours)) or 'none'}{first}."
 
     def series(self, name: str) -> Floats:
         """One quantity of every step."""

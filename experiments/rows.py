@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,15 @@ def measured(id: str, value: float, form: str = ".3f", case: str = "",
                format(difference, form) if difference else "0",
                format(statement.tolerance, form) if statement.tolerance else "0",
                holds, "" if holds else _text(reason))
+
+
+def measured_all(id: str, values: Sequence[float], form: str = ".3f", case: str = "",
+                 reason: Reason = "") -> Row:
+    """Row of several numbers, judged by the one farthest from the published range."""
+    statement = STATEMENTS[id]
+    worst = max(values, key=lambda value: abs(statement.difference(value)))
+    row = measured(id, worst, form, case, reason)
+    return replace(row, ours=numbers(values, form))
 
 
 def asserted(id: str, facts: Mapping[str, Any], ours: str, case: str = "",

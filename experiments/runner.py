@@ -9,8 +9,14 @@ from pathlib import Path
 
 from joblib import Parallel, cpu_count, delayed, parallel_config
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as Remaining
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from experiments.jobs import Job, scenario
 from experiments.results import DayResult, shorten
@@ -39,7 +45,8 @@ class Cache:
         return self.folder / f"{job.digest()}.json"
 
 
-def run_jobs(jobs: Iterable[Job], folder: Path, processes: int = -1) -> dict[Job, DayResult]:
+def run_jobs(jobs: Iterable[Job], folder: Path,
+             processes: int = -1) -> tuple[dict[Job, DayResult], int]:
     """Results of all jobs, from the cache where it has them.
 
     Parameters
@@ -54,7 +61,9 @@ def run_jobs(jobs: Iterable[Job], folder: Path, processes: int = -1) -> dict[Job
     Returns
     -------
     dict
-        In the order of the jobs.
+        By job, in the order of the jobs.
+    int
+        How many were not in the cache.
 
     Raises
     ------
@@ -68,7 +77,7 @@ def run_jobs(jobs: Iterable[Job], folder: Path, processes: int = -1) -> dict[Job
     missing = sorted((job for job in wanted if job not in known), key=_expected_work, reverse=True)
     for job, result in _compute(missing, cache, processes):
         known[job] = result
-    return {job: known[job] for job in wanted}
+    return {job: known[job] for job in wanted}, len(missing)
 
 
 def processes_for(wanted: int) -> int:
@@ -109,5 +118,5 @@ def _bar() -> Progress:
     """A progress bar on stderr, if that is a terminal."""
     console = Console(stderr=True)
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeElapsedColumn(), Remaining(), console=console,
+                    TimeElapsedColumn(), TimeRemainingColumn(), console=console,
                     disable=not console.is_terminal)

@@ -167,10 +167,10 @@ def test_import_is_largest_at_hour_2_and_smallest_at_hour_6(ideal: IdealDay) -> 
 
 
 def test_fleet_is_charged_before_the_outage_and_empty_after_it(ideal: IdealDay) -> None:
-    energy = (ideal.per_step("batteries", "soc_end")
-              @ ideal.run.scenario.batteries.energy_kwh) / ideal.run.scenario.batteries.energy_kwh.sum()
-    assert energy[11] > 0.8
-    assert energy[17] < 0.2
+    capacity = ideal.run.scenario.batteries.energy_kwh
+    soc = ideal.per_step("batteries", "soc_end") @ capacity / capacity.sum()
+    assert soc[11] > 0.8
+    assert soc[17] < 0.2
 
 
 def test_nothing_is_compiled_twice(ideal: IdealDay) -> None:
@@ -230,13 +230,12 @@ def test_no_check_fires_under_ideal_conditions(full_horizon: Trajectory) -> None
     assert not full_horizon.steps["corrected"].any(), full_horizon.steps["correction_reason"].max()
 
 
-@pytest.mark.parametrize("column", ["served"])
-def test_full_horizon_does_what_it_planned(full_horizon: Trajectory, column: str) -> None:
+def test_full_horizon_does_what_it_planned(full_horizon: Trajectory) -> None:
     assert full_horizon.planned is not None
-    done = full_horizon.customers[column].to_numpy().reshape(len(full_horizon.steps), -1)
-    assert (done == np.array(full_horizon.planned[column])).all()
-    energy = full_horizon.scenario.batteries.energy_kwh
-    end = full_horizon.batteries["soc_end"].to_numpy().reshape(len(full_horizon.steps), -1)
+    steps, energy = len(full_horizon.steps), full_horizon.scenario.batteries.energy_kwh
+    done = full_horizon.customers["served"].to_numpy().reshape(steps, -1)
+    assert (done == np.array(full_horizon.planned["served"])).all()
+    end = full_horizon.batteries["soc_end"].to_numpy().reshape(steps, -1)
     assert end @ energy == pytest.approx(full_horizon.planned["energy_kwh"][1:], abs=1e-2)
 
 

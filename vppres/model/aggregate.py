@@ -25,6 +25,8 @@ class AggregateModel:
         Fixed data.
     n_steps : int
         Steps W of the window.
+    integer : bool
+        Whether service is all or nothing; without it the problems are linear and weaker bounds.
 
     Attributes
     ----------
@@ -38,28 +40,28 @@ class AggregateModel:
         Largest number of which every weight is a multiple, 0 if there is none worth using.
     """
 
-    def __init__(self, site: Site, n_steps: int) -> None:
+    def __init__(self, site: Site, n_steps: int, integer: bool = True) -> None:
         self.site, self.n_steps = site, n_steps
         W, C = n_steps, len(site.customers)
-        self.x = cp.Variable((W, C), name="x_served", boolean=True)
+        self.x = cp.Variable((W, C), name="x_served", boolean=integer)
         self.v = {name: cp.Variable(W, name=name, nonneg=True)
                   for name in ("P_ch", "P_dch", "stored", "drawn", "P_curt", "P_grid")}
         self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
             "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
-            "E_0": (1,), "x_max": (W, C), "eta_lo": (W,), "eta_hi": (W,), "inv_lo": (W,),
+            "E_0": (1,), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W,), "eta_hi": (W,), "inv_lo": (W,),
             "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.constraints = self._power() | self._energy()
         self.service_min = cp.Parameter(name="service_min")
+        self.grid = weight_grid(site.customers.weight * site.dt_h)
         cost = self.rho_dt @ self.v["P_grid"]
         f1 = site.dt_h * cp.sum(self.x @ site.customers.weight)
         curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
         limits = list(self.constraints.values())
         self.problem = cp.Problem(
             cp.Maximize(f1 - curtailment - site.weights.lambda_grid * cost), limits)
-        self.cost_problem = cp.Problem(
-            cp.Minimize(cost), [*limits, f1 - curtailment >= self.service_min])
-        self.grid = weight_grid(site.customers.weight * site.dt_h)
+        served_enough = (f1 - curtailment - self.service_min) / (self.grid or 1.0) >= 0
+        self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, served_enough])
         self.grid_problem = self._on_grid(curtailment, limits)
         for problem in (self.problem, self.cost_problem, self.grid_problem):
             require_dpp(problem, f"lumped window of {n_steps} steps")
@@ -90,6 +92,7 @@ class AggregateModel:
             "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
             "lumped_grid_limit": v["P_grid"] <= p["P_grid_max"],
             "lumped_service": x <= p["x_max"],
+            "lumped_connected_service": x >= p["x_min"],
         }
 
     def _energy(self) -> dict[str, cp.Constraint]:
@@ -113,20 +116,27 @@ class AggregateModel:
             "lumped_first_discharge": v["P_dch"][0] + p["b_per_a"] * v["P_ch"][0] <= p["b"],
         }
 
-    def fill(self, data: WindowData) -> None:
-        """Write the window's data."""
+    def fill(self, data: WindowData, all_connected: bool = False) -> None:
+        """Write the window's data.
+
+        With ``all_connected`` everyone who can be is served where the import has no limit. That
+        loses no service: more import serves them, and no battery notices.
+        """
         site, W, b = self.site, self.n_steps, self.site.batteries
         limit = data.self_limit_kw(site)
         first = _first_step(site, data)
         # An owner whose self-consumption exceeds the inverter's rating cannot be served.
         blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
         eta = data.eta_charge if len(b) else np.ones(1)
+        x_max = np.where(blocked, 0.0, 1.0)
+        unlimited = all_connected & np.isinf(data.grid_limit_kw)
         inverse = 1.0 / data.eta_discharge if len(b) else np.ones(1)
         values = {
             "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
             "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
             "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
-            "E_0": np.atleast_1d(b.energy_kwh @ data.soc), "x_max": np.where(blocked, 0.0, 1.0),
+            "E_0": np.atleast_1d(b.energy_kwh @ data.soc), "x_max": x_max,
+            "x_min": x_max * unlimited[:, None],
             "eta_lo": np.full(W, eta.min()), "eta_hi": np.full(W, eta.max()),
             "inv_lo": np.full(W, inverse.min()), "inv_hi": np.full(W, inverse.max()), **first,
         }

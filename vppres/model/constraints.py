@@ -60,7 +60,7 @@ def power_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Active and reactive balance at every bus, the slack bus with the grid's supply."""
     A, at_bus = site.network.incidence, site.customer_bus
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
-    P_inj = v.P_exp @ site.pv_bus.T - (v.P_ch - v.P_dch) @ site.battery_bus.T
+    P_inj = v.P_exp @ site.pv_bus.T - v.P_batt @ site.battery_bus.T
     P_load = (cp.multiply(p.P_load, v.x_served) @ at_bus.T - v.P_self @ site.pv_bus.T)
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
     Q_load = cp.multiply(p.Q_load, v.x_served) @ at_bus.T
@@ -113,7 +113,7 @@ def inverter_discs(site: Site, v: Variables, p: Parameters) -> Named:
 def battery_disc(site: Site, v: Variables, p: Parameters) -> Named:
     """Battery inverters alone."""
     return {"battery_inverter_capacity":
-            _disc(v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva)}
+            _disc(v.P_batt, v.Q_batt, site.batteries.s_max_kva)}
 
 
 def pv_disc(site: Site, v: Variables, p: Parameters) -> Named:
@@ -131,7 +131,7 @@ def inverter_polygons(sides: int) -> Family:
     def family(site: Site, v: Variables, p: Parameters) -> Named:
         pairs = {
             "battery_inverter_capacity":
-                (v.P_ch - v.P_dch, v.Q_batt, site.batteries.s_max_kva),
+                (v.P_batt, v.Q_batt, site.batteries.s_max_kva),
             "pv_inverter_capacity": (v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
         }
         return {name: _polygon(P, Q, S, sides) for name, (P, Q, S) in pairs.items()}
@@ -152,7 +152,7 @@ def total_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Sum of the active balances over all buses: lossless lines cancel."""
     load = cp.sum(cp.multiply(p.P_load, v.x_served), axis=1) - cp.sum(v.P_self, axis=1)
     return {"total_power_balance": v.P_grid + cp.sum(v.P_exp, axis=1)
-            == load + cp.sum(v.P_ch - v.P_dch, axis=1)}
+            == load + cp.sum(v.P_batt, axis=1)}
 
 
 def battery_headroom(site: Site, v: Variables, p: Parameters) -> Named:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +33,17 @@ class Site:
         """Site of a scenario."""
         return cls(scenario.network, scenario.customers, scenario.pv, scenario.batteries,
                    scenario.objective, scenario.grid.dt_h)
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of the content: sites of equal content have equal problems."""
+        digest = hashlib.sha256(repr((self.weights, self.dt_h)).encode())
+        for table in (self.network, self.customers, self.pv, self.batteries):
+            for f in fields(table):
+                value = getattr(table, f.name)
+                numeric = isinstance(value, np.ndarray) and value.dtype != object
+                digest.update(value.tobytes() if numeric else repr(value).encode())
+        return digest.hexdigest()
 
     @cached_property
     def customer_bus(self) -> sp.csr_array:

@@ -54,7 +54,8 @@ class TieBreakerModel:
         return Variables(
             x_served=free.x_served, P_self=self.p.P_self_max,
             P_exp=self.p.P_pv - self.p.P_self_max - P_curt, P_curt=P_curt, Q_pv=free.Q_pv,
-            P_ch=P_ch, P_dch=P_ch - self.P_batt, delta=self.charging, Q_batt=free.Q_batt,
+            P_ch=P_ch, P_dch=P_ch - self.P_batt, delta=self.charging, P_batt=self.P_batt,
+            Q_batt=free.Q_batt,
             SoC=free.SoC, P_grid=free.P_grid, Q_grid=free.Q_grid, u=free.u, P_flow=free.P_flow,
             Q_flow=free.Q_flow)
 

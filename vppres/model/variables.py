@@ -80,6 +80,7 @@ class Variables:
     P_ch: cp.Expression
     P_dch: cp.Expression
     delta: cp.Expression
+    P_batt: cp.Expression
     Q_batt: cp.Variable
     SoC: cp.Variable
     P_grid: cp.Variable
@@ -100,12 +101,13 @@ class Variables:
         def free(name: str, *shape: int) -> cp.Variable:
             return cp.Variable(shape, name=name)
 
+        P_ch, P_dch = nonneg("P_ch", W, B), nonneg("P_dch", W, B)
         return cls(
             x_served=(cp.Constant(np.ones((W, C))) if service == "fixed" else
                       cp.Variable((W, C), name="x_served", boolean=service == "integer")),
             P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
             P_curt=nonneg("P_curt", W, P), Q_pv=free("Q_pv", W, P),
-            P_ch=nonneg("P_ch", W, B), P_dch=nonneg("P_dch", W, B),
+            P_ch=P_ch, P_dch=P_dch, P_batt=P_ch - P_dch,
             delta=cp.Variable((W, B), name="delta", boolean=exclusivity == "integer"),
             Q_batt=free("Q_batt", W, B), SoC=free("SoC", W + 1, B),
             P_grid=nonneg("P_grid", W), Q_grid=free("Q_grid", W), u=nonneg("u", W, N),

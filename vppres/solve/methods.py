@@ -13,7 +13,7 @@ from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
 from vppres.model.window import Form
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, find_solver, run
-from vppres.solve.stages import POLYGON_SIDES, ModelCache, cost_form, polish, solve_cost
+from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
 
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
@@ -102,7 +102,7 @@ class WindowSolver:
         self.method, self.limits = method, limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)
         self.sides = 0 if self.spec.mip_cones else polygon_sides
-        self.cache = ModelCache(site)
+        self.cache = shared_cache(site)
 
     @property
     def site(self) -> Site:
@@ -181,15 +181,11 @@ class WindowSolver:
             search.bound = whole - min(weight * best.cost_bound_gbp, loss)
 
     def _levels(self, data: WindowData, search: Search) -> None:
-        """Service first, on the weights' grid, then the cost of all sets that serve as much.
-
-        A set outside the cost level's search has ``S < F`` of the dispatch at hand, so it cannot
-        be better; a set inside costs at least the cost level's bound.
-        """
+        """Service first, on the weights' grid, then the cost of all sets that serve as much."""
         model = self.cache.aggregate(data.n_steps)
         if not model.grid:
             return
-        model.fill(data)
+        model.fill(data, all_connected=True)
         outcome = run(model.grid_problem, self.spec, 0.99, search.left_s)
         search.note("service", outcome)
         if not outcome.status.has_answer:
@@ -199,30 +195,45 @@ class WindowSolver:
         # The objective is whole, so the bound may be rounded down to the grid.
         service_bound = model.grid * np.floor(outcome.bound + 1e-6)
         if best is not None and service_bound - best.service <= search.gap:
-            self._cost_level(data, search)
             search.service_bound = service_bound
-            weight = self.site.weights.lambda_grid
-            search.bound = max(service_bound - weight * max(search.cost_bound_gbp, 0.0),
-                               best.value)
+            self._cost_level(data, model.grid, search)
 
-    def _cost_level(self, data: WindowData, search: Search) -> None:
-        """Cheapest served set of the same service value, and the bound on the cost of all."""
+    def _cost_level(self, data: WindowData, grid: float, search: Search) -> None:
+        """Cheapest set that serves as much, the bound on the cost of all, and so the bound on F.
+
+        A set that serves less than the search admits either has ``S < F`` of the dispatch at hand,
+        or costs at least what the linear relaxation says.
+        """
         assert search.best is not None
-        best = search.best
-        if best.terms.f2 <= 0.0:
-            search.cost_bound_gbp = 0.0
-            return
+        best, weight = search.best, self.site.weights.lambda_grid
         model = self.cache.aggregate(data.n_steps)
-        model.service_min.value = best.value
-        gap_gbp = COST_GAP_REL * best.terms.f2
-        outcome = run(model.cost_problem, self.spec, gap_gbp, search.left_s)
+        admitted = max(best.value, best.service - 0.5 * grid)
+        # Within less than one customer of the bound nobody connected can be left out.
+        model.fill(data, all_connected=search.service_bound - admitted < 0.99 * grid)
+        model.service_min.value = admitted - 1e-9
+        outcome = run(model.cost_problem, self.spec, COST_GAP_REL * best.terms.f2 + 1e-3,
+                      search.left_s)
         search.note("cost_level", outcome)
         if not outcome.status.has_answer:
             return
-        search.cost_bound_gbp = outcome.bound
+        search.cost_bound_gbp = max(outcome.bound, 0.0)
+        search.bound = search.service_bound - weight * search.cost_bound_gbp
+        if admitted > best.value:
+            search.bound = max(search.bound,
+                               admitted - weight * self._least_cost(data, best.value, search))
+        search.bound = max(search.bound, best.value)
         served = np.asarray(model.x.value) > 0.5
         if (served != best.dispatch.served).any() and outcome.value < best.terms.f2:
             self._recover(data, served, search, network=False)
+
+    def _least_cost(self, data: WindowData, service_min: float, search: Search) -> float:
+        """Lower bound on the cost of all sets that serve at least ``service_min``, in GBP."""
+        model = self.cache.aggregate(data.n_steps, integer=False)
+        model.fill(data)
+        model.service_min.value = service_min
+        outcome = run(model.cost_problem, self.spec, 0.0, search.left_s)
+        search.note("least_cost", outcome)
+        return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
 
     def _aggregate(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the lumped relaxation with all terms as weighted."""

@@ -6,6 +6,7 @@ precision with the terms above it held.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,7 +32,7 @@ class ModelCache:
 
     site: Site
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
-    lumped: dict[int, AggregateModel] = field(default_factory=dict)
+    lumped: dict[tuple[int, bool], AggregateModel] = field(default_factory=dict)
     ties: dict[tuple[int, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
@@ -45,17 +46,34 @@ class ModelCache:
             self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
         return self.models[form, n_steps]
 
-    def aggregate(self, n_steps: int) -> AggregateModel:
+    def aggregate(self, n_steps: int, integer: bool = True) -> AggregateModel:
         """The lumped relaxation of a length."""
-        if n_steps not in self.lumped:
-            self.lumped[n_steps] = AggregateModel(self.site, n_steps)
-        return self.lumped[n_steps]
+        if (n_steps, integer) not in self.lumped:
+            self.lumped[n_steps, integer] = AggregateModel(self.site, n_steps, integer)
+        return self.lumped[n_steps, integer]
 
     def tie_breakers(self, n_steps: int, curtailing: bool) -> TieBreakerModel:
         """The last level's problem of a length."""
         if (n_steps, curtailing) not in self.ties:
             self.ties[n_steps, curtailing] = TieBreakerModel(self.site, n_steps, curtailing)
         return self.ties[n_steps, curtailing]
+
+
+_CACHES: OrderedDict[str, ModelCache] = OrderedDict()
+_CACHES_KEPT = 3
+
+
+def shared_cache(site: Site) -> ModelCache:
+    """The process's compiled problems of a site, shared by all runs; only the last few are kept.
+
+    Compiling costs more than a day of re-solving, so a study of many days on one site should do it
+    once. A problem is filled completely before every solve, so nothing leaks from run to run.
+    """
+    cache = _CACHES.pop(site.key, None) or ModelCache(site)
+    _CACHES[site.key] = cache
+    while len(_CACHES) > _CACHES_KEPT:
+        _CACHES.popitem(last=False)
+    return cache
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,87 @@
+"""The command line: ``python -m experiments``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markdown import Markdown
+
+from experiments.catalogue import EXPERIMENTS
+from experiments.config import read_config
+from experiments.report import HTML, MARKDOWN, Effort, write_report
+from experiments.runner import processes_for, run_jobs
+from vppres.errors import InputError, Problem, VppresError
+
+TABLE_WIDTH = 110  # narrower, the table of R1 to R24 is unreadable
+INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+
+
+def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Path:
+    """Run experiments and write their report.
+
+    Parameters
+    ----------
+    names : list of str
+        Experiments; none means all.
+    folder : Path
+        Folder of the report, the figures and the cache.
+    quick : bool
+        Whether to run fewer levels and seeds.
+    processes : int
+        How many days run at a time; -1 is one for each core.
+
+    Returns
+    -------
+    Path
+        The report as Markdown.
+
+    Raises
+    ------
+    InputError
+        If an experiment is unknown.
+    """
+    unknown = [name for name in names if name not in EXPERIMENTS]
+    if unknown:
+        raise InputError(Problem("experiments", "is not known",
+                                 f"Use one of: {', '.join(EXPERIMENTS)}.", field="only",
+                                 value=unknown[0]))
+    begin = time.perf_counter()
+    configs = {name: read_config(name, quick) for name in names or EXPERIMENTS}
+    jobs = [job for name, config in configs.items() for job in EXPERIMENTS[name].jobs(config)]
+    results, computed = run_jobs(jobs, folder / "cache", processes)
+    solve_s = sum(day.summary["solve_s"]["total"] for day in results.values())
+    effort = Effort(len(results), computed, time.perf_counter() - begin, solve_s,
+                    processes_for(processes))
+    write_report(configs, results, effort, folder)
+    return folder / MARKDOWN
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(
+        metavar="NAME", help="Run this experiment alone; may be repeated.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer levels and seeds.")] = False,
+    jobs: Annotated[int, typer.Option(
+        metavar="N", help="Days that run at a time; -1 is one for each core.")] = -1,
+    results: Annotated[Path, typer.Option(
+        metavar="DIR", help="Folder of report, figures and cache.")] = Path("results"),
+) -> None:
+    """Reproduce the paper's figures and tables."""
+    try:
+        report = reproduce(only or [], results, quick, jobs)
+    except KeyboardInterrupt:
+        typer.echo("Interrupted. Days that were finished are kept: run again to go on.", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except VppresError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(error.exit_status) from None
+    console = Console()
+    Console(width=max(console.width, TABLE_WIDTH)).print(Markdown(report.read_text(encoding="utf-8")))
+    typer.echo(f"Written to {results / HTML}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,118 @@
+"""Figure 3 and its table: batteries that heat, and efficiencies that follow."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from experiments.config import Config
+from experiments.drawing import (
+    FULL,
+    LINES,
+    MPC,
+    PLANNED,
+    day_axis,
+    legend,
+    limit,
+    over_steps,
+    panels,
+)
+from experiments.jobs import Job
+from experiments.results import DayResult
+from experiments.rows import Row, measured
+from experiments.runner import Results
+from vppres.simulate import RunOptions
+from vppres.thermal import ThermalScheme
+
+LABEL = "fig:3, tab:eff"
+TITLE = "Time-varying battery efficiency"
+PAPER = ("With efficiencies that fall as cells heat, the full horizon stores about 150 kWh less "
+         "than it planned by hour 11 and reaches R = 0.81. The MPC, with H = 6, sees the "
+         "efficiencies, charges more, holds more energy before and in the outage, and reaches "
+         "0.90. It imports 60854.07 kWh, the full horizon 60691.72 kWh.")
+
+OUTAGE = 12
+"""The outage begins: stored energy at this instant is that of the end of hour 11."""
+
+
+def jobs(config: Config) -> list[Job]:
+    """Both controllers in every temperature scheme."""
+    return [job for scheme in schemes(config) for job in pair(config, scheme).values()]
+
+
+def schemes(config: Config) -> list[ThermalScheme]:
+    """The main scheme and the others."""
+    return [config["scheme"], *config["other_schemes"]]
+
+
+def pair(config: Config, scheme: ThermalScheme) -> dict[str, Job]:
+    """The day of each controller in one scheme."""
+    return {MPC: Job(options=RunOptions(horizon_h=float(config["horizon_h"]), thermal=scheme)),
+            FULL: Job(options=RunOptions(controller="full-horizon", thermal=scheme))}
+
+
+def figure(config: Config, results: Results) -> Figure:
+    """Stored energy above, mean charging efficiency below."""
+    days = _days(config, results, config["scheme"])
+    picture, (energy, efficiency) = panels((3, 1.3), 5.8, "Battery energy with heating, "
+                                           f"{config['scheme']} temperature step")
+    for name, day in days.items():
+        energy.plot(day.series("energy_kwh"), label="MPC" if name == MPC else
+                    "full horizon, actual", **LINES[name])
+        over_steps(efficiency, day.series("eta_charge"), LINES[name])
+    energy.plot(days[FULL].planned["energy_kwh"], label="full horizon, planned", **PLANNED)
+    limit(efficiency, 0.95, "nominal")
+    energy.set_ylabel("Stored energy (kWh)")
+    energy.set_ylim(bottom=0.0)
+    efficiency.set_ylabel("Charging\nefficiency,\nmean")
+    day_axis([energy, efficiency], days[MPC])
+    return legend(picture, energy, 3)
+
+
+def rows(config: Config, results: Results) -> list[Row]:
+    """R19, R20, R21 and R24 in every scheme."""
+    return [row for scheme in schemes(config)
+            for row in _rows_of(scheme, _days(config, results, scheme))]
+
+
+def ours(config: Config, results: Results) -> str:
+    """What our figure shows."""
+    days = _days(config, results, config["scheme"])
+    mpc, full = days[MPC], days[FULL]
+    return (f"With the {config['scheme']} step the full horizon stores {shortfall_kwh(full):,.0f} "
+            f"kWh less than planned at the end of hour 11 and reaches R = {full.resilience:.3f}; the MPC "
+            f"reaches {mpc.resilience:.3f}. They import {full.summary['import_kwh']:,.0f} and "
+            f"{mpc.summary['import_kwh']:,.0f} kWh. The hottest cell of the MPC's day has "
+            f"{mpc.series('temperature_max_c').max():,.0f} °C.")
+
+
+def shortfall_kwh(day: DayResult) -> float:
+    """How far the stored energy at the end of hour 11 lies below the plan."""
+    return float(day.planned["energy_kwh"][OUTAGE] - day.series("energy_kwh")[OUTAGE])
+
+
+def _days(config: Config, results: Results, scheme: ThermalScheme) -> dict[str, DayResult]:
+    return {name: results[job] for name, job in pair(config, scheme).items()}
+
+
+def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
+    mpc, full = days[MPC], days[FULL]
+    imported = {name: float(day.summary["import_kwh"]) for name, day in days.items()}
+
+    def reason() -> str:
+        return _reason(full)
+
+    return [
+        measured("R19a", mpc.resilience, ".3f", scheme, reason),
+        measured("R19b", full.resilience, ".3f", scheme, reason),
+        measured("R20a", imported[MPC], ".0f", scheme, reason),
+        measured("R20b", imported[FULL], ".0f", scheme, reason),
+        measured("R21", shortfall_kwh(full), ".0f", scheme, reason),
+        measured("R24", imported[MPC] - imported[FULL], ".0f", scheme, reason),
+    ]
+
+
+def _reason(full: DayResult) -> str:
+    """Which hours were corrected, and how hot and inefficient the cells became."""
+    hottest, eta = full.series("temperature_max_c"), full.series("eta_charge")
+    return (f"{full.why_corrected()} Hottest cell before the outage: {hottest[:OUTAGE].max():,.0f} °C; "
+            f"mean charging efficiency at its lowest: {eta[:OUTAGE].min():.3f}.")

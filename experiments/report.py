@@ -1,0 +1,138 @@
+"""The report of all experiments: figures, the table of R1 to R24, sensitivities, provenance."""
+
+from __future__ import annotations
+
+import base64
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from experiments import sensitivities
+from experiments.catalogue import EXPERIMENTS
+from experiments.config import Config
+from experiments.rows import Row, order
+from experiments.runner import Results
+from vppres.io.atomic import atomic_write_text
+from vppres.metrics import versions
+from vppres.plots import DPI, SVG_HASH_SALT
+
+TEMPLATES = Path(__file__).with_name("templates")
+HTML, MARKDOWN = "report.html", "report.md"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One figure of the report."""
+
+    name: str
+    label: str
+    title: str
+    paper: str
+    ours: str
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the run took.
+
+    Parameters
+    ----------
+    days, computed : int
+        Simulated days in all, and those that were not in the cache.
+    wall_s : float
+        Wall time of this run in s.
+    day_s : float
+        Time for decisions of all days together in s, cached ones included.
+    processes : int
+        How many ran at a time.
+    """
+
+    days: int
+    computed: int
+    wall_s: float
+    day_s: float
+    processes: int
+
+    def text(self) -> str:
+        """The effort in a sentence."""
+        return (f"{self.days} simulated days, {self.computed} of them computed in this run and the "
+                f"others taken from the cache; {self.wall_s / 60:.1f} min of wall time with "
+                f"{self.processes} processes. The decisions of all days took {self.day_s / 60:.1f} "
+                "min of solve time.")
+
+
+def write_report(configs: Mapping[str, Config], results: Results, effort: Effort,
+                 folder: Path) -> list[Row]:
+    """Write figures and both reports.
+
+    Parameters
+    ----------
+    configs : mapping of str to Config
+        The experiments to report, by name.
+    results : mapping of Job to DayResult
+        All their days.
+    effort : Effort
+        What the run took.
+    folder : Path
+        Where to; ``report.html``, ``report.md`` and ``figures/``.
+
+    Returns
+    -------
+    list of Row
+        The table, by number of the statement.
+    """
+    figures = folder / "figures"
+    figures.mkdir(parents=True, exist_ok=True)
+    sections, rows = [], []
+    for name, config in configs.items():
+        experiment = EXPERIMENTS[name]
+        _save(experiment.figure(config, results), figures / name)
+        rows += experiment.rows(config, results)
+        sections.append(Section(name, experiment.LABEL, experiment.TITLE, experiment.PAPER,
+                                experiment.ours(config, results)))
+    rows.sort(key=order)
+    values = {"sections": sections, "rows": rows, "effort": effort.text(), "machine": machine(),
+              "lines": _lines(configs, results), "configs": configs, "versions": versions(),
+              "failed": sum(not row.holds for row in rows)}
+    for file in (HTML, MARKDOWN):
+        atomic_write_text(folder / file, _environment(figures, file == HTML).get_template(
+            f"{file}.j2").render(values))
+    return rows
+
+
+def machine() -> str:
+    """Processor, cores and system."""
+    return (f"{platform.machine()}, {os.cpu_count()} logical cores, {platform.system()}, "
+            f"Python {platform.python_version()}")
+
+
+def _lines(configs: Mapping[str, Config], results: Results) -> list[sensitivities.Line]:
+    config = configs.get("sensitivities")
+    return [] if config is None else sensitivities.lines(config, results)
+
+
+def _save(figure: Figure, stem: Path) -> None:
+    """A figure as PNG and SVG."""
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(stem.with_suffix(".png"), dpi=DPI)
+
+
+def _environment(figures: Path, escape: bool) -> Environment:
+    environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
+                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+
+    def embedded(name: str) -> str:
+        """A figure's SVG as a data URI."""
+        svg = (figures / f"{name}.svg").read_bytes()
+        return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
+
+    environment.globals["embedded"] = embedded
+    environment.filters["cell"] = lambda text: str(text).replace("|", "\\|")
+    return environment
