@@ -78,8 +78,8 @@ def main(
     except VppresError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(error.exit_status) from None
-    console = Console()
-    Console(width=max(console.width, TABLE_WIDTH)).print(Markdown(report.read_text(encoding="utf-8")))
+    console = Console(width=max(Console().width, TABLE_WIDTH))
+    console.print(Markdown(report.read_text(encoding="utf-8")))
     typer.echo(f"Written to {results / HTML}")
 
 

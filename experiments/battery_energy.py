@@ -89,10 +89,10 @@ def _before_the_alert(name: str, day: DayResult) -> list[Row]:
     return [
         asserted("R8", {"no hour discharges": bool((night > -NOISE_KW).all()),
                         "most at hour 2": int(night.argmax()) == 2},
-                 f"{numbers(night, ',.0f')} kW in hours 0 to 2", name, day.why_corrected),
+                 f"{numbers(night, ',.0f')} kW in hours 0 to 2", name, day.evidence),
         asserted("R9", {"net discharge over hours 3 to 6": morning.sum() < 0,
                         "largest at hour 6": int(morning.argmin()) == 3},
-                 f"{numbers(morning, ',.0f')} kW in hours 3 to 6", name, day.why_corrected),
+                 f"{numbers(morning, ',.0f')} kW in hours 3 to 6", name, day.evidence),
     ]
 
 
@@ -109,10 +109,10 @@ def _from_the_alert_on(name: str, day: DayResult) -> list[Row]:
                          "near the maximum at the end of hour 11":
                              energy_kwh[first] > highest - near},
                  f"{numbers(alert, ',.0f')} kW in hours 7 to 11; {energy_kwh[first]:,.0f} of "
-                 f"{highest:,.0f} kWh", name, day.why_corrected),
+                 f"{highest:,.0f} kWh", name, day.evidence),
         asserted("R11", {"slower in hours 12 to 15 than after": -early.mean() < -late.mean(),
                          "near the minimum at the end": energy_kwh[last] < lowest + near},
                  f"{numbers(-charge_kw[first:last], ',.0f')} kW from hour 12 on; "
                  f"{energy_kwh[last]:,.0f} kWh at the end (least: {lowest:,.0f})", name,
-                 day.why_corrected),
+                 day.evidence),
     ]

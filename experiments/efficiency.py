@@ -79,9 +79,10 @@ def ours(config: Config, results: Results) -> str:
     days = _days(config, results, config["scheme"])
     mpc, full = days[MPC], days[FULL]
     return (f"With the {config['scheme']} step the full horizon stores {shortfall_kwh(full):,.0f} "
-            f"kWh less than planned at the end of hour 11 and reaches R = {full.resilience:.3f}; the MPC "
-            f"reaches {mpc.resilience:.3f}. They import {full.summary['import_kwh']:,.0f} and "
-            f"{mpc.summary['import_kwh']:,.0f} kWh. The hottest cell of the MPC's day has "
+            "kWh less than planned at the end of hour 11 and reaches R = "
+            f"{full.resilience:.3f}; the MPC reaches {mpc.resilience:.3f}. They import "
+            f"{full.summary['import_kwh']:,.0f} and {mpc.summary['import_kwh']:,.0f} kWh. The "
+            "hottest cell of the MPC's day has "
             f"{mpc.series('temperature_max_c').max():,.0f} °C.")
 
 
@@ -114,5 +115,6 @@ def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
 def _reason(full: DayResult) -> str:
     """Which hours were corrected, and how hot and inefficient the cells became."""
     hottest, eta = full.series("temperature_max_c"), full.series("eta_charge")
-    return (f"{full.why_corrected()} Hottest cell before the outage: {hottest[:OUTAGE].max():,.0f} °C; "
-            f"mean charging efficiency at its lowest: {eta[:OUTAGE].min():.3f}.")
+    return (f"{full.why_corrected()} Hottest cell before the outage: "
+            f"{hottest[:OUTAGE].max():,.0f} °C; mean charging efficiency at its lowest: "
+            f"{eta[:OUTAGE].min():.3f}.")

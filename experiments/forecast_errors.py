@@ -107,7 +107,7 @@ def rows(config: Config, results: Results, case: str) -> list[Row]:
     levels = ", ".join(f"{point.level:g}" for point in mpc)
     case = f"{case} {levels}"
     return [
-        measured_all("R13", means, ".3f", case),
+        measured_all("R13", means, ".3f", case, mpc[-1].days[0].evidence),
         measured_all("R14", medians, ".3f", case, lambda: spread_text(full)),
         measured_all("R18", gains, ".3f", case, lambda: spread_text(full)),
     ]

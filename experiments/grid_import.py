@@ -51,7 +51,7 @@ def rows(config: Config, results: Results) -> list[Row]:
     both = [row for name, day in days.items() for row in _rows_of(name, day)]
     mpc, full = (days[name].series("p_grid_kw") for name in (MPC, FULL))
     overlap = float(np.abs(mpc - full).mean() / mpc.mean())
-    return [*both, measured("R12d", overlap, ".4f", reason=days[FULL].why_corrected)]
+    return [*both, measured("R12d", overlap, ".4f", reason=days[FULL].evidence)]
 
 
 def ours(config: Config, results: Results) -> str:
@@ -72,11 +72,12 @@ def _rows_of(name: str, day: DayResult) -> list[Row]:
     curtailed = day.series("pv_curtailed_kw").sum() / day.series("pv_kw").sum()
     return [
         asserted("R12a", {"at hour 2": int(imported_kw.argmax()) == 2},
-                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name, day.why_corrected),
+                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name,
+                 day.evidence),
         measured("R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name,
-                 day.why_corrected),
-        measured("R12c", float(np.abs(island_kw).max()), ".3f", name, day.why_corrected),
+                 day.evidence),
+        measured("R12c", float(np.abs(island_kw).max()), ".3f", name, day.evidence),
         measured("R22", min(day.summary["served_share_connected"].values()), ".4f", name,
-                 day.why_corrected),
-        measured("R23", float(curtailed), ".5f", name, day.why_corrected),
+                 day.evidence),
+        measured("R23", float(curtailed), ".5f", name, day.evidence),
     ]

@@ -65,19 +65,22 @@ def rows(config: Config, results: Results) -> list[Row]:
     short = resilience[~plateau]
     before = np.diff(cost[rising])
     return [
-        measured("R1", chosen.resilience, ".4f"),
+        measured("R1", chosen.resilience, ".4f", reason=chosen.evidence),
         measured("R2", chosen.resilience - full.resilience, "+.4f",
-                 reason=full.why_corrected),
-        measured("R2b", full.summary["corrections"], ".0f", reason=full.why_corrected),
+                 reason=full.evidence),
+        measured("R2b", full.summary["corrections"], ".0f", reason=full.evidence),
         measured("R3a", float(np.abs(resilience[plateau] - full.resilience).max()), ".4f",
-                 reason=full.why_corrected),
+                 reason=full.evidence),
         asserted("R3b", {"R grows with H up to the plateau": bool((np.diff(
                      resilience[rising]) > 0).all()),
                          "every shorter horizon is below the plateau":
                      bool((short < resilience[plateau].min()).all())},
-                 f"R = {numbers(short)} at H = {numbers(horizons[~plateau], 'g')}"),
+                 f"R = {numbers(short, '.4f')} at H = {numbers(horizons[~plateau], 'g')}",
+                 reason="Differences from one H to the next: "
+                        f"{numbers(np.diff(resilience[rising]), '+.4f')}."),
         asserted("R3c", {"each step of H costs more": bool((before > 0).all())},
-                 f"GBP {numbers(cost[rising], ',.0f')} at H = {numbers(horizons[rising], 'g')}"),
+                 f"GBP {numbers(cost[rising], ',.0f')} at H = {numbers(horizons[rising], 'g')}",
+                 reason=f"Differences from one H to the next: {numbers(before, '+,.0f')} GBP."),
     ]
 
 

@@ -45,11 +45,13 @@ def rows(config: Config, results: Results) -> list[Row]:
     model = min(day.series("v_min_model_pu").min() for day in days.values())
     ac = min(day.summary["v_min_ac_pu"] for day in days.values())
     return [
-        measured("R4", model, ".5f", reason=days[FULL].why_corrected),
-        measured("R5", ac, ".4f", reason=days[FULL].why_corrected),
-        measured("R6a", days[MPC].summary["v_mean_of_min_ac_pu"], ".4f"),
-        measured("R6b", days[FULL].summary["v_mean_of_min_ac_pu"], ".4f"),
-        measured("R7", days[MPC].summary["v_error_max_pu"], ".4f"),
+        measured("R4", model, ".5f", reason=days[FULL].evidence),
+        measured("R5", ac, ".4f", reason=days[FULL].evidence),
+        measured("R6a", days[MPC].summary["v_mean_of_min_ac_pu"], ".4f",
+                 reason=days[MPC].evidence),
+        measured("R6b", days[FULL].summary["v_mean_of_min_ac_pu"], ".4f",
+                 reason=days[FULL].evidence),
+        measured("R7", days[MPC].summary["v_error_max_pu"], ".4f", reason=days[MPC].evidence),
     ]
 
 

@@ -33,8 +33,9 @@ class Window(NamedTuple):
 def random_scenario(seed: int, stressed: bool = False, n_steps: int | None = None) -> Scenario:
     """A random day of 1 to 4 steps, or as many as are asked for.
 
-    4 to 12 buses in a random tree, 3 to 10 customers, some with PV, batteries that differ; sometimes
-    no PV, no battery, equal prices, no outage or nothing but outage; steps of 15, 30 or 60 min.
+    4 to 12 buses in a random tree, 3 to 10 customers, some with PV, batteries that differ;
+    sometimes no PV, no battery, equal prices, no outage or nothing but outage, a limited import,
+    weights that are multiples of nothing; steps of 15, 30 or 60 min.
     ``stressed`` feeders are too weak for their load, have more sun than anybody can use, or
     inverters below the devices' power.
     """
@@ -53,7 +54,7 @@ def random_scenario(seed: int, stressed: bool = False, n_steps: int | None = Non
         customers=customers, pv=pv, batteries=_batteries(rng, n_buses, base_kw.sum(), stressed),
         load_kw=load_kw, pv_kw=pv.p_max_kw * rng.uniform(0.0, 1.0, (steps, len(pv))),
         price_gbp_per_kwh=_prices(rng, steps), temperature_c=rng.uniform(15.0, 38.0, steps),
-        grid_limit_kw=np.where(_outage(rng, steps), 0.0, np.inf))
+        grid_limit_kw=np.where(_outage(rng, steps), 0.0, _import_limit(rng, load_kw)))
 
 
 def random_window(seed: int, stressed: bool = False) -> Window:
@@ -75,13 +76,15 @@ def random_window(seed: int, stressed: bool = False) -> Window:
 def _customers(rng: Generator, n_buses: int) -> Customers:
     count = int(rng.integers(3, 11))
     tier = rng.choice(list(WEIGHT), count)
+    weight = np.array([WEIGHT[t] for t in tier])
+    if rng.random() < 0.25:
+        weight = weight * rng.uniform(0.8, 1.2, count)
     return Customers(id=[f"c{i}" for i in range(count)], bus=rng.integers(2, n_buses + 1, count),
-                     tier=tier, weight=[WEIGHT[t] for t in tier],
-                     power_factor=rng.uniform(0.9, 1.0, count))
+                     tier=tier, weight=weight, power_factor=rng.uniform(0.9, 1.0, count))
 
 
 def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) -> PVSystems:
-    """At most one system per customer; under stress some inverters are smaller than their panels."""
+    """At most one system per customer; under stress some inverters are below their panels."""
     owners = np.flatnonzero(rng.random(len(customers)) < rng.choice([0.0, 0.4, 0.8],
                                                                     p=[0.2, 0.4, 0.4]))
     p = p_max_kw[owners]
@@ -109,7 +112,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
 
 def _network(rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats,
              stressed: bool) -> Network:
-    """A random tree whose impedances bring the lowest voltage at full load into the wanted range."""
+    """A random tree; its impedances bring the lowest voltage at full load into the range."""
     above = [int(rng.integers(max(1, n - 3), n)) for n in range(2, n_buses + 1)]
     r = rng.uniform(0.2, 1.0, n_buses - 1)
     x = r * rng.uniform(0.3, 1.0, n_buses - 1)
@@ -132,6 +135,13 @@ def _prices(rng: Generator, steps: int) -> Floats:
     """Equal, in two levels (zero included), or anything."""
     kinds = (np.full(steps, 0.3), rng.choice([0.0, 0.5], steps), rng.uniform(0.05, 0.6, steps))
     return kinds[int(rng.integers(3))]
+
+
+def _import_limit(rng: Generator, load_kw: Floats) -> Floats | float:
+    """No limit, or one around the demand."""
+    if rng.random() < 0.7:
+        return float("inf")
+    return load_kw.sum(axis=1) * rng.uniform(0.5, 1.3, len(load_kw))
 
 
 def _outage(rng: Generator, steps: int) -> NDArray[np.bool_]:

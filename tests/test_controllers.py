@@ -19,10 +19,17 @@ from vppres.plant import BatteryState, Plant
 from vppres.scenario import Scenario
 from vppres.simulate import Day, RunOptions, make_controller
 from vppres.solve.methods import WindowSolver
+from vppres.solve.stages import ModelCache
 
 Floats = NDArray[np.float64]
 
 ERRORS = ForecastErrors(0.1, 0.05, -0.1, 0.05)
+
+
+@pytest.fixture(autouse=True)
+def own_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every solver compiles its own problems, so that runs share nothing but their observations."""
+    monkeypatch.setattr("vppres.solve.methods.shared_cache", ModelCache)
 
 
 def same(one: Decision, other: Decision) -> bool:

@@ -68,8 +68,8 @@ class SolveInfo:
     def of(cls, solution: WindowSolution, compilations: int) -> SolveInfo:
         """Record of a window's solution."""
         return cls(solution.objective, solution.bound, solution.gap, solution.gap_abs,
-                   solution.service_gap, solution.cost_gap_gbp, str(solution.status), solution.solve_s,
-                   solution.solver_s, compilations, " ".join(solution.stages))
+                   solution.service_gap, solution.cost_gap_gbp, str(solution.status),
+                   solution.solve_s, solution.solver_s, compilations, " ".join(solution.stages))
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,8 @@ class AggregateModel:
                   for name in ("P_ch", "P_dch", "stored", "drawn", "P_curt", "P_grid")}
         self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
             "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
-            "E_0": (1,), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W,), "eta_hi": (W,), "inv_lo": (W,),
-            "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
+            "E_0": (1,), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W,), "eta_hi": (W,),
+            "inv_lo": (W,), "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.constraints = self._power() | self._energy()
         self.service_min = cp.Parameter(name="service_min")

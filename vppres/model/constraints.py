@@ -121,11 +121,12 @@ def pv_disc(site: Site, v: Variables, p: Parameters) -> Named:
     return {"pv_inverter_capacity": _disc(v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva)}
 
 
-def inverter_polygons(sides: int) -> Family:
-    """The same discs as inscribed polygons, for solvers without mixed-integer cones.
+def inverter_polygons(sides: int, outer: bool = False) -> Family:
+    """The same discs as polygons, for solvers without mixed-integer cones.
 
-    A polygon with K sides and a vertex on the P axis lies inside the disc and loses at most
-    ``1 - cos(pi / K)`` of the rating: 1.9 % at 16 sides, 0.5 % at 32.
+    The inscribed polygon with K sides and a vertex on the P axis lies inside the disc and loses at
+    most ``1 - cos(pi / K)`` of the rating: 1.9 % at 16 sides, 0.5 % at 32. The outer polygon, for
+    bounds, is made of tangents, two of them across the P axis, so that it is exact in P alone.
     """
 
     def family(site: Site, v: Variables, p: Parameters) -> Named:
@@ -134,7 +135,9 @@ def inverter_polygons(sides: int) -> Family:
                 (v.P_batt, v.Q_batt, site.batteries.s_max_kva),
             "pv_inverter_capacity": (v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
         }
-        return {name: _polygon(P, Q, S, sides) for name, (P, Q, S) in pairs.items()}
+        turn, reach = (0.0, 1.0) if outer else (np.pi / sides, np.cos(np.pi / sides))
+        angle = turn + 2 * np.pi * np.arange(sides) / sides
+        return {name: _polygon(P, Q, S * reach, angle) for name, (P, Q, S) in pairs.items()}
 
     return family
 
@@ -178,12 +181,12 @@ def _disc(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray) -> cp.Const
     return cp.SOC(cp.Constant(S), both, axis=0)
 
 
-def _polygon(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray,
-             sides: int) -> cp.Constraint:
-    """Half planes of the inscribed polygon, sides stacked as blocks of rows."""
-    angle = (2 * np.arange(sides) + 1) * np.pi / sides
-    rhs = np.broadcast_to(s_max_kva * np.cos(np.pi / sides), P.shape)
-    return cp.vstack([np.cos(a) * P + np.sin(a) * Q for a in angle]) <= np.vstack([rhs] * sides)
+def _polygon(P: cp.Expression, Q: cp.Expression, distance_kva: np.ndarray,
+             angle: np.ndarray) -> cp.Constraint:
+    """Half planes at a distance from the origin, one block of rows for each angle."""
+    rhs = np.broadcast_to(distance_kva, P.shape)
+    return (cp.vstack([np.cos(a) * P + np.sin(a) * Q for a in angle])
+            <= np.vstack([rhs] * len(angle)))
 
 
 NETWORK_FAMILIES: tuple[Family, ...] = (power_balance, delta_lindistflow, voltage_limits)

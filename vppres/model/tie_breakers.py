@@ -71,15 +71,18 @@ class TieBreakerModel:
             named["pv_export"] = self.v.P_exp >= 0
         else:
             named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
+        named["delta_lindistflow"] = _sharper(named["delta_lindistflow"], 1e2)
         soc, step = self.v.SoC, self.site.dt_h / b.energy_kwh[None, :]
-        return named | {
-            "battery_power_min": self.P_batt >= self.P_min,
-            "battery_power_max": self.P_batt <= self.P_max,
+        energy: families.Named = {
             "battery_soc_start": soc[0] == self.p.SoC_0,
             "battery_soc_dynamics":
                 soc[1:] == soc[:-1] + cp.multiply(step, cp.multiply(self.gain, self.P_batt)),
-            "battery_soc_min": soc[1:] >= b.soc_min[None, :],
+            "battery_soc_min": b.soc_min[None, :] <= soc[1:],
             "battery_soc_max": soc[1:] <= b.soc_max[None, :],
+        }
+        return named | {name: _sharper(c, 1e4) for name, c in energy.items()} | {
+            "battery_power_min": self.P_batt >= self.P_min,
+            "battery_power_max": self.P_batt <= self.P_max,
             "cost_held": terms.f2_cost(*args) <= self.f2_held,
             "curtailment_held": terms.f3_curtailment(*args) <= self.f3_held,
         }
@@ -106,6 +109,18 @@ class TieBreakerModel:
     def dispatch(self, served: NDArray[np.bool_]) -> Dispatch:
         """The solution of the last solve, exactly in its modes."""
         return self.v.dispatch(self.site, served)
+
+
+def _sharper(constraint: cp.Constraint, factor: float) -> cp.Constraint:
+    """The same constraint in smaller units.
+
+    An interior-point solver allows residuals in proportion to the largest value of the solution,
+    thousands of kW here; what is a fraction of one needs smaller units to be met as sharply.
+    """
+    left, right = constraint.args
+    if isinstance(constraint, cp.constraints.Equality):
+        return factor * left == factor * right
+    return factor * left <= factor * right
 
 
 def charging_modes(dispatch: Dispatch) -> NDArray[np.bool_]:

@@ -68,7 +68,8 @@ class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
     ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where
-    the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served demand.
+    the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served
+    demand.
     :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
     """
 
@@ -120,7 +121,8 @@ class Variables:
         def clean(variable: cp.Expression, lower: float = -np.inf) -> Floats:
             if variable.value is None:  # not part of this form
                 return np.full(variable.shape, np.nan)
-            value = np.asarray(variable.value, dtype=float)
+            # cvxpy drops the second dimension of an empty expression's value.
+            value = np.reshape(np.asarray(variable.value, dtype=float), variable.shape)
             return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
 
         return Dispatch(

@@ -31,7 +31,9 @@ class Form:
     exclusivity : {"integer", "relaxed"}
         What the binaries delta are.
     polygon_sides : int
-        0 states the inverters as cones, otherwise as inscribed polygons.
+        0 states the inverters as cones, otherwise as polygons.
+    outer : bool
+        Whether polygons contain the discs, for bounds, or lie inside them, for dispatches.
     network : bool
         Whether flows, reactive power and voltages are part of the problem; without them it is a
         relaxation.
@@ -41,6 +43,7 @@ class Form:
     service: Mode = "integer"
     exclusivity: Mode = "integer"
     polygon_sides: int = 0
+    outer: bool = False
     network: bool = True
 
 
@@ -73,8 +76,8 @@ class WindowModel:
     def _constraints(self) -> families.Named:
         """All constraints by the names of their equations."""
         form, args = self.form, (self.site, self.v, self.p)
-        inverters = (families.inverter_polygons(form.polygon_sides) if form.polygon_sides
-                     else families.inverter_discs)
+        inverters = (families.inverter_polygons(form.polygon_sides, form.outer)
+                     if form.polygon_sides else families.inverter_discs)
         network = ((inverters, *families.NETWORK_FAMILIES) if form.network
                    else families.LUMPED_NETWORK_FAMILIES)
         chosen = (*families.DEVICE_FAMILIES, *network)

@@ -48,8 +48,7 @@ class Search:
     best: Candidate | None = None
     service_bound: float = np.inf
     cost_bound_gbp: float = -np.inf
-    polished: bool = False
-    failed: Outcome | None = None
+    proof: Outcome | None = None
     stages: list[str] = field(default_factory=list)
     solver_s: float = 0.0
 
@@ -63,12 +62,27 @@ class Search:
         """Whether the best dispatch is within the gap of the bound."""
         return self.best is not None and self.bound - self.best.value <= self.gap
 
+    @property
+    def status(self) -> Status:
+        """What the best dispatch is worth."""
+        if self.certified:
+            return Status.OPTIMAL
+        return Status.TIME_LIMIT if self.left_s <= 0 else Status.GAP_OPEN
+
     def note(self, stage: str, outcome: Outcome) -> None:
         """Record that a stage ran."""
         self.stages.append(stage if outcome.status == "optimal" else f"{stage}:{outcome.status}")
         self.solver_s += outcome.solve_s
-        if not outcome.status.has_answer:
-            self.failed = outcome
+
+    def prove(self, outcome: Outcome) -> None:
+        """Keep a relaxation's proof that there is nothing to find."""
+        if outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED):
+            self.proof = outcome
+
+    def no_answer(self) -> Outcome:
+        """Why there is no dispatch: a master's proof if there is one, otherwise the time."""
+        out_of_time = Status.NO_ANSWER if self.left_s <= 0 else Status.NUMERICAL
+        return self.proof or Outcome(out_of_time, np.nan, np.nan, 0.0)
 
 
 class WindowSolver:
@@ -149,29 +163,45 @@ class WindowSolver:
             self._enter_network(data, search)
 
     def _enter_network(self, data: WindowData, search: Search) -> None:
-        """Tie-breakers of the best dispatch; where they are infeasible, its cost in the network."""
+        """Put the best dispatch into the network, at a higher cost where that is needed."""
         best = search.best
         assert best is not None
-        if not self._polish(data, search):
-            search.best = None
-            self._recover(data, best.dispatch.served, search, network=True)
+        search.best = self._polished(data, best, search) or self._in_network(
+            data, best.dispatch.served, search)
 
-    def _polish(self, data: WindowData, search: Search) -> bool:
-        """Replace the best dispatch by one that the tie-breakers prefer; False if there is none."""
-        best = search.best
-        assert best is not None
-        stage = polish(self.cache, data, best.dispatch, max(search.left_s, 5.0))
+    def _in_network(self, data: WindowData, served: Served, search: Search) -> Candidate | None:
+        """Cheapest dispatch of a served set in the network, with the true discs."""
+        inner = cost_form(self.sides, network=True)
+        found = self._cheapest("network_cost", data, served, inner, search)
+        return found and (self._polished(data, found, search) or found)
+
+    def _polished(self, data: WindowData, found: Candidate, search: Search) -> Candidate | None:
+        """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
+        stage = polish(self.cache, data, found.dispatch, max(search.left_s, 5.0))
         search.note("tie_breakers", stage.outcome)
-        if stage.dispatch is not None:
-            terms = evaluate(self.site, data, stage.dispatch)
-            search.best = replace(best, dispatch=stage.dispatch, terms=terms, in_network=True)
-            search.polished = True
-        return stage.dispatch is not None
+        if stage.dispatch is None:
+            return None
+        terms = evaluate(self.site, data, stage.dispatch)
+        return replace(found, dispatch=stage.dispatch, terms=terms, in_network=True)
+
+    def _cheapest(self, name: str, data: WindowData, served: Served, form: Form,
+                  search: Search) -> Candidate | None:
+        """Cheapest dispatch of a served set in a form of the cost level."""
+        # A started answer is always finished: recovery gets a moment even when time is up.
+        stage = solve_cost(self.cache, data, served, self.spec, form, max(search.left_s, 5.0))
+        search.note(name, stage.outcome)
+        if stage.dispatch is None:
+            return None
+        terms, weights = evaluate(self.site, data, stage.dispatch), self.site.weights
+        value = terms.upper_levels(weights)
+        slack = abs(stage.outcome.value - stage.outcome.bound)
+        return Candidate(stage.dispatch, terms, value + weights.lambda_grid * terms.f2, value,
+                         terms.f2 - slack, form.network)
 
     def _everyone(self, data: WindowData, whole: float, search: Search) -> None:
         """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
         served = np.ones(data.load_kw.shape, dtype=bool)
-        self._recover(data, served, search, network=False)
+        self._recover(data, served, search)
         best = search.best
         if best is not None and whole - best.service <= 1e-6 * search.gap:
             search.service_bound, search.cost_bound_gbp = whole, best.cost_bound_gbp
@@ -189,8 +219,9 @@ class WindowSolver:
         outcome = run(model.grid_problem, self.spec, 0.99, search.left_s)
         search.note("service", outcome)
         if not outcome.status.has_answer:
+            search.prove(outcome)
             return
-        self._recover(data, np.asarray(model.x.value) > 0.5, search, network=False)
+        self._recover(data, np.asarray(model.x.value) > 0.5, search)
         best = search.best
         # The objective is whole, so the bound may be rounded down to the grid.
         service_bound = model.grid * np.floor(outcome.bound + 1e-6)
@@ -224,7 +255,7 @@ class WindowSolver:
         search.bound = max(search.bound, best.value)
         served = np.asarray(model.x.value) > 0.5
         if (served != best.dispatch.served).any() and outcome.value < best.terms.f2:
-            self._recover(data, served, search, network=False)
+            self._recover(data, served, search)
 
     def _least_cost(self, data: WindowData, service_min: float, search: Search) -> float:
         """Lower bound on the cost of all sets that serve at least ``service_min``, in GBP."""
@@ -240,7 +271,7 @@ class WindowSolver:
         model = self.cache.aggregate(data.n_steps)
         model.fill(data)
         outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s)
-        self._take("aggregate", outcome, model.x.value, data, search, network=False)
+        self._take("aggregate", outcome, model.x.value, data, search)
 
     def _per_battery(self, data: WindowData, search: Search) -> None:
         """Served set and bound of the relaxation with every battery but without the network."""
@@ -248,57 +279,56 @@ class WindowSolver:
         self._window(form, "per_battery", data, 0.8 * search.gap, search)
 
     def _full(self, data: WindowData, search: Search) -> None:
-        """Served set and bound of the whole problem."""
+        """The whole problem. Where discs are polygons, outer ones bound and inner ones answer."""
         form = Form("service", "integer", "integer", self.sides)
-        self._window(form, "full", data, search.gap, search)
+        forms = {"full_outer": replace(form, outer=True), "full": form}
+        for name, polygons in forms.items() if self.sides else [("full", form)]:
+            if not search.certified and search.left_s > 0:
+                self._window(polygons, name, data, search.gap, search)
 
     def _window(self, form: Form, name: str, data: WindowData, gap: float, search: Search) -> None:
         """Solve a master with every battery, and recover its served set."""
         model = self.cache.window(form, data.n_steps)
         model.fill(data)
         outcome = run(model.problem, self.spec, gap, search.left_s)
+        inner = form.network and form.polygon_sides > 0 and not form.outer
+        if inner:
+            outcome = replace(outcome, bound=np.inf)
         self._take(name, outcome, model.v.x_served.value, data, search, form.network)
 
     def _take(self, name: str, outcome: Outcome, x: np.ndarray | None, data: WindowData,
-              search: Search, network: bool) -> None:
+              search: Search, network: bool = False) -> None:
         """Record a master's outcome and bound, and recover a dispatch of its served set."""
         search.note(name, outcome)
         if outcome.status.has_answer and x is not None:
             search.bound = min(search.bound, outcome.bound)
             self._recover(data, np.asarray(x) > 0.5, search, network)
+        elif name != "full" or not self.sides:
+            search.prove(outcome)
 
-    def _recover(self, data: WindowData, served: Served, search: Search, network: bool) -> None:
+    def _recover(self, data: WindowData, served: Served, search: Search,
+                 network: bool = False) -> None:
         """Cheapest dispatch of a served set; kept if it is the best so far."""
-        # A started answer is always finished: recovery gets a moment even when time is up.
-        stage = solve_cost(self.cache, data, served, self.spec, cost_form(self.sides, network),
-                           max(search.left_s, 5.0))
-        search.note("network_cost" if network else "cost", stage.outcome)
-        if stage.dispatch is None:
-            return
-        terms, weights = evaluate(self.site, data, stage.dispatch), self.site.weights
-        value = terms.upper_levels(weights)
-        if search.best is None or value > search.best.value:
-            slack = abs(stage.outcome.value - stage.outcome.bound)
-            search.best = Candidate(stage.dispatch, terms, value + weights.lambda_grid * terms.f2,
-                                    value, terms.f2 - slack, network)
+        found = self._cheapest("cost", data, served, cost_form(0, network=False), search)
+        if network and found is not None:
+            found = self._polished(data, found, search) or self._in_network(data, served, search)
+        if found is not None and (search.best is None or found.value > search.best.value):
+            search.best = found
 
     def _finish(self, data: WindowData, search: Search) -> WindowSolution:
-        """The certificate, and the tie-breakers if they have not been settled on the way."""
+        """The certificate."""
         if search.best is None or not search.best.in_network:
-            assert search.failed is not None
-            search.failed.require_answer(f"The window of {data.n_steps} steps")
+            search.no_answer().require_answer(f"The window of {data.n_steps} steps")
             raise AssertionError("an outcome without answer always raises")
-        if not search.polished:
-            self._polish(data, search)
         best, weights = search.best, self.site.weights
         bound_gbp = max(search.cost_bound_gbp, 0.0)
         # Whatever serves more than the bound on F allows would have to cost more than is possible.
-        dearest = data.price_gbp_per_kwh @ data.grid_p_max_kw(self.site) * self.site.dt_h
+        dearest = float(data.price_gbp_per_kwh @ data.grid_p_max_kw(self.site)) * self.site.dt_h
         service_bound = min(search.service_bound, search.bound + weights.lambda_grid * dearest)
         return WindowSolution(
             dispatch=best.dispatch, terms=best.terms,
             objective=best.terms.total(weights), bound=search.bound,
-            status=Status.OPTIMAL if search.certified else Status.TIME_LIMIT,
+            status=search.status,
             service_gap=max(service_bound - best.service, 0.0),
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,

@@ -18,6 +18,8 @@ class Status(enum.StrEnum):
     """Within the gap that was asked for."""
     TIME_LIMIT = "time_limit"
     """The best answer when time ran out, with a bound."""
+    GAP_OPEN = "gap_open"
+    """The best answer of all stages, with a bound, but a gap above what was asked for."""
     INACCURATE = "inaccurate"
     """An answer whose accuracy the solver does not vouch for."""
     INFEASIBLE = "infeasible"
@@ -30,7 +32,7 @@ class Status(enum.StrEnum):
     @property
     def has_answer(self) -> bool:
         """Whether values came with it."""
-        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.INACCURATE)
+        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.GAP_OPEN, Status.INACCURATE)
 
 
 _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
@@ -95,7 +97,7 @@ class WindowSolution:
     objective, bound : float
         Paper's objective F of the dispatch and a proven upper bound on it.
     status : Status
-        ``OPTIMAL`` if the gap is within the limits.
+        ``OPTIMAL`` if the gap is within the limits, otherwise ``TIME_LIMIT`` or ``GAP_OPEN``.
     service_gap : float
         How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
         hours.

@@ -107,8 +107,10 @@ SOLVERS: dict[str, SolverSpec] = {spec.name: spec for spec in (
                lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
                _highs_slack, _highs_ended),
     SolverSpec("scip", cp.SCIP, True,
+               # At its default tolerance SCIP 10 calls problems infeasible in which a PV system
+               # runs exactly at its inverter's rating.
                lambda gap, s: {"scip_params": {"limits/gap": 0.0, "limits/absgap": gap,
-                                               "limits/time": s}},
+                                               "limits/time": s, "numerics/feastol": 1e-7}},
                _scip_slack, _scip_ended),
     SolverSpec("gurobi", cp.GUROBI, True,
                lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s},
@@ -187,7 +189,7 @@ def run_conic(problem: cp.Problem, time_s: float) -> Outcome:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             # Refinement costs as many iterations again and gains digits nobody reads.
-            problem.solve(solver=cp.CLARABEL, time_limit=max(time_s, 0.01),
+            problem.solve(solver=cp.CLARABEL, warm_start=False, time_limit=max(time_s, 0.01),
                           canon_backend=COMPILER, iterative_refinement_enable=False)
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)

@@ -86,11 +86,13 @@ class Stage:
 
 def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
                form: Form, time_s: float) -> Stage:
-    """Cheapest dispatch of a served set: a linear problem, with binaries only where it needs them.
+    """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
-    ``form`` says how the inverters are stated and whether the network is part of it.
+    ``form`` says whether the network is part of it, and how its discs are stated for binaries;
+    without binaries they are cones.
     """
-    stage = _cost(cache, data, served, spec, replace(form, exclusivity="relaxed"), time_s)
+    relaxed = replace(form, exclusivity="relaxed", polygon_sides=0)
+    stage = _cost(cache, data, served, spec, relaxed, time_s)
     if stage.dispatch is None:
         return stage
     netted, done = net_modes(cache.site, data, stage.dispatch)
@@ -102,14 +104,14 @@ def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], s
 
 def cost_form(polygon_sides: int, network: bool) -> Form:
     """Form of the cost level."""
-    return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network)
+    return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network=network)
 
 
 def _cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
           form: Form, time_s: float) -> Stage:
     model = cache.window(form, data.n_steps)
     model.fill(data, served)
-    conic = form.network and form.polygon_sides == 0 and form.exclusivity == "relaxed"
+    conic = form.network and form.exclusivity == "relaxed"
     # 1e-4 GBP is far below any price difference that a dispatch could exploit.
     outcome = run_conic(model.problem, time_s) if conic else run(model.problem, spec, 1e-4, time_s)
     return Stage(outcome, model.dispatch(served) if outcome.status.has_answer else None)
@@ -153,6 +155,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: floa
     if outcome.status != Status.OPTIMAL:
         return Stage(outcome, None)
     better = model.dispatch(dispatch.served)
+    better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
     return Stage(outcome, better if kept else None)

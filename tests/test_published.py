@@ -1,0 +1,101 @@
+"""The paper's numbers, on real days. Values and tolerances stand in experiments/published.py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import efficiency, forecast_errors, ideal
+from experiments.battery_energy import rows as battery_rows
+from experiments.config import Config
+from experiments.drawing import FULL, MPC
+from experiments.forecast_errors import points
+from experiments.grid_import import rows as import_rows
+from experiments.jobs import Job
+from experiments.prediction_horizon import rows as horizon_rows
+from experiments.published import STATEMENTS
+from experiments.results import DayResult
+from experiments.rows import Row
+from experiments.runner import Cache, simulate
+from experiments.voltage import rows as voltage_rows
+
+Days = Callable[[Iterable[Job]], dict[Job, DayResult]]
+
+IDEAL: Config = {"horizon_h": 5, "horizons_h": [0, 2, 4, 5]}
+LOAD_ERROR: Config = {"field": "load_alpha_per_h", "levels": [0.02], "error_seeds": 1,
+                      "builder_seeds": 2}
+HEATING: Config = {"horizon_h": 6, "scheme": "euler", "other_schemes": []}
+
+
+@pytest.fixture(scope="session")
+def days(tmp_path_factory: pytest.TempPathFactory) -> Days:
+    """Simulated days, shared by the tests and by the processes that run them."""
+    folder = Path(tmp_path_factory.getbasetemp().parent) / "published_days"
+    folder.mkdir(exist_ok=True)
+    cache = Cache(folder)
+
+    def get(jobs: Iterable[Job]) -> dict[Job, DayResult]:
+        found = {}
+        for job in jobs:
+            result = cache.get(job)
+            if result is None:
+                result = simulate(job)[1]
+                cache.put(job, result)
+            found[job] = result
+        return found
+
+    return get
+
+
+def misses(rows: list[Row]) -> list[str]:
+    """Rows that do not hold, with what was found."""
+    return [f"{row.id} {row.quantity}: {row.ours}. {row.reason}" for row in rows if not row.holds]
+
+
+def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
+    jobs = [*(ideal.mpc(h) for h in IDEAL["horizons_h"]), ideal.FULL_HORIZON]
+    rows = horizon_rows(IDEAL, days(jobs))
+    assert [row.id for row in rows] == ["R1", "R2", "R2b", "R3a", "R3b", "R3c"]
+    assert misses(rows) == []
+
+
+def test_ideal_day_of_both_controllers(days: Days) -> None:
+    results = days(ideal.jobs(IDEAL))
+    rows = [*voltage_rows(IDEAL, results), *battery_rows(IDEAL, results),
+            *import_rows(IDEAL, results)]
+    found = {row.id for row in rows}
+    assert {"R4", "R5", "R6a", "R6b", "R7", "R8", "R9", "R10", "R11", "R22", "R23"} <= found
+    assert misses(rows) == []
+
+
+def test_planned_is_what_happens_under_ideal_conditions(days: Days) -> None:
+    day = days([ideal.FULL_HORIZON])[ideal.FULL_HORIZON]
+    assert day.summary["resilience_planned"] == pytest.approx(day.resilience)
+    assert day.planned["energy_kwh"] == pytest.approx(day.steps["energy_kwh"], abs=0.01)
+
+
+def test_mpc_keeps_its_resilience_under_load_error_and_the_plan_does_not(days: Days) -> None:
+    results = days(forecast_errors.jobs(LOAD_ERROR))
+    mpc, full = (points(LOAD_ERROR, results, name)[-1] for name in (MPC, FULL))
+    assert mpc.level == full.level == 0.02
+    median = float(np.median(full.spread()))
+    assert STATEMENTS["R13"].holds(mpc.days[0].resilience)
+    assert STATEMENTS["R14"].holds(median)
+    assert STATEMENTS["R18"].holds(mpc.days[0].resilience / median - 1.0)
+
+
+def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
+    full = efficiency.pair(HEATING, "euler")[FULL]
+    day = days([full])[full]
+    assert STATEMENTS["R20b"].holds(day.summary["import_kwh"])
+    assert STATEMENTS["R21"].holds(efficiency.shortfall_kwh(day))
+
+
+@pytest.mark.slow
+def test_mpc_makes_up_for_the_heating(days: Days) -> None:
+    results = days(efficiency.jobs(HEATING))
+    rows = {row.id: row for row in efficiency.rows(HEATING, results)}
+    assert misses([rows[id] for id in ("R19a", "R20a", "R24")]) == []
