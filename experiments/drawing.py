@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.results import DayResult
-from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +31,8 @@ SERIES: dict[str, dict[str, Any]] = {
     "pv": {"color": ORANGE, "linewidth": 1.5},
     "price": {"color": PURPLE, "linewidth": 1.3},
 }
-BAND = SKY
+SPREAD, SPREAD_RANGE = "#8C3A00", "#F4C7A8"
+PUBLISHED_RANGE = "#E4E4E4"
 
 
 def panels(heights: tuple[float, ...], height_in: float, title: str) -> tuple[Figure, list[Axes]]:
@@ -49,8 +51,10 @@ def panels(heights: tuple[float, ...], height_in: float, title: str) -> tuple[Fi
 
 def legend(figure: Figure, ax: Axes, columns: int) -> Figure:
     """The legend of one panel, below the figure."""
-    figure.legend(handles=ax.get_legend_handles_labels()[0], loc="outside lower center",
-                  ncols=columns, frameon=False)
+    handles = ax.get_legend_handles_labels()[0]
+    # Matplotlib lists error bars last; they are what the figure is about.
+    handles.sort(key=lambda handle: not isinstance(handle, ErrorbarContainer))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
     return figure
 
 

@@ -14,8 +14,19 @@ from scipy import stats
 
 from experiments import ideal
 from experiments.config import Config
-from experiments.drawing import BAND, FULL, LINES, MPC, PLANNED, legend, panels
+from experiments.drawing import (
+    FULL,
+    LINES,
+    MPC,
+    PLANNED,
+    PUBLISHED_RANGE,
+    SPREAD,
+    SPREAD_RANGE,
+    legend,
+    panels,
+)
 from experiments.jobs import Day, Job
+from experiments.published import STATEMENTS
 from experiments.results import DayResult
 from experiments.rows import Row, measured_all
 from experiments.runner import Results
@@ -91,6 +102,7 @@ def figure(config: Config, results: Results, title: str, axis: str) -> Figure:
     full = points(config, results, FULL)
     _errorbars(above, full, planned, PLANNED, "full horizon, planned")
     _draw_spread(above, full)
+    _draw_published(above)
     above.set_ylabel("Resilience R")
     below.set_ylabel("Cost (GBP)")
     below.set_xlabel(axis)
@@ -198,12 +210,21 @@ def _draw_spread(ax: Axes, found: Sequence[Point]) -> None:
     for position, point in enumerate(shown):
         values = point.spread()
         levels = np.full(len(values), point.level)
-        ax.plot(levels[[0, -1]], values[[0, -1]], color=BAND, linewidth=6, alpha=0.45, zorder=1,
+        ax.plot(levels[[0, -1]], values[[0, -1]], color=SPREAD_RANGE, linewidth=6, zorder=1,
                 solid_capstyle="butt")
-        ax.scatter(levels, values, s=9, color="#2A6F97", zorder=2, label="_" if position else
+        ax.scatter(levels, values, s=9, color=SPREAD, zorder=2, label="_" if position else
                    "full horizon, drawings of the unpublished data")
-        ax.scatter(point.level, np.median(values), marker="_", s=160, color="#2A6F97",
+        ax.scatter(point.level, np.median(values), marker="_", s=160, color=SPREAD,
                    linewidths=2.0, label="_" if position else "their median")
+
+
+def _draw_published(ax: Axes) -> None:
+    """Shade the published ranges of both controllers."""
+    for position, id in enumerate(("R13", "R14")):
+        low, high = STATEMENTS[id].low, STATEMENTS[id].high
+        if low is not None and high is not None:
+            ax.axhspan(low, high, color=PUBLISHED_RANGE, zorder=0,
+                       label="_" if position else "published ranges")
 
 
 def _in_outage(day: DayResult, name: str) -> float:

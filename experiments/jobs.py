@@ -17,7 +17,7 @@ from vppres.simulate import RunOptions
 
 # What shows, reads or writes results cannot change them.
 PRESENTATION = ("__init__.py", "__main__.py", "cli.py", "plots.py", "report.py", "schema.py", "io")
-RESULT_FORMAT = Path(__file__).with_name("results.py")
+RESULT_FORMAT = Path(__file__).with_name("shorten.py")
 
 
 @dataclass(frozen=True)

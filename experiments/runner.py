@@ -19,7 +19,8 @@ from rich.progress import (
 )
 
 from experiments.jobs import Job, scenario
-from experiments.results import DayResult, shorten
+from experiments.results import DayResult
+from experiments.shorten import shorten
 from vppres.io.atomic import atomic_write_text
 from vppres.simulate import run_day
 

@@ -70,7 +70,7 @@ class Plant:
     def initial_state(self) -> BatteryState:
         """State before the first step."""
         b = self.scenario.batteries
-        thermal = initial_state(b, self.thermal, float(self.scenario.temperature_c[0]))
+        thermal = initial_state(b, float(self.scenario.temperature_c[0]))
         return BatteryState(b.soc_initial, thermal.eta_charge, thermal.eta_discharge,
                             thermal.t_cell_c)
 
@@ -108,9 +108,10 @@ class Plant:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
         demand = self.scenario.load_kw[t, self._owner] * served[self._owner]
-        own = np.minimum(available, demand)
+        rating = self.scenario.pv.s_max_kva
+        own = np.minimum(np.minimum(available, demand), rating)
         # The inverter cannot pass more than its rating, whatever was asked for.
-        forced = np.maximum(available - self.scenario.pv.s_max_kva, 0.0)
+        forced = np.maximum(available - rating, 0.0)
         curtailed = np.clip(curtailment_kw, forced, np.maximum(available - own, forced))
         return own, np.maximum(available - own - curtailed, 0.0), curtailed
 
@@ -121,9 +122,9 @@ class Plant:
         net = charge_kw - discharge_kw
         room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
         held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
-        charge = np.minimum(np.clip(net, 0.0, b.p_max_kw), room_kwh / (state.eta_charge * dt_h))
-        discharge = np.minimum(np.clip(-net, 0.0, b.p_max_kw),
-                               held_kwh * state.eta_discharge / dt_h)
+        rating = np.minimum(b.p_max_kw, b.s_max_kva)
+        charge = np.minimum(np.clip(net, 0.0, rating), room_kwh / (state.eta_charge * dt_h))
+        discharge = np.minimum(np.clip(-net, 0.0, rating), held_kwh * state.eta_discharge / dt_h)
         return charge, discharge
 
     def _injections(self, t: int, served: NDArray[np.bool_], own: Floats, export: Floats,

@@ -63,23 +63,19 @@ class HasThermalState(Protocol):
         """Discharging efficiency."""
 
 
-def initial_state(batteries: Batteries, scheme: ThermalScheme, t_ambient_c: float) -> ThermalState:
-    """State at the beginning of the day.
+def initial_state(batteries: Batteries, t_ambient_c: float) -> ThermalState:
+    """State at the beginning of the day: nominal efficiencies, as the paper starts from.
 
     Parameters
     ----------
     batteries : Batteries
         ``t_initial_c`` that is NaN means the ambient temperature.
-    scheme : ThermalScheme
-        With ``"off"`` the efficiencies are the nominal ones at any temperature.
     t_ambient_c : float
         Ambient temperature of the first step.
     """
     given = batteries.t_initial_c
     t_cell_c = np.where(np.isnan(given), t_ambient_c, given)
-    if scheme == "off":
-        return ThermalState(t_cell_c, batteries.eta_charge, batteries.eta_discharge)
-    return ThermalState(t_cell_c, *efficiencies(batteries, t_cell_c))
+    return ThermalState(t_cell_c, batteries.eta_charge, batteries.eta_discharge)
 
 
 def advance(batteries: Batteries, scheme: ThermalScheme, state: HasThermalState, power: Power,

@@ -99,15 +99,15 @@ class FullHorizonController:
         """PV power distribution feasibility, in the reading that was chosen."""
         plan, t = actual.plan, actual.t
         if self.literal:
-            split = plan.pv_self_kw[t] + plan.pv_export_kw[t] + plan.pv_curtailed_kw[t]
-            excess = np.abs(split - actual.pv_kw)
-            excess = np.maximum(excess, plan.pv_self_kw[t] - actual.load_kw[site.owner])
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
+            split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
+            beyond = plan.pv_self_kw[t] - actual.load_kw[site.owner]
+            apparent = np.hypot(through, plan.pv_q_kvar[t])
+            excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
         else:
-            excess = np.zeros(len(site.pv))
+            # Reactive power gives way to active power in the inverter itself.
             through = actual.pv_kw - np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
-        apparent = np.hypot(through, plan.pv_q_kvar[t])
-        excess = np.maximum(excess, apparent - site.pv.s_max_kva)
+            excess = through - site.pv.s_max_kva
         return _worst("pv", site.pv.id, excess, POWER_TOLERANCE_KW, "kW")
 
 
@@ -131,7 +131,9 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     """
     plan, t = actual.plan, actual.t
     served = plan.served[t]
-    curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
+    # What an owner consumes cannot be curtailed.
+    own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
+    curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
     needed = actual.load_kw @ served + actual.battery_kw.sum() - (actual.pv_kw - curtailed).sum()
     limit = actual.grid_limit_kw
     if needed > limit + BALANCE_TOLERANCE_KW:

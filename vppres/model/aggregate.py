@@ -1,4 +1,7 @@
-"""Lumped relaxation: all customers, but one battery and one PV system on one bus.
+"""Lumped relaxation: all customers and one PV system on one bus, with a fleet of batteries.
+
+The fleet is one lumped battery, or every battery by itself but without its binary: slower, and
+exact where batteries differ in efficiency or state.
 
 Every inequality holds for the sums of any feasible dispatch of the true problem, so the optimum is
 an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
@@ -27,6 +30,8 @@ class AggregateModel:
         Steps W of the window.
     integer : bool
         Whether service is all or nothing; without it the problems are linear and weaker bounds.
+    lumped : bool
+        Whether the fleet is one battery.
 
     Attributes
     ----------
@@ -40,16 +45,19 @@ class AggregateModel:
         Largest number of which every weight is a multiple, 0 if there is none worth using.
     """
 
-    def __init__(self, site: Site, n_steps: int, integer: bool = True) -> None:
-        self.site, self.n_steps = site, n_steps
-        W, C = n_steps, len(site.customers)
+    def __init__(self, site: Site, n_steps: int, integer: bool = True,
+                 lumped: bool = True) -> None:
+        self.site, self.n_steps, self.lumped = site, n_steps, lumped
+        W, C, G = n_steps, len(site.customers), 1 if lumped else len(site.batteries)
         self.x = cp.Variable((W, C), name="x_served", boolean=integer)
-        self.v = {name: cp.Variable(W, name=name, nonneg=True)
-                  for name in ("P_ch", "P_dch", "stored", "drawn", "P_curt", "P_grid")}
+        self.v = {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in {
+            "P_ch": (W, G), "P_dch": (W, G), "stored": (W, G), "drawn": (W, G), "P_curt": (W,),
+            "P_grid": (W,)}.items()}
         self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
             "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
-            "E_0": (1,), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W,), "eta_hi": (W,),
-            "inv_lo": (W,), "inv_hi": (W,), "a": (), "b": (), "a_per_b": (), "b_per_a": ()}.items()}
+            "E_0": (W, G), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W, G), "eta_hi": (W, G),
+            "inv_lo": (W, G), "inv_hi": (W, G), "a": (G,), "b": (G,), "a_per_b": (G,),
+            "b_per_a": (G,)}.items()}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.constraints = self._power() | self._energy()
         self.service_min = cp.Parameter(name="service_min")
@@ -84,10 +92,10 @@ class AggregateModel:
         v, p, x = self.v, self.p, self.x
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
+        P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
         return {
-            "lumped_balance":
-                v["P_grid"] + p["P_pv"] - v["P_curt"] + v["P_dch"] == load + v["P_ch"],
-            "lumped_circular_charging": v["P_dch"] <= load - own,
+            "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
+            "lumped_circular_charging": P_dch <= load - own,
             "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
             "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
             "lumped_grid_limit": v["P_grid"] <= p["P_grid_max"],
@@ -98,7 +106,7 @@ class AggregateModel:
     def _energy(self) -> dict[str, cp.Constraint]:
         """Sums of the SoC recursions and of the limits that exclusivity implies."""
         v, p, b, dt = self.v, self.p, self.site.batteries, self.site.dt_h
-        e_min, e_max = b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max
+        e_min, e_max = (self._fleet(b.energy_kwh * soc)[None, :] for soc in (b.soc_min, b.soc_max))
         triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
         energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
         before = energy - dt * (v["stored"] - v["drawn"])
@@ -107,14 +115,29 @@ class AggregateModel:
             "lumped_energy_max": energy <= e_max,
             "lumped_room": before + dt * v["stored"] <= e_max,
             "lumped_reserve": before - dt * v["drawn"] >= e_min,
-            "lumped_power": v["P_ch"] + v["P_dch"] <= _active_limit_kw(self.site).sum(),
+            "lumped_power":
+                v["P_ch"] + v["P_dch"] <= self._fleet(_active_limit_kw(self.site))[None, :],
             "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
             "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
             "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
             "lumped_drawn_max": v["drawn"] <= cp.multiply(p["inv_hi"], v["P_dch"]),
-            "lumped_first_charge": v["P_ch"][0] + p["a_per_b"] * v["P_dch"][0] <= p["a"],
-            "lumped_first_discharge": v["P_dch"][0] + p["b_per_a"] * v["P_ch"][0] <= p["b"],
+            "lumped_first_charge":
+                v["P_ch"][0] + cp.multiply(p["a_per_b"], v["P_dch"][0]) <= p["a"],
+            "lumped_first_discharge":
+                v["P_dch"][0] + cp.multiply(p["b_per_a"], v["P_ch"][0]) <= p["b"],
         }
+
+    def _fleet(self, values: Floats) -> Floats:
+        """Sum over the batteries where they are lumped, (G,)."""
+        return np.atleast_1d(values.sum()) if self.lumped else values
+
+    def _range(self, values: Floats) -> tuple[Floats, Floats]:
+        """Smallest and largest value of each group over all steps, (W, G) each."""
+        if self.lumped and len(values):
+            low, high = values.min(keepdims=True), values.max(keepdims=True)
+        else:
+            low = high = values if not self.lumped else np.ones(1)
+        return np.tile(low, (self.n_steps, 1)), np.tile(high, (self.n_steps, 1))
 
     def fill(self, data: WindowData, all_connected: bool = False) -> None:
         """Write the window's data.
@@ -122,27 +145,45 @@ class AggregateModel:
         With ``all_connected`` everyone who can be is served where the import has no limit. That
         loses no service: more import serves them, and no battery notices.
         """
-        site, W, b = self.site, self.n_steps, self.site.batteries
+        site, b = self.site, self.site.batteries
         limit = data.self_limit_kw(site)
-        first = _first_step(site, data)
+        eta_lo, eta_hi = self._range(data.eta_charge)
+        inv_lo, inv_hi = self._range(1.0 / data.eta_discharge)
         # An owner whose self-consumption exceeds the inverter's rating cannot be served.
         blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
-        eta = data.eta_charge if len(b) else np.ones(1)
         x_max = np.where(blocked, 0.0, 1.0)
         unlimited = all_connected & np.isinf(data.grid_limit_kw)
-        inverse = 1.0 / data.eta_discharge if len(b) else np.ones(1)
         values = {
             "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
             "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
             "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
-            "E_0": np.atleast_1d(b.energy_kwh @ data.soc), "x_max": x_max,
-            "x_min": x_max * unlimited[:, None],
-            "eta_lo": np.full(W, eta.min()), "eta_hi": np.full(W, eta.max()),
-            "inv_lo": np.full(W, inverse.min()), "inv_hi": np.full(W, inverse.max()), **first,
+            "E_0": np.tile(self._fleet(b.energy_kwh * data.soc), (self.n_steps, 1)),
+            "x_max": x_max, "x_min": x_max * unlimited[:, None], "eta_lo": eta_lo,
+            "eta_hi": eta_hi, "inv_lo": inv_lo, "inv_hi": inv_hi, **self._first_step(data),
         }
         for name, value in values.items():
             self.p[name].value = value
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+
+    def _first_step(self, data: WindowData) -> dict[str, Floats]:
+        """Limits of the first step, where the SoC is known, (G,) each.
+
+        With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
+        ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
+        """
+        b, dt, limit = self.site.batteries, self.site.dt_h, _active_limit_kw(self.site)
+        room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
+        held_kwh = np.maximum(data.soc - b.soc_min, 0.0) * b.energy_kwh
+        charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
+        discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
+        both = (charge > 0) & (discharge > 0)
+        a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
+        b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
+        if self.lumped:
+            a_per_b, b_per_a = (np.atleast_1d(r.min(initial=np.inf) if len(r) else 0.0)
+                                for r in (a_per_b, b_per_a))
+        return {"a": self._fleet(charge), "b": self._fleet(discharge), "a_per_b": a_per_b,
+                "b_per_a": b_per_a}
 
 
 def weight_grid(weights: Floats, most: int = 10_000) -> float:
@@ -164,22 +205,3 @@ def weight_grid(weights: Floats, most: int = 10_000) -> float:
 def _active_limit_kw(site: Site) -> Floats:
     """Largest active power of each battery, (B,)."""
     return np.minimum(site.batteries.p_max_kw, site.batteries.s_max_kva)
-
-
-def _first_step(site: Site, data: WindowData) -> dict[str, float]:
-    """Limits of the first step, where the SoC is known.
-
-    With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
-    ``ch/a + dch/b <= 1``; summed over the fleet with the smallest ratio it stays valid.
-    """
-    b, limit = site.batteries, _active_limit_kw(site)
-    room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
-    held_kwh = np.maximum(data.soc - b.soc_min, 0.0) * b.energy_kwh
-    charge = np.minimum(limit, room_kwh / (data.eta_charge * site.dt_h))
-    discharge = np.minimum(limit, held_kwh * data.eta_discharge / site.dt_h)
-    both = (charge > 0) & (discharge > 0)
-    ratio = charge[both] / discharge[both]
-    all_both = bool(both.all()) and len(b) > 0
-    return {"a": float(charge.sum()), "b": float(discharge.sum()),
-            "a_per_b": float(ratio.min()) if all_both else 0.0,
-            "b_per_a": float((1.0 / ratio).min()) if all_both else 0.0}

@@ -90,7 +90,8 @@ class TieBreakerModel:
     def _objective(self) -> cp.Minimize:
         """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
         args, w = (self.site, self.v, self.p), self.site.weights
-        scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * max(w.lambda_l, w.lambda_q))
+        heaviest = max(w.lambda_l, w.lambda_q) or 1.0
+        scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
         return cp.Minimize(scale * w.lambda_l * terms.f4_flows(*args)
                            + scale * w.lambda_q * terms.f5_reactive(*args))
 

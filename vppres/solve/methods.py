@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vppres.errors import InputError, Problem
+from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
 from vppres.model.window import Form
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
@@ -17,6 +20,7 @@ from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, 
 
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
+Master = Callable[[WindowData, "Search"], None]
 
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
@@ -156,11 +160,21 @@ class WindowSolver:
         """
         if (data.grid_limit_kw > 0.0).all():
             self._everyone(data, whole, search)
-        for master in (self._levels, self._aggregate, self._per_battery):
+        for master in self._ladder(data):
             if not search.certified and search.left_s > 0:
                 master(data, search)
         if search.best is not None:
             self._enter_network(data, search)
+
+    def _ladder(self, data: WindowData) -> list[Master]:
+        """Relaxations in the order in which they are tried.
+
+        A lumped battery says too little where efficiencies differ.
+        """
+        lumped = _spread(data.eta_charge) + _spread(data.eta_discharge) < 1e-4
+        fleets = (True, False) if lumped else (False,)
+        levels = [partial(self._levels, lumped=lumped) for lumped in fleets]
+        return [*levels, partial(self._aggregate, lumped=fleets[0]), self._per_battery]
 
     def _enter_network(self, data: WindowData, search: Search) -> None:
         """Put the best dispatch into the network, at a higher cost where that is needed."""
@@ -210,9 +224,9 @@ class WindowSolver:
             loss = self.site.customers.weight.min() * self.site.dt_h
             search.bound = whole - min(weight * best.cost_bound_gbp, loss)
 
-    def _levels(self, data: WindowData, search: Search) -> None:
+    def _levels(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Service first, on the weights' grid, then the cost of all sets that serve as much."""
-        model = self.cache.aggregate(data.n_steps)
+        model = self.cache.aggregate(data.n_steps, lumped=lumped)
         if not model.grid:
             return
         model.fill(data, all_connected=True)
@@ -227,9 +241,9 @@ class WindowSolver:
         service_bound = model.grid * np.floor(outcome.bound + 1e-6)
         if best is not None and service_bound - best.service <= search.gap:
             search.service_bound = service_bound
-            self._cost_level(data, model.grid, search)
+            self._cost_level(data, model, search)
 
-    def _cost_level(self, data: WindowData, grid: float, search: Search) -> None:
+    def _cost_level(self, data: WindowData, model: AggregateModel, search: Search) -> None:
         """Cheapest set that serves as much, the bound on the cost of all, and so the bound on F.
 
         A set that serves less than the search admits either has ``S < F`` of the dispatch at hand,
@@ -237,10 +251,9 @@ class WindowSolver:
         """
         assert search.best is not None
         best, weight = search.best, self.site.weights.lambda_grid
-        model = self.cache.aggregate(data.n_steps)
-        admitted = max(best.value, best.service - 0.5 * grid)
+        admitted = max(best.value, best.service - 0.5 * model.grid)
         # Within less than one customer of the bound nobody connected can be left out.
-        model.fill(data, all_connected=search.service_bound - admitted < 0.99 * grid)
+        model.fill(data, all_connected=search.service_bound - admitted < 0.99 * model.grid)
         model.service_min.value = admitted - 1e-9
         outcome = run(model.cost_problem, self.spec, COST_GAP_REL * best.terms.f2 + 1e-3,
                       search.left_s)
@@ -250,25 +263,26 @@ class WindowSolver:
         search.cost_bound_gbp = max(outcome.bound, 0.0)
         search.bound = search.service_bound - weight * search.cost_bound_gbp
         if admitted > best.value:
-            search.bound = max(search.bound,
-                               admitted - weight * self._least_cost(data, best.value, search))
+            least = self._least_cost(data, model, best.value, search)
+            search.bound = max(search.bound, admitted - weight * least)
         search.bound = max(search.bound, best.value)
         served = np.asarray(model.x.value) > 0.5
         if (served != best.dispatch.served).any() and outcome.value < best.terms.f2:
             self._recover(data, served, search)
 
-    def _least_cost(self, data: WindowData, service_min: float, search: Search) -> float:
+    def _least_cost(self, data: WindowData, integer: AggregateModel, service_min: float,
+                    search: Search) -> float:
         """Lower bound on the cost of all sets that serve at least ``service_min``, in GBP."""
-        model = self.cache.aggregate(data.n_steps, integer=False)
+        model = self.cache.aggregate(data.n_steps, False, integer.lumped)
         model.fill(data)
         model.service_min.value = service_min
         outcome = run(model.cost_problem, self.spec, 0.0, search.left_s)
         search.note("least_cost", outcome)
         return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
 
-    def _aggregate(self, data: WindowData, search: Search) -> None:
+    def _aggregate(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Served set and bound of the lumped relaxation with all terms as weighted."""
-        model = self.cache.aggregate(data.n_steps)
+        model = self.cache.aggregate(data.n_steps, lumped=lumped)
         model.fill(data)
         outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s)
         self._take("aggregate", outcome, model.x.value, data, search)
@@ -333,3 +347,8 @@ class WindowSolver:
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,
             stages=tuple(search.stages))
+
+
+def _spread(values: NDArray[np.float64]) -> float:
+    """Difference of the largest and the smallest value, 0 for none."""
+    return float(np.ptp(values)) if len(values) else 0.0

@@ -32,7 +32,7 @@ class ModelCache:
 
     site: Site
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
-    lumped: dict[tuple[int, bool], AggregateModel] = field(default_factory=dict)
+    lumped: dict[tuple[int, bool, bool], AggregateModel] = field(default_factory=dict)
     ties: dict[tuple[int, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
@@ -46,11 +46,12 @@ class ModelCache:
             self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
         return self.models[form, n_steps]
 
-    def aggregate(self, n_steps: int, integer: bool = True) -> AggregateModel:
-        """The lumped relaxation of a length."""
-        if (n_steps, integer) not in self.lumped:
-            self.lumped[n_steps, integer] = AggregateModel(self.site, n_steps, integer)
-        return self.lumped[n_steps, integer]
+    def aggregate(self, n_steps: int, integer: bool = True, lumped: bool = True) -> AggregateModel:
+        """The relaxation of a length, with a lumped battery or with every battery."""
+        key = n_steps, integer, lumped
+        if key not in self.lumped:
+            self.lumped[key] = AggregateModel(self.site, n_steps, integer, lumped)
+        return self.lumped[key]
 
     def tie_breakers(self, n_steps: int, curtailing: bool) -> TieBreakerModel:
         """The last level's problem of a length."""
