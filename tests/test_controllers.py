@@ -144,9 +144,7 @@ def test_plan_that_passes_is_followed(tiny: Scenario) -> None:
 @pytest.mark.parametrize(("change", "reason"), [
     ({"battery_kw": [-40.0, -27.0]}, "grid import: 8.0 kW above what the grid gives"),
     ({"battery_kw": [-48.0, -29.0]}, "grid import: 2.0 kW surplus that cannot be exported"),
-    ({"curtailed_kw": [5.0, 0.0]}, "grid import: 5.0 kW above what the grid gives"),
     ({"batt_q_kvar": [37.0, 0.0]}, "battery inverter: big by 0.605 kVA"),
-    ({"pv_q_kvar": [33.0, 0.0]}, "pv: roof by 0.804 kW"),
 ])
 def test_correction_names_the_check_and_the_worst_item(
         tiny: Scenario, change: dict[str, list[float]], reason: str) -> None:
