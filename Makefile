@@ -43,8 +43,8 @@ docs: $(STAMP)  ## build the documentation into docs/_build; warnings are errors
 pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
 	$(BIN)/pytest -n $(JOBS)
 
-reproduce: $(STAMP)  ## run the paper's day with the MPC into results/mpc-day
-	$(BIN)/vppres run uk-heatwave-2022 --out results/mpc-day
+reproduce: $(STAMP)  ## run all experiments of the paper and write results/report.html
+	$(BIN)/python -m experiments --results results
 
 scenario: $(STAMP)  ## rebuild the packaged data of uk-heatwave-2022
 	$(BIN)/python -m data.uk_heatwave_2022.build

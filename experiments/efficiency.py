@@ -138,6 +138,8 @@ def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
 def _reason(full: DayResult) -> str:
     """Which hours were corrected, and how hot and inefficient the cells became."""
     hottest, eta = full.series("temperature_max_c"), full.series("eta_charge")
-    return (f"{full.why_corrected()} Hottest cell before the outage: "
+    followed = sum(full.series("outage") > full.series("corrected"))
+    return (f"{full.why_corrected()} {followed:.0f} hours of the outage follow the plan and are "
+            f"served as planned. Hottest cell before the outage: "
             f"{hottest[:OUTAGE].max():,.0f} °C; mean charging efficiency at its lowest: "
             f"{eta[:OUTAGE].min():.3f}.")

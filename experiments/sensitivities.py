@@ -172,4 +172,5 @@ def _note(variation: Variation, name: str, day: DayResult) -> str:
     if variation.group in ("polygon sides", "linearisation centre"):
         return (f"{name}: voltage error {day.summary['v_error_max_pu']:.4f} pu, "
                 f"{day.summary['solve_s']['total']:.1f} s")
-    return f"{name}: import {day.summary['import_kwh']:,.0f} kWh"
+    return (f"{name}: import {day.summary['import_kwh']:,.0f} kWh, mean lowest voltage "
+            f"{day.summary['v_mean_of_min_ac_pu']:.4f} pu")
