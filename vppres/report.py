@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +98,23 @@ def render_report(trajectory: Trajectory, summary: dict[str, Any], figures: Path
     unserved = service_by_customer(trajectory)
     return environment.get_template(TEMPLATE).render(
         title=trajectory.scenario.title, summary=summary, key_figures=key_figures(summary),
+        options=_option_words(summary["options"]),
         figures=[(FIGURE_TEXTS[name], _embedded(figures / f"{name}.svg")) for name in FIGURES],
         tiers=trajectory.scenario.tiers, service=_service_rows(trajectory),
         unserved=unserved[unserved["unserved_h"] > 0].to_dict("records"),
         n_customers=len(unserved), steps=_step_rows(trajectory), number=number)
+
+
+def _option_words(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Options in words with their values, those of nested groups one by one."""
+    words = []
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            words += _option_words(value)
+        else:
+            words.append((name.replace("_", " "), f"{value:g}" if isinstance(value, float)
+                          else str(value)))
+    return words
 
 
 def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
