@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,17 @@ def freeze(values: ArrayLike, dtype: Any = None) -> NDArray[Any]:
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
+
+
+def content_key(*tables: Any) -> str:
+    """Digest of the fields of frozen dataclasses: equal content, equal key."""
+    digest = hashlib.sha256()
+    for table in tables:
+        for f in fields(table):
+            value = getattr(table, f.name)
+            numeric = isinstance(value, np.ndarray) and value.dtype != object
+            digest.update(value.tobytes() if numeric else repr(value).encode())
+    return digest.hexdigest()
 
 
 def freeze_fields(record: object, **dtypes: Any) -> None:

@@ -7,6 +7,7 @@ side effects, does not leave this module.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ import pandapower as pp
 from numpy.typing import ArrayLike, NDArray
 
 from vppres.errors import InputError, Problem, VerificationError
-from vppres.frozen import freeze_fields
+from vppres.frozen import content_key, freeze_fields
 from vppres.network import Network
 from vppres.units import kw_to_mw, mw_to_kw
 
@@ -113,6 +114,10 @@ class ACPowerFlow:
             raise VerificationError(self._divergence(p, q))
         return self._read()
 
+    def restart(self) -> None:
+        """Forget the last solution: the next solve starts flat."""
+        self._warm = False
+
     def _checked(self, name: str, values: ArrayLike) -> Floats:
         """Injections as an array with one finite value per bus."""
         array = np.asarray(values, dtype=float)
@@ -158,6 +163,25 @@ class ACPowerFlow:
                 f"{-p_kw.sum():.1f} kW and {-q_kvar.sum():.1f} kvar, the largest "
                 f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}. The lines cannot carry "
                 "it: check the units of loads and impedances, or serve less.")
+
+
+def shared_power_flow(network: Network) -> ACPowerFlow:
+    """The process's power flow of a network, made to start flat; only the last few are kept.
+
+    Building a pandapower net takes as long as some thirty solves, so a study of many days on one
+    network should do it once. The flat start keeps runs independent of each other.
+    """
+    key = content_key(network)
+    flow = _FLOWS.pop(key, None) or ACPowerFlow(network)
+    flow.restart()
+    _FLOWS[key] = flow
+    while len(_FLOWS) > _FLOWS_KEPT:
+        _FLOWS.popitem(last=False)
+    return flow
+
+
+_FLOWS: OrderedDict[str, ACPowerFlow] = OrderedDict()
+_FLOWS_KEPT = 3
 
 
 def _build(network: Network) -> pp.pandapowerNet:

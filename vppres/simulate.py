@@ -16,7 +16,7 @@ from vppres.forecast import Forecaster, ForecastErrors
 from vppres.model.data import Site
 from vppres.model.linearise import CENTRES, Centre, OperatingPoint
 from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
-from vppres.powerflow import ACPowerFlow, ACResult
+from vppres.powerflow import ACResult, shared_power_flow
 from vppres.scenario import Scenario
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import SolveLimits
@@ -145,7 +145,7 @@ class Day:
         self.plant = Plant(scenario, options.thermal)
         self.state = self.plant.initial_state()
         self.forecaster = Forecaster(scenario, options.errors, options.seed)
-        self.ac = ACPowerFlow(scenario.network)
+        self.ac = shared_power_flow(scenario.network)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
 

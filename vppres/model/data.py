@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from vppres.assets import Batteries, Customers, PVSystems
+from vppres.frozen import content_key
 from vppres.network import Network
 from vppres.scenario import ObjectiveWeights, Scenario
 
@@ -37,13 +37,8 @@ class Site:
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
-        digest = hashlib.sha256(repr((self.weights, self.dt_h)).encode())
-        for table in (self.network, self.customers, self.pv, self.batteries):
-            for f in fields(table):
-                value = getattr(table, f.name)
-                numeric = isinstance(value, np.ndarray) and value.dtype != object
-                digest.update(value.tobytes() if numeric else repr(value).encode())
-        return digest.hexdigest()
+        return f"{self.dt_h} " + content_key(self.weights, self.network, self.customers, self.pv,
+                                             self.batteries)
 
     @cached_property
     def customer_bus(self) -> sp.csr_array:

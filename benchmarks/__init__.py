@@ -1,0 +1,1 @@
+"""Benchmarks of the solving methods: ``python -m benchmarks``; ``docs/benchmarks.md`` explains."""

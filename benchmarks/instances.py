@@ -1,0 +1,163 @@
+"""The benchmark's windows as data: each row of ``instances.csv`` determines one window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.controllers.base import Observation
+from vppres.errors import InputError, Problem
+from vppres.forecast import Forecaster, ForecastErrors
+from vppres.io import find_scenario, read_scenario
+from vppres.model.data import Site, WindowData
+from vppres.model.linearise import OperatingPoint
+from vppres.powerflow import ACPowerFlow
+from vppres.scenario import Scenario
+
+FILE = Path(__file__).with_name("instances.csv")
+SCENARIO = "uk-heatwave-2022"
+GROUPS = ("ordinary", "stressed")
+PLACES = ("before", "across", "inside", "after")
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One window of the packaged scenario.
+
+    Parameters
+    ----------
+    name : str
+        Unique name.
+    group : {"ordinary", "stressed"}
+        Stressed: more load than the voltages allow, or more sun than anybody can use.
+    t0, steps : int
+        First step and number of steps.
+    soc_low, soc_high : float
+        Range of the batteries' states of charge, drawn uniformly.
+    soc_seed : int
+        Seed of that draw.
+    load_factor, pv_factor : float
+        Multiples of the packaged series.
+    load_bias, load_alpha_per_h, pv_bias, pv_alpha_per_h : float
+        Forecast errors, as in :class:`vppres.forecast.ForecastErrors`.
+    error_seed : int
+        Seed of the random forecast errors.
+    offset : int
+        1 takes the voltages' offset from the AC power flow of the step before, with everybody
+        served and the batteries idle; 0 is plain LinDistFlow.
+    """
+
+    name: str
+    group: str
+    t0: int
+    steps: int
+    soc_low: float
+    soc_high: float
+    soc_seed: int
+    load_factor: float
+    pv_factor: float
+    load_bias: float
+    load_alpha_per_h: float
+    pv_bias: float
+    pv_alpha_per_h: float
+    error_seed: int
+    offset: int
+
+    @cached_property
+    def place(self) -> str:
+        """Where the window lies: before, across, inside or after the outage."""
+        dark = packaged().outage[self.t0:self.t0 + self.steps]
+        if dark.all():
+            return "inside"
+        if dark.any():
+            return "across"
+        return "before" if self.t0 < int(np.argmax(packaged().outage)) else "after"
+
+    @property
+    def errors(self) -> ForecastErrors:
+        """Forecast errors."""
+        return ForecastErrors(self.load_bias, self.load_alpha_per_h, self.pv_bias,
+                              self.pv_alpha_per_h)
+
+
+@cache
+def packaged() -> Scenario:
+    """The scenario that all instances are taken from."""
+    return read_scenario(find_scenario(SCENARIO))
+
+
+def read_instances(file: Path = FILE) -> list[Instance]:
+    """All instances of a table.
+
+    Raises
+    ------
+    InputError
+        With every problem of the table.
+    """
+    table = pd.read_csv(file)
+    expected = [f.name for f in fields(Instance)]
+    if list(table.columns) != expected:
+        raise InputError(Problem(file.name, "has other columns than an instance",
+                                 f"Write exactly: {', '.join(expected)}."))
+    rows: list[dict[str, Any]] = [{str(k): v for k, v in row.items()}
+                                  for row in table.to_dict("records")]
+    instances = [Instance(**row) for row in rows]
+    problems = [p.in_file(file.name) for i, instance in enumerate(instances)
+                for p in _problems(i, instance)]
+    twice = table["name"][table["name"].duplicated()]
+    problems += [Problem(file.name, "is given twice", "Give every instance its own name.",
+                         row=int(row) + 2, field="name", value=name) for row, name in twice.items()]
+    if problems:
+        raise InputError(problems)
+    return instances
+
+
+def _problems(row: int, instance: Instance) -> list[Problem]:
+    """What is wrong with a row."""
+    last = packaged().grid.n_steps
+    found = []
+    if instance.group not in GROUPS:
+        found.append(Problem("instances", "is not a known group", f"Use one of: "
+                             f"{', '.join(GROUPS)}.", row=row, field="group",
+                             value=instance.group))
+    if not (0 <= instance.t0 and 1 <= instance.steps <= last - instance.t0):
+        found.append(Problem("instances", "does not fit into the day",
+                             f"t0 + steps may be at most {last}.", row=row, field="steps",
+                             value=instance.steps))
+    return found
+
+
+def window_data(instance: Instance) -> WindowData:
+    """The window that an instance stands for."""
+    day = packaged()
+    scaled = replace(day, load_kw=day.load_kw * instance.load_factor,
+                     pv_kw=day.pv_kw * instance.pv_factor)
+    steps = range(instance.t0, instance.t0 + instance.steps)
+    forecast = Forecaster(scaled, instance.errors, instance.error_seed).at(instance.t0, steps)
+    b = day.batteries
+    soc = np.random.default_rng(instance.soc_seed).uniform(instance.soc_low, instance.soc_high,
+                                                           len(b))
+    point = operating_point(instance.t0 - 1) if instance.offset and instance.t0 > 0 else None
+    seen = Observation(instance.t0, forecast, np.clip(soc, b.soc_min, b.soc_max), b.eta_charge,
+                       b.eta_discharge, point)
+    return seen.window(Site.of(day), "lossless")
+
+
+@cache
+def operating_point(t: int) -> OperatingPoint:
+    """AC power flow of a step of the packaged day: everybody served, batteries idle."""
+    day = packaged()
+    net, index = day.network, day.network.bus_index
+    p, q = np.zeros(net.n_buses), np.zeros(net.n_buses)
+    at = [index[bus] for bus in day.customers.bus]
+    np.add.at(p, at, -day.load_kw[t])
+    np.add.at(q, at, -day.load_kvar[t])
+    owners = day.pv.owner(day.customers)
+    np.add.at(p, np.array(at)[owners], np.minimum(day.pv_kw[t], day.pv.s_max_kva))
+    result = ACPowerFlow(net).solve(p, q)
+    return OperatingPoint(result.v_pu, result.p_from_kw, result.q_from_kvar, p, q)
