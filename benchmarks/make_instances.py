@@ -20,6 +20,8 @@ STRESSED = {1: 6, 2: 6, 3: 6, 6: 14, 9: 2, 12: 4, 18: 1, 24: 3}
 
 # Half the windows meet the outage: they are the hard ones.
 PLACES = ("across", "inside", "before", "across", "after")
+STRESSED_PLACES = ("across", "before", "after")
+"""Inside the outage energy is short long before the voltages bind."""
 BIASES = (-0.2, -0.1, 0.1, 0.2)
 ALPHAS_PER_H = (0.01, 0.02, 0.03)
 HEAVY_LOAD = (1.35, 1.6)
@@ -33,23 +35,25 @@ def draw(seed: int = SEED) -> list[Instance]:
     """All instances, the ordinary ones first."""
     rng = np.random.default_rng(seed)
     ordinary = [_ordinary(rng, f"o{i + 1:03d}", steps, t0)
-                for i, (steps, t0) in enumerate(_windows(rng, ORDINARY, range(24)))]
+                for i, (steps, t0) in enumerate(_windows(rng, ORDINARY, PLACES))]
     stressed = [_stressed(rng, i, steps, t0)
-                for i, (steps, t0) in enumerate(_windows(rng, STRESSED, range(6, 22)))]
+                for i, (steps, t0) in enumerate(_windows(rng, STRESSED, STRESSED_PLACES))]
     return ordinary + stressed
 
 
-def _windows(rng: Generator, counts: dict[int, int], starts: range) -> list[tuple[int, int]]:
+def _windows(rng: Generator, counts: dict[int, int],
+             places: tuple[str, ...]) -> list[tuple[int, int]]:
     """Numbers of steps with a first step each, spread over the places around the outage."""
-    return [(steps, _first_step(rng, steps, place, starts)) for steps, count in counts.items()
-            for place, _ in zip(cycle(PLACES), range(count), strict=False)]
+    return [(steps, _first_step(rng, steps, place)) for steps, count in counts.items()
+            for place, _ in zip(cycle(places), range(count), strict=False)]
 
 
-def _first_step(rng: Generator, steps: int, place: str, starts: range) -> int:
+def _first_step(rng: Generator, steps: int, place: str) -> int:
     """A first step that puts a window in its place, or anywhere where it fits in no such place."""
     outage = np.flatnonzero(packaged().outage)
     begin, end = int(outage[0]), int(outage[-1]) + 1
-    fits = [t for t in starts if t + steps <= 24] or list(range(25 - steps))
+    first = 6 if steps <= 12 else 0  # the nights alone are easy
+    fits = list(range(first, 25 - steps))
     wanted = {"before": [t for t in fits if t + steps <= begin],
               "inside": [t for t in fits if t >= begin and t + steps <= end],
               "after": [t for t in fits if t >= end],

@@ -31,7 +31,7 @@ CHECKER_TOLERANCE = 1e-5
 BOUND_TOLERANCE = 1e-6
 DARK, OPEN = 0.0, np.inf
 
-RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(22)]
+RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(100)]
 CONE_WINDOWS = [(seed, True) for seed in range(11, 22)]
 WRONGLY_INFEASIBLE = (10, True)
 """A window that SCIP calls infeasible, although each of its four steps alone is feasible for it."""

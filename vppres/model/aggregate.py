@@ -16,7 +16,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.model.data import Floats, Site, WindowData
-from vppres.model.window import require_dpp
+from vppres.model.window import objective_scale, require_dpp
 
 
 class AggregateModel:
@@ -36,7 +36,7 @@ class AggregateModel:
     Attributes
     ----------
     problem : cvxpy.Problem
-        Maximises f1, f2 and f3 as weighted.
+        Maximises f1, f2 and f3 as weighted, times the objective's scale.
     cost_problem : cvxpy.Problem
         Minimises the cost (GBP) of all served sets whose f1 and f3 reach ``service_min``.
     grid_problem : cvxpy.Problem
@@ -67,7 +67,8 @@ class AggregateModel:
         curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
         limits = list(self.constraints.values())
         self.problem = cp.Problem(
-            cp.Maximize(f1 - curtailment - site.weights.lambda_grid * cost), limits)
+            cp.Maximize(objective_scale(site)
+                        * (f1 - curtailment - site.weights.lambda_grid * cost)), limits)
         served_enough = (f1 - curtailment - self.service_min) / (self.grid or 1.0) >= 0
         self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, served_enough])
         self.grid_problem = self._on_grid(curtailment, limits)

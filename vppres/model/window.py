@@ -91,7 +91,8 @@ class WindowModel:
                 + spending * w.lambda_curt * terms.f3_curtailment(*args))
         if self.form.goal == "cost":
             return cp.Minimize(cost)
-        return cp.Maximize(terms.f1_service(*args) - cost / spending)
+        return cp.Maximize(objective_scale(self.site)
+                           * (terms.f1_service(*args) - cost / spending))
 
     def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
@@ -106,6 +107,16 @@ def cost_scale(site: Site) -> float:
     """Factor that turns the weighted cost terms into GBP, 1 where cost has no weight."""
     weight = site.weights.lambda_grid
     return 1.0 / weight if weight > 0 else 1.0
+
+
+def objective_scale(site: Site) -> float:
+    """Factor of the weighted objective in the masters.
+
+    The cost of a kW weighs about 1e-7 beside a customer's 1, which is where solvers stop to tell a
+    reduced cost from zero: a bound would be off by the whole cost. The factor lifts it well above.
+    """
+    weight = site.weights.lambda_grid
+    return float(np.clip(0.1 / weight, 1.0, 1e5)) if weight > 0 else 1.0
 
 
 def require_dpp(problem: cp.Problem, what: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vppres.errors import InputError, Problem
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
-from vppres.model.window import Form
+from vppres.model.window import Form, objective_scale
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, find_solver, run
 from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
@@ -284,7 +284,8 @@ class WindowSolver:
         """Served set and bound of the lumped relaxation with all terms as weighted."""
         model = self.cache.aggregate(data.n_steps, lumped=lumped)
         model.fill(data)
-        outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s)
+        outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s,
+                      objective_scale(self.site))
         self._take("aggregate", outcome, model.x.value, data, search)
 
     def _per_battery(self, data: WindowData, search: Search) -> None:
@@ -304,7 +305,7 @@ class WindowSolver:
         """Solve a master with every battery, and recover its served set."""
         model = self.cache.window(form, data.n_steps)
         model.fill(data)
-        outcome = run(model.problem, self.spec, gap, search.left_s)
+        outcome = run(model.problem, self.spec, gap, search.left_s, objective_scale(self.site))
         inner = form.network and form.polygon_sides > 0 and not form.outer
         if inner:
             outcome = replace(outcome, bound=np.inf)

@@ -149,14 +149,17 @@ def find_solver(name: str) -> SolverSpec:
 
 
 def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
-        warm_start: bool = False) -> Outcome:
-    """Solve a mixed-integer or linear problem and map its status honestly."""
+        scale: float = 1.0) -> Outcome:
+    """Solve a mixed-integer or linear problem and map its status honestly.
+
+    ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
+    """
     begin = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": mapped below
-            problem.solve(solver=spec.cvxpy_name, warm_start=warm_start,
-                          canon_backend=COMPILER, **spec.options(gap_abs, max(time_s, 0.01)))
+            problem.solve(solver=spec.cvxpy_name, warm_start=False, canon_backend=COMPILER,
+                          **spec.options(gap_abs * scale, max(time_s, 0.01)))
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)
     elapsed = time.perf_counter() - begin
@@ -165,7 +168,8 @@ def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
         return Outcome(status, np.nan, np.nan, elapsed)
     sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
     value = float(problem.objective.value)
-    return Outcome(status, value, value + sign * max(spec.slack(problem), 0.0), elapsed)
+    bound = value + sign * max(spec.slack(problem), 0.0)
+    return Outcome(status, value / scale, bound / scale, elapsed)
 
 
 def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:

@@ -1,0 +1,68 @@
+"""Where the time of a solve goes, measured from outside, and a process's memory."""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, ParamSpec, TypeVar
+from unittest.mock import patch
+
+from cvxpy.reductions.solvers.solving_chain import SolvingChain
+
+from vppres.solve.methods import Search
+from vppres.solve.result import Outcome
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass
+class Clock:
+    """Seconds by stage, and those inside the solvers' own libraries."""
+
+    stages_s: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    library_s: float = 0.0
+
+
+@contextmanager
+def watched() -> Iterator[Clock]:
+    """Measure the stages and the solvers' libraries while the block runs.
+
+    The package reports stages by name only, and its ``solver_s`` includes what cvxpy does around a
+    solver; the two places where both can be told apart are wrapped for the time of the block.
+    """
+    clock = Clock()
+    note, via_data = Search.note, SolvingChain.solve_via_data
+
+    def noted(search: Search, stage: str, outcome: Outcome) -> None:
+        clock.stages_s[stage] += outcome.solve_s
+        note(search, stage, outcome)
+
+    def timed(chain: Any, *args: Any, **options: Any) -> Any:
+        begin = time.perf_counter()
+        try:
+            return via_data(chain, *args, **options)
+        finally:
+            clock.library_s += time.perf_counter() - begin
+
+    with patch.object(Search, "note", noted), patch.object(SolvingChain, "solve_via_data", timed):
+        yield clock
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, in MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def in_fresh_process(work: Callable[P, R], *args: P.args, **options: P.kwargs) -> R:
+    """Run in a process of its own: nothing is compiled there, and its memory is the work's."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(work, *args, **options).result()

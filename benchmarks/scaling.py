@@ -1,0 +1,174 @@
+"""Cost against buses, horizon and step length, with fitted exponents, memory and stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from rich.progress import Progress
+from scipy import stats
+
+from benchmarks.clock import Clock, in_fresh_process, peak_memory_mb, watched
+from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
+from benchmarks.instances import packaged
+from benchmarks.store import Row, Store
+from vppres.errors import SolveError
+from vppres.model.data import Site, WindowData
+from vppres.plots import BLUE, GREY
+from vppres.scenario import Scenario
+from vppres.solve.methods import WindowSolver
+from vppres.solve.result import SolveLimits
+
+Axis = Literal["buses", "steps", "minutes"]
+
+SIZES: dict[Axis, tuple[int, ...]] = {
+    "buses": tuple(FEEDERS), "steps": (1, 2, 3, 6, 12, 24, 36, 48), "minutes": (60, 15, 5)}
+QUICK_SIZES: dict[Axis, tuple[int, ...]] = {
+    "buses": (33, 69, 115), "steps": (1, 3, 6, 12), "minutes": (60, 15)}
+H5_HOURS = 6
+FIRST_HOURS = (8, 10, 12)
+"""Windows begin before and at the outage of 12:00: all of them meet it."""
+STATES = (0.35, 0.6)
+"""Mean states of charge."""
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Case:
+    """One point of an axis; ``size`` is in the axis's unit."""
+
+    axis: Axis
+    size: int
+    time_s: float
+
+    def scenario(self) -> Scenario:
+        """The scenario of the point."""
+        if self.axis == "buses":
+            return feeder_scenario(self.size)
+        if self.axis == "steps":
+            return with_days(packaged(), 3)
+        return with_step(packaged(), self.size)
+
+    def n_steps(self, day: Scenario) -> int:
+        """Steps of the point's windows: H = 5 except along the horizon."""
+        return self.size if self.axis == "steps" else round(H5_HOURS / day.grid.dt_h)
+
+
+def windows_of(case: Case, day: Scenario) -> list[WindowData]:
+    """Windows of a point, in random states."""
+    b, rng, found = day.batteries, np.random.default_rng(case.size), []
+    steps, delta = case.n_steps(day), np.zeros((case.n_steps(day), day.network.n_lines))
+    for hour in FIRST_HOURS:
+        for mean in STATES:
+            rows = slice(round(hour / day.grid.dt_h), round(hour / day.grid.dt_h) + steps)
+            soc = rng.uniform(mean - 0.1, mean + 0.1, len(b))
+            found.append(WindowData(day.load_kw[rows], day.pv_kw[rows],
+                                    day.price_gbp_per_kwh[rows], day.grid_limit_kw[rows], soc,
+                                    b.eta_charge, b.eta_discharge, delta))
+    return found
+
+
+def measure(case: Case) -> Row:
+    """Compilation, solves, memory and stages of one point, in this process."""
+    day = case.scenario()
+    solver = WindowSolver(Site.of(day), limits=SolveLimits(time_s=case.time_s))
+    windows, solved = windows_of(case, day), []
+    first = _timed(solver, windows[0])
+    with watched() as clock:
+        solved = [_timed(solver, data) for data in windows]
+    seconds = [row["solve_s"] for row in solved]
+    return {"n_steps": case.n_steps(day), "windows": len(windows),
+            "certified": sum(row["status"] == "optimal" for row in solved),
+            "first_s": first["solve_s"], "median_s": float(np.median(seconds)),
+            "mean_s": float(np.mean(seconds)), "max_s": max(seconds),
+            "gap_max": max(row["gap"] for row in solved), "memory_mb": peak_memory_mb(),
+            "library_share": clock.library_s / sum(seconds), "stages_s": dict(clock.stages_s),
+            "main_stage": _largest(clock)}
+
+
+def _timed(solver: WindowSolver, data: WindowData) -> Row:
+    """Time and status of a window; one without answer counts with the time limit."""
+    try:
+        answer = solver.solve(data)
+    except SolveError as error:
+        return {"solve_s": solver.limits.time_s, "status": type(error).__name__, "gap": np.inf}
+    return {"solve_s": answer.solve_s, "status": str(answer.status), "gap": answer.gap}
+
+
+def _largest(clock: Clock) -> str:
+    return max(clock.stages_s, key=lambda stage: clock.stages_s[stage], default="")
+
+
+def run_scaling(folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float,
+                bar: Progress) -> pd.DataFrame:
+    """One row for each point, each measured in a process of its own."""
+    cases = [Case(axis, size, time_s) for axis, values in sizes.items() for size in values]
+    task, store, rows = bar.add_task("scaling", total=len(cases)), Store(folder / "rows"), []
+    for case in cases:
+        key = {"axis": case.axis, "size": case.size, "time_s": time_s}
+        rows.append(store.row(key, lambda c=case: in_fresh_process(measure, c)))
+        bar.advance(task)
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """Least-squares fit of ``seconds = a size^b`` in logarithms.
+
+    ``low`` and ``high`` bound the exponent at 95 % (Student's t), NaN with two points.
+    """
+
+    value: float
+    low: float
+    high: float
+    points: int
+
+
+def exponent(size: np.ndarray, seconds: np.ndarray) -> Exponent:
+    """Fit the exponent of a power law.
+
+    Examples
+    --------
+    >>> fit = exponent(np.array([1.0, 2.0, 4.0]), np.array([3.0, 12.0, 48.0]))
+    >>> round(fit.value, 6), fit.points
+    (2.0, 3)
+    """
+    fit = stats.linregress(np.log(size), np.log(seconds))
+    free = len(size) - 2
+    half = stats.t.ppf((1 + CONFIDENCE) / 2, free) * fit.stderr if free > 0 else np.nan
+    return Exponent(float(fit.slope), float(fit.slope - half), float(fit.slope + half), len(size))
+
+
+def exponents(rows: pd.DataFrame) -> pd.DataFrame:
+    """Exponents of the mean and the median time, of compilation and of memory, by axis.
+
+    Along the step length the size is the number of steps.
+    """
+    found = []
+    for axis, part in rows.groupby("axis", sort=False):
+        size = part["size"] if axis == "buses" else part["n_steps"]
+        for quantity in ("median_s", "mean_s", "first_s", "memory_mb"):
+            fit = exponent(size.to_numpy(float), part[quantity].to_numpy(float))
+            found.append({"axis": axis, "quantity": quantity, "exponent": fit.value,
+                          "low": fit.low, "high": fit.high, "points": fit.points})
+    return pd.DataFrame(found)
+
+
+def draw_scaling(rows: pd.DataFrame) -> Figure:
+    """Time against size on both logarithmic axes, one panel for each axis."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    names = {"buses": "buses, H = 5", "steps": "steps of 1 h", "minutes": "steps, H = 5"}
+    axes = figure.subplots(1, rows["axis"].nunique(), squeeze=False)[0]
+    for ax, (axis, part) in zip(axes, rows.groupby("axis", sort=False), strict=True):
+        size = part["size"] if axis == "buses" else part["n_steps"]
+        ax.loglog(size, part["median_s"], color=BLUE, marker="o", label="median")
+        ax.loglog(size, part["max_s"], color=GREY, marker="v", linestyle=":", label="largest")
+        ax.set_xlabel(names[str(axis)])
+        ax.grid(True, color="#D0D0D0", linewidth=0.5)
+    axes[0].set_ylabel("Time of a window (s)")
+    axes[0].legend(frameon=False)
+    return figure
