@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,7 @@ from vppres.trajectory import Trajectory
 
 ERROR_EXPERIMENTS = ("load_error", "load_bias", "pv_error", "pv_bias")
 LATER_RUNS = 3
+P = ParamSpec("P")
 
 
 def error_settings(seeds: int, quick: bool = False) -> list[tuple[str, RunOptions]]:
@@ -88,17 +90,23 @@ def run_days(folder: Path, seeds: int, quick: bool, bar: Progress) -> dict[str, 
     store, ideal = Store(folder / "rows"), []
     for controller in ("mpc", "full-horizon"):
         found = store.row({"bench": "ideal", "controller": controller},
-                          lambda c=controller: {"runs": in_fresh_process(ideal_runs, c)})
+                          partial(_in_column, "runs", ideal_runs, controller))
         ideal += [{"controller": controller, **row} for row in found["runs"]]
         bar.advance(task)
     found = store.row({"bench": "errors", "seeds": seeds, "quick": quick},
-                      lambda: {"days": in_fresh_process(error_days, seeds, quick)})
+                      partial(_in_column, "days", error_days, seeds, quick))
     bar.advance(task)
     settings = pd.DataFrame(found["days"])
     steps = settings[["setting", "seed", "steps_s", "compiled"]].explode(["steps_s", "compiled"])
     steps = steps.rename(columns={"steps_s": "step_s"}).astype({"step_s": float, "compiled": bool})
     return {"ideal": pd.DataFrame(ideal).drop(columns=["steps_s", "compiled"]),
             "settings": settings.drop(columns=["steps_s", "compiled"]), "steps": steps}
+
+
+def _in_column(column: str, work: Callable[P, list[Row]], *args: P.args,
+               **options: P.kwargs) -> Row:
+    """The rows of some work in a process of its own, as one entry of a row."""
+    return {column: in_fresh_process(work, *args, **options)}
 
 
 def day_table(ideal: pd.DataFrame) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -47,7 +48,7 @@ class Feeder:
 
         lines = [self.lines.assign(from_bus=moved(self.lines["from_bus"], i),
                                    to_bus=moved(self.lines["to_bus"], i)) for i in range(copies)]
-        loads = [self.load_kw.rename(lambda bus, i=i: bus + i * width) for i in range(copies)]
+        loads = [self.load_kw.set_axis(self.load_kw.index + i * width) for i in range(copies)]
         return Feeder(pd.concat(lines, ignore_index=True), pd.concat(loads))
 
 
@@ -76,7 +77,7 @@ def feeder_scenario(n_buses: int, seed: int = 0) -> Scenario:
     name, copies = FEEDERS[n_buses]
     feeder, day = base_feeder(name).joined(copies), packaged()
     rng = np.random.default_rng([seed, n_buses])
-    nominal_kw = feeder.load_kw.to_numpy()
+    nominal_kw = np.asarray(feeder.load_kw, dtype=np.float64)
     customers = _customers(rng, feeder, day)
     pv = _pv(rng, nominal_kw, customers, day)
     load_kw = day.load_kw.sum(axis=1)[:, None] * nominal_kw / _nominal_kw()
@@ -149,9 +150,13 @@ def _customers(rng: Generator, feeder: Feeder, day: Scenario) -> Customers:
     count = len(feeder.load_kw)
     weights = dict(zip(day.customers.tier, day.customers.weight, strict=True))
     tier = rng.permutation(np.resize(rng.permutation(day.customers.tier), count))
-    return Customers(id=[f"c{i}" for i in range(count)], bus=feeder.load_kw.index.to_numpy(object),
-                     tier=tier, weight=[weights[t] for t in tier],
+    return Customers(id=_names("c", range(count)), bus=feeder.load_kw.index.to_numpy(object),
+                     tier=tier, weight=np.array([weights[t] for t in tier]),
                      power_factor=rng.choice(day.customers.power_factor, count))
+
+
+def _names(letter: str, numbers: Iterable[int]) -> NDArray[np.object_]:
+    return np.array([f"{letter}{number}" for number in numbers], dtype=object)
 
 
 def _sizes(rng: Generator, nominal_kw: Floats, total: float) -> Floats:
@@ -167,7 +172,7 @@ def _pv(rng: Generator, nominal_kw: Floats, customers: Customers, day: Scenario)
                                 replace=False))
     total = day.pv.p_max_kw.sum() * nominal_kw.sum() / _nominal_kw()
     p_max_kw = _sizes(rng, nominal_kw[owners], total)
-    return PVSystems(id=[f"p{i}" for i in owners], customer=customers.id[owners],
+    return PVSystems(id=_names("p", owners), customer=customers.id[owners],
                      p_max_kw=p_max_kw, s_max_kva=p_max_kw * rng.uniform(1.0, 1.3, len(owners)))
 
 
@@ -182,22 +187,26 @@ def _batteries(rng: Generator, nominal_kw: Floats, customers: Customers,
              "r_theta_c_per_kw", "c_theta_kwh_per_c", "alpha_charge_per_c2",
              "alpha_discharge_per_c2", "r_int_ohm", "beta_per_c", "u_batt_v", "t_ref_c",
              "t_initial_c")
-    return Batteries(id=[f"b{i}" for i in range(count)], bus=customers.bus, energy_kwh=energy,
+    return Batteries(id=_names("b", range(count)), bus=customers.bus, energy_kwh=energy,
                      p_max_kw=power, s_max_kva=power * rng.uniform(1.05, 1.4, count),
                      **{name: getattr(b, name)[alike] for name in names})
 
 
 def with_days(day: Scenario, days: int) -> Scenario:
     """The same day several times in a row, each with its outage."""
-    times = {name: np.concatenate([getattr(day, name)] * days) for name in (
-        "load_kw", "pv_kw", "price_gbp_per_kwh", "temperature_c", "grid_limit_kw")}
-    return replace(day, grid=replace(day.grid, n_steps=day.grid.n_steps * days), **times)
+    rows = np.tile(np.arange(day.grid.n_steps), days)
+    return _with_rows(day, TimeGrid(day.grid.start, day.grid.step_minutes, len(rows)), rows)
 
 
 def with_step(day: Scenario, step_minutes: float) -> Scenario:
     """The same day in finer steps; every series is held over the coarser step."""
     parts = round(day.grid.step_minutes / step_minutes)
-    fine = {name: np.repeat(getattr(day, name), parts, axis=0) for name in (
-        "load_kw", "pv_kw", "price_gbp_per_kwh", "temperature_c", "grid_limit_kw")}
-    grid = TimeGrid(day.grid.start, step_minutes, day.grid.n_steps * parts)
-    return replace(day, grid=grid, **fine)
+    rows = np.repeat(np.arange(day.grid.n_steps), parts)
+    return _with_rows(day, TimeGrid(day.grid.start, step_minutes, len(rows)), rows)
+
+
+def _with_rows(day: Scenario, grid: TimeGrid, rows: NDArray[np.int64]) -> Scenario:
+    """The day's steps in another order or number."""
+    return replace(day, grid=grid, load_kw=day.load_kw[rows], pv_kw=day.pv_kw[rows],
+                   price_gbp_per_kwh=day.price_gbp_per_kwh[rows],
+                   temperature_c=day.temperature_c[rows], grid_limit_kw=day.grid_limit_kw[rows])

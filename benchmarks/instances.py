@@ -109,9 +109,9 @@ def read_instances(file: Path = FILE) -> list[Instance]:
     instances = [Instance(**row) for row in rows]
     problems = [p.in_file(file.name) for i, instance in enumerate(instances)
                 for p in _problems(i, instance)]
-    twice = table["name"][table["name"].duplicated()]
     problems += [Problem(file.name, "is given twice", "Give every instance its own name.",
-                         row=int(row) + 2, field="name", value=name) for row, name in twice.items()]
+                         row=int(row) + 2, field="name", value=instances[row].name)
+                 for row in np.flatnonzero(table["name"].duplicated())]
     if problems:
         raise InputError(problems)
     return instances
@@ -125,7 +125,7 @@ def _problems(row: int, instance: Instance) -> list[Problem]:
         found.append(Problem("instances", "is not a known group", f"Use one of: "
                              f"{', '.join(GROUPS)}.", row=row, field="group",
                              value=instance.group))
-    if not (0 <= instance.t0 and 1 <= instance.steps <= last - instance.t0):
+    if not (instance.t0 >= 0 and 1 <= instance.steps <= last - instance.t0):
         found.append(Problem("instances", "does not fit into the day",
                              f"t0 + steps may be at most {last}.", row=row, field="steps",
                              value=instance.steps))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -83,12 +84,12 @@ def _stressed(rng: Generator, i: int, steps: int, t0: int) -> Instance:
                     pv_factor=_rounded(rng, 0.3, 1.0), **errors, offset=int(rng.integers(2)))
 
 
-def _state(rng: Generator, low: float, high: float) -> dict[str, float]:
+def _state(rng: Generator, low: float, high: float) -> dict[str, Any]:
     return {"soc_low": round(low, 2), "soc_high": round(high, 2),
             "soc_seed": int(rng.integers(1_000_000))}
 
 
-def _errors(rng: Generator, wrong: bool) -> dict[str, float]:
+def _errors(rng: Generator, wrong: bool) -> dict[str, Any]:
     """Forecast errors of load and PV, of the sizes that the reproduction has."""
     levels = {"load_bias": BIASES, "load_alpha_per_h": ALPHAS_PER_H, "pv_bias": BIASES,
               "pv_alpha_per_h": ALPHAS_PER_H}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -110,7 +111,7 @@ def run_scaling(folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float,
     task, store, rows = bar.add_task("scaling", total=len(cases)), Store(folder / "rows"), []
     for case in cases:
         key = {"axis": case.axis, "size": case.size, "time_s": time_s}
-        rows.append(store.row(key, lambda c=case: in_fresh_process(measure, c)))
+        rows.append(store.row(key, partial(in_fresh_process, measure, case)))
         bar.advance(task)
     return pd.DataFrame(rows)
 

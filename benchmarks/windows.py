@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -188,7 +189,7 @@ def measure_all(instance: Instance, methods: Iterable[Method], limits: Limits,
             continue
         solve = limits.of(method, instance.steps)
         key = {"instance": instance.name, "method": method.label, "limit_s": solve.time_s}
-        row = Store(folder).row(key, lambda m=method, s=solve: _BENCH[0].measure(instance, m, s))
+        row = Store(folder).row(key, partial(_BENCH[0].measure, instance, method, solve))
         rows.append({**row, "group": instance.group, "steps": instance.steps,
                      "place": instance.place})
     return rows

@@ -1,0 +1,164 @@
+"""Sections and bars of the report, from the measured tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from benchmarks import profiles
+from benchmarks.day import day_table, stage_table, step_table
+from benchmarks.report import Bar, Section
+from benchmarks.scaling import draw_scaling, exponents
+from benchmarks.store import Row
+from benchmarks.throughput import throughput_table
+from benchmarks.windows import LICENSED
+
+MIN_RATIO = 25.0
+STRESSED_SHARE = 0.95
+DAY_S, STEP_P95_S, STEP_MAX_S, PLAN_S = 2.5, 0.25, 1.5, 1.0
+OUTSIDE_SHARE = 0.3
+STEP_1000_BUSES_S, EXPONENT = 10.0, 1.3
+THOUSAND_DAYS_MIN = 30.0
+
+
+def window_section(rows: pd.DataFrame) -> Section:
+    """Certificates, agreement, ratios and profiles."""
+    seconds = profiles.times(rows)
+    methods = [str(method) for method in seconds]
+    general = [m for m in methods if m.startswith("decomposed")
+               or (m.endswith("16-gon") and not _licensed(m))]
+    figures = {"profile": profiles.draw_profile(seconds[general], "All instances")}
+    for form in ("16-gon", "4-gon", "cones"):
+        of_form = [m for m in methods if m.startswith("decomposed") or m.endswith(form)]
+        admitted = [m for m in of_form if seconds[m].notna().any()]
+        if any(_licensed(m) for m in admitted):
+            figures[f"profile_{form}"] = profiles.draw_profile(
+                seconds[admitted], f"Windows that the licences admit, {form}")
+    text = ("Tables: certificates of the decomposed method; its objective against each monolith; "
+            "times as multiples of the decomposed method's on all instances, then on the ordinary "
+            "windows at H = 5 that meet the outage; the cost level at H = 5 without an outage.")
+    tables = (profiles.certificates(rows), profiles.agreement(rows), profiles.ratios(rows),
+              profiles.ratios(profiles.outage_windows(rows)), profiles.cost_levels(rows))
+    return Section("Windows", text, tables, figures)
+
+
+def window_bars(rows: pd.DataFrame) -> list[Bar]:
+    """What must be shown of windows."""
+    agree = profiles.agreement(rows)
+    certs = profiles.certificates(rows)
+    costs = profiles.cost_levels(rows)
+    found = [Bar("same objective as the monolith, 1e-4 relative",
+                 f"largest shortfall {agree['below'].max():.1e}",
+                 bool((agree["below"] <= profiles.AGREEMENT_REL).all()) if len(agree) else None)]
+    for group, least in (("ordinary", 1.0), ("stressed", STRESSED_SHARE)):
+        part = certs[(certs["group"] == group) & (certs["steps"] == "all")]
+        share = float(part["share"].sum()) if len(part) else np.nan
+        found.append(Bar(f"{group} instances certified within 10 s: {least:.0%}",
+                         f"{share:.1%} of {int(part['instances'].sum())}",
+                         share >= least if len(part) else None))
+    worst = costs["largest"].max()
+    found.append(Bar("cost level at H = 5 without an outage: 0.1 %", f"largest {worst:.2%}",
+                     bool(worst <= 1e-3) if len(costs) else None))
+    return found + _ratio_bars(rows)
+
+
+def _ratio_bars(rows: pd.DataFrame) -> list[Bar]:
+    table = profiles.ratios(profiles.outage_windows(rows))
+    whole = profiles.ratios(rows)
+    found = []
+    for solver in ("highs", "scip"):
+        found.append(_ratio_bar(table, f"monolithic/{solver}/16-gon", MIN_RATIO,
+                                "outage windows at H = 5"))
+    for method in whole["method"]:
+        if _licensed(method):
+            found.append(_ratio_bar(whole, method, 1.0, "windows that the licence admits"))
+    return found
+
+
+def _ratio_bar(table: pd.DataFrame, method: str, least: float, where: str) -> Bar:
+    row = table[table["method"] == method] if len(table) else table
+    claim = f"{least:g} times as fast as {method} in the median, {where}"
+    if not len(row) or not row["instances"].iloc[0]:
+        return Bar(claim, "no instance", None)
+    median, low, high = (float(row[f"ratio {q}"].iloc[0]) for q in ("median", "p5", "p95"))
+    return Bar(claim, f"{median:.1f} ({low:.1f} to {high:.1f})", median >= least)
+
+
+def _licensed(method: str) -> bool:
+    return any(f"/{solver}/" in method for solver in LICENSED)
+
+
+def day_section(tables: dict[str, pd.DataFrame]) -> Section:
+    """The closed loop."""
+    later = tables["ideal"][tables["ideal"]["run"] == "later"]
+    text = ("Tables: the ideal day, first run (which compiles) and median of the later ones; steps "
+            "of all error settings; where the time of the later ideal MPC days goes.")
+    return Section("A day at H = 5", text, (
+        day_table(tables["ideal"]), step_table(tables["steps"]),
+        stage_table(later[later["controller"] == "mpc"])))
+
+
+def day_bars(tables: dict[str, pd.DataFrame]) -> list[Bar]:
+    """What must be shown of a day."""
+    table = day_table(tables["ideal"])
+    later = table[table["run"] == "later"]
+    mpc, plan = (later[later["controller"] == name] for name in ("mpc", "full-horizon"))
+    steps = step_table(tables["steps"]).tail(1)
+    return [
+        _at_most("a day at H = 5", _only(mpc, "total_s"), DAY_S, "s"),
+        _at_most("a step over all error settings, p95", _only(steps, "p95_s"), STEP_P95_S, "s"),
+        _at_most("a step over all error settings, worst", _only(steps, "max_s"), STEP_MAX_S, "s"),
+        _at_most("the ideal 24-step plan", _only(plan, "plan_s"), PLAN_S, "s"),
+        _at_most("share of a day outside the solvers", _only(mpc, "outside_share"),
+                 OUTSIDE_SHARE, ""),
+    ]
+
+
+def scaling_section(rows: pd.DataFrame) -> Section:
+    """Cost against size."""
+    columns = ["axis", "size", "n_steps", "windows", "certified", "first_s", "median_s", "mean_s",
+               "max_s", "memory_mb", "library_share", "main_stage"]
+    text = ("Each point in a process of its own: six windows that meet the outage, in random "
+            "states. The first solve compiles. Exponents are least-squares fits in logarithms "
+            "with 95 % intervals.")
+    return Section("Scaling", text, (rows[columns], exponents(rows)),
+                   {"scaling": draw_scaling(rows)})
+
+
+def scaling_bars(rows: pd.DataFrame) -> list[Bar]:
+    """What must be shown of size."""
+    fits = exponents(rows)
+    medians = fits[fits["quantity"] == "median_s"]
+    found = [_at_most(f"exponent in {axis} (median time)",
+                      _only(medians[medians["axis"] == axis], "exponent"), EXPONENT, "")
+             for axis in ("buses", "steps")]
+    large = rows[(rows["axis"] == "buses") & (rows["size"] >= 1000)]
+    if len(large):
+        found.append(_at_most("a step of about 1,000 buses at H = 5, worst",
+                              float(large["max_s"].max()), STEP_1000_BUSES_S, "s"))
+    return found
+
+
+def throughput_section(row: Row) -> Section:
+    """Many days at once."""
+    return Section("Throughput", "MPC days at H = 5 with the reproduction's errors and new seeds, "
+                   "on all cores, one thread for each process.", (throughput_table(row),))
+
+
+def throughput_bars(row: Row) -> list[Bar]:
+    """What must be shown of many days."""
+    table = throughput_table(row)
+    return [_at_most("1,000 MPC days (extrapolated)",
+                     _only(table, "min for 1,000 days (extrapolated)"),
+                     THOUSAND_DAYS_MIN, "min")]
+
+
+def _only(table: pd.DataFrame, column: str) -> float:
+    """The value of a column in a table of one row."""
+    (value,) = table[column]
+    return float(value)
+
+
+def _at_most(what: str, value: float, limit: float, unit: str) -> Bar:
+    return Bar(f"{what}: at most {limit:g} {unit}".rstrip(), f"{value:.3g} {unit}".rstrip(),
+               value <= limit)

@@ -1,0 +1,140 @@
+"""The report of a benchmark run: bars, tables and figures as Markdown and HTML."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from experiments.report import machine
+from vppres.errors import InputError, Problem
+from vppres.io.atomic import atomic_write_text
+from vppres.metrics import versions
+from vppres.plots import DPI, SVG_HASH_SALT
+
+TEMPLATES = Path(__file__).with_name("templates")
+MARKDOWN, HTML = "report.md", "report.html"
+BEGIN, END = "<!-- results begin -->", "<!-- results end -->"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, a sentence, tables, and figures by name."""
+
+    title: str
+    text: str
+    tables: Sequence[pd.DataFrame] = ()
+    figures: dict[str, Figure] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What must be shown, what was measured, and whether it holds; None where nothing was."""
+
+    claim: str
+    measured: str
+    met: bool | None
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in a word."""
+        return {True: "yes", False: "no", None: "not measured"}[self.met]
+
+
+def bar_table(bars: Sequence[Bar]) -> pd.DataFrame:
+    """Bars as a table."""
+    return pd.DataFrame([{"bar": b.claim, "measured": b.measured, "met": b.verdict} for b in bars])
+
+
+def write_report(sections: Sequence[Section], folder: Path, effort: str) -> Path:
+    """Write ``report.md``, ``report.html`` and ``figures/``; returns the Markdown file."""
+    figures = folder / "figures"
+    figures.mkdir(parents=True, exist_ok=True)
+    for section in sections:
+        for name, figure in section.figures.items():
+            _save(figure, figures / name)
+    values = {"sections": sections, "effort": effort, "machine": machine(),
+              "versions": {k: v for k, v in versions().items() if v}}
+    for file in (MARKDOWN, HTML):
+        environment = _environment(figures, escape=file == HTML)
+        atomic_write_text(folder / file, environment.get_template(f"{file}.j2").render(values))
+    return folder / MARKDOWN
+
+
+def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
+    """Put the tables between the marks of a document, in place of what is there.
+
+    Raises
+    ------
+    InputError
+        If the document has no marks.
+    """
+    text = document.read_text(encoding="utf-8")
+    if BEGIN not in text or END not in text:
+        raise InputError(Problem(document.name, "has no marks for the results",
+                                 f"Write {BEGIN} and {END} around them."))
+    parts = [f"{effort} {_packages()}"]
+    for section in sections:
+        parts += [f"### {section.title}", section.text, *map(markdown_table, section.tables)]
+    body = "\n\n".join(part for part in parts if part)
+    pattern = re.escape(BEGIN) + ".*?" + re.escape(END)
+    new = re.sub(pattern, lambda _: f"{BEGIN}\n{body}\n\n{END}", text, flags=re.DOTALL)
+    atomic_write_text(document, new)
+
+
+def markdown_table(table: pd.DataFrame) -> str:
+    """A table as Markdown, numbers with four digits.
+
+    Examples
+    --------
+    >>> print(markdown_table(pd.DataFrame({"steps": [6], "ratio": [25.12345]})))
+    | steps | ratio |
+    |---|---|
+    | 6 | 25.12 |
+    """
+    lines = ["| " + " | ".join(map(str, table.columns)) + " |", "|---" * len(table.columns) + "|"]
+    lines += ["| " + " | ".join(cell(value).replace("|", "\\|") for value in row) + " |"
+              for row in table.itertuples(index=False)]
+    return "\n".join(lines)
+
+
+def cell(value: Any) -> str:
+    """A value as text: floats with four significant digits, "n/a" for none."""
+    if isinstance(value, float):
+        return "n/a" if pd.isna(value) else f"{value:.4g}"
+    return str(value)
+
+
+def _packages() -> str:
+    wanted = ("highspy", "pyscipopt", "clarabel", "cvxpy")
+    return ", ".join(f"{name} {versions()[name]}" for name in wanted if versions().get(name)) + "."
+
+
+def _save(figure: Figure, stem: Path) -> None:
+    """A figure as PNG and SVG."""
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(stem.with_suffix(".png"), dpi=DPI)
+
+
+def _environment(figures: Path, escape: bool) -> Environment:
+    environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
+                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+
+    def embedded(name: str) -> str:
+        """A figure's SVG as a data URI."""
+        svg = (figures / f"{name}.svg").read_bytes()
+        return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
+
+    helpers: dict[str, Callable[..., str]] = {"embedded": embedded, "cell": cell,
+                                              "markdown_table": markdown_table}
+    environment.globals.update(helpers)
+    return environment

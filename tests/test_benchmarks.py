@@ -1,0 +1,275 @@
+"""The benchmarks' machinery: instances, a tiny run end to end, and the arithmetic of the tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import benchmarks.__main__ as command
+from benchmarks import make_instances, profiles
+from benchmarks.day import error_settings
+from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
+from benchmarks.instances import FILE, packaged, read_instances, window_data
+from benchmarks.report import BEGIN, END, Section, publish
+from benchmarks.scaling import exponent
+from benchmarks.store import Store
+from benchmarks.throughput import _rates, throughput_table
+from benchmarks.windows import NOT_ADMITTED
+from vppres.errors import InputError
+from vppres.powerflow import ACPowerFlow
+
+INSTANCES = read_instances()
+
+
+# Instances
+
+
+def test_set_has_what_it_must_have() -> None:
+    stressed = [i for i in INSTANCES if i.group == "stressed"]
+    assert len(INSTANCES) >= 100
+    assert len(stressed) >= 30
+    assert {1, 24} <= {i.steps for i in INSTANCES}
+    assert {i.place for i in INSTANCES} == {"before", "across", "inside", "after"}
+    wrong = [i for i in INSTANCES if i.load_bias or i.load_alpha_per_h]
+    assert 0.4 < len(wrong) / len(INSTANCES) < 0.6
+    # Too much load, or too much sun: nothing between.
+    assert all(1.35 <= i.load_factor <= 1.6 or i.load_factor <= 0.35 for i in stressed)
+
+
+def test_table_is_what_its_generator_writes() -> None:
+    assert make_instances.draw() == INSTANCES
+
+
+@pytest.mark.parametrize("instance", INSTANCES[::17], ids=lambda instance: instance.name)
+def test_a_row_determines_its_window(instance: object) -> None:
+    one, other = window_data(instance), window_data(instance)  # type: ignore[arg-type]
+    for name in ("load_kw", "pv_kw", "soc", "delta_pu2", "grid_limit_kw"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert one.n_steps == instance.steps  # type: ignore[attr-defined]
+    assert one.load_kw[0] == pytest.approx(
+        packaged().load_kw[instance.t0] * instance.load_factor)  # type: ignore[attr-defined]
+    assert ((one.soc >= 0.15) & (one.soc <= 0.85)).all()
+
+
+@pytest.mark.parametrize(("column", "value", "message"), [
+    ("steps", 25, "instances.csv, row 2, steps = 25: does not fit into the day. t0 + steps may be "
+                  "at most 24."),
+    ("group", "odd", "instances.csv, row 2, group = odd: is not a known group. Use one of: "
+                     "ordinary, stressed."),
+    ("name", "o002", "instances.csv, row 3, name = o002: is given twice. Give every instance its "
+                     "own name."),
+])
+def test_wrong_rows_are_named(tmp_path: Path, column: str, value: object, message: str) -> None:
+    table = pd.read_csv(FILE).astype(object)
+    table.loc[0, column] = value
+    file = tmp_path / FILE.name
+    table.to_csv(file, index=False)
+    with pytest.raises(InputError) as caught:
+        read_instances(file)
+    assert str(caught.value) == message
+
+
+def test_missing_column_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / FILE.name
+    pd.read_csv(FILE).drop(columns="steps").to_csv(file, index=False)
+    with pytest.raises(InputError, match=r"instances\.csv: has other columns than an instance"):
+        read_instances(file)
+
+
+# Tables, on data worked out by hand
+
+
+def rows_of(seconds: dict[str, list[float | None]], limit_s: float = 60.0) -> pd.DataFrame:
+    """Rows of methods; a time at the limit is unsolved, None is not admitted."""
+    status = {True: "time_limit", False: "optimal"}
+    return pd.DataFrame([
+        {"instance": f"i{k}", "method": method, "limit_s": limit_s,
+         "solve_s": np.nan if s is None else s,
+         "status": NOT_ADMITTED if s is None else status[s >= limit_s]}
+        for method, values in seconds.items() for k, s in enumerate(values)])
+
+
+def test_profile_by_hand() -> None:
+    # Ratios to the best: a is 1, 2, 1, inf; b is 3, 1, inf, inf (nobody solves the last one).
+    rows = rows_of({"a": [1.0, 2.0, 5.0, 60.0], "b": [3.0, 1.0, 60.0, 60.0]})
+    shares = profiles.profile(profiles.times(rows), np.array([1.0, 2.0, 3.0, 100.0]))
+    assert shares["a"].tolist() == [0.5, 0.75, 0.75, 0.75]
+    assert shares["b"].tolist() == [0.25, 0.25, 0.5, 0.5]
+
+
+def test_instances_that_a_licence_refuses_are_no_loss() -> None:
+    rows = rows_of({"a": [1.0, 1.0], "b": [4.0, None]})
+    assert profiles.profile(profiles.times(rows), np.array([4.0]))["b"].tolist() == [1.0]
+    (table,) = profiles.ratios(rows, base="a").to_dict("records")
+    assert (table["instances"], table["not admitted"], table["unsolved"]) == (1, 1, 0)
+    assert table["ratio median"] == 4.0
+
+
+def test_unsolved_instances_enter_the_ratios_with_their_limit() -> None:
+    rows = rows_of({"a": [1.0, 2.0, 4.0], "b": [10.0, 60.0, 60.0]})
+    (table,) = profiles.ratios(rows, base="a").to_dict("records")
+    assert table["ratio median"] == 15.0  # of 10, 30 and 15
+    assert table["unsolved"] == 2
+    assert table["share slower"] == 1.0
+
+
+def test_certificate_needs_both_gaps_and_the_time() -> None:
+    rows = pd.DataFrame({"gap": [1e-4, 2e-4, 1e-5, 1e-5, np.nan],
+                         "gap_abs": [5e-3, 1e-3, 6e-3, 1e-3, np.nan],
+                         "solve_s": [10.0, 1.0, 1.0, 11.0, 60.0]})
+    assert profiles.certified(rows).tolist() == [True, False, False, False, False]
+
+
+def test_agreement_is_one_sided() -> None:
+    base = profiles.BASE
+    rows = pd.DataFrame([
+        {"instance": "i", "method": method, "status": "optimal", "value": value, "bound": bound}
+        for method, value, bound in ((base, 50.0, 50.0), ("monolithic/x", 49.9, 49.95),
+                                     ("monolithic/y", 50.01, 50.01))])
+    x, y = profiles.agreement(rows).to_dict("records")
+    assert (x["agree"], y["agree"]) == (1, 0)
+    assert x["above"] == pytest.approx(0.1 / 49.9)
+    assert x["above bound"] == pytest.approx(0.05 / 49.9)
+    assert y["below"] == pytest.approx(0.01 / 50.01)
+
+
+def test_exponent_and_its_interval() -> None:
+    size = np.array([1.0, 2.0, 4.0, 8.0])
+    fit = exponent(size, 3.0 * size**1.25 * np.array([1.1, 0.9, 0.9, 1.1]))
+    # The disturbance is orthogonal to a line in log(size): the slope is unharmed.
+    assert fit.value == pytest.approx(1.25)
+    assert fit.low < 1.25 < fit.high
+    assert fit.high - fit.value == pytest.approx(fit.value - fit.low)
+
+
+def test_throughput_by_hand() -> None:
+    # Two processes start and compile for 10 s; then ten days end, one each second.
+    row = _rates([10.0, 10.0, *np.arange(11.0, 21.0)], [2.0] * 12, processes=2)
+    assert row["days_per_min"] == pytest.approx(60.0 * 12 / 20.0)
+    assert row["days_per_min_warm"] == pytest.approx(60.0)
+    (table,) = throughput_table({**row, "days": 12, "processes": 2}).to_dict("records")
+    assert table["min for 1,000 days (extrapolated)"] == pytest.approx(8.0 / 60.0 + 1000 / 60.0)
+
+
+# Feeders and days
+
+
+@pytest.mark.parametrize("n_buses", [n for n in FEEDERS if n < 300])
+def test_feeders_have_the_packaged_density(n_buses: int) -> None:
+    day, ours = packaged(), feeder_scenario(n_buses)
+    assert ours.network.n_buses == n_buses
+    peak = ours.load_kw.max() / ours.load_kw.max()
+    assert peak == 1.0
+    for table in ("pv", "batteries"):
+        mine, theirs = (getattr(s, table).p_max_kw.sum() / s.load_kw.sum() for s in (ours, day))
+        assert mine == pytest.approx(theirs, rel=1e-3)
+    share = [np.mean(s.customers.tier == "critical") for s in (ours, day)]
+    assert share[0] == pytest.approx(share[1], abs=1 / len(ours.customers) + 0.03)
+    assert (ours.pv.s_max_kva >= ours.pv.p_max_kw).all()
+
+
+def test_every_feeder_is_as_weak_as_the_packaged_one() -> None:
+    lowest = []
+    for day in (packaged(), feeder_scenario(33), feeder_scenario(115)):
+        at, t = day.network.place(day.customers.bus), int(day.load_kw.sum(axis=1).argmax())
+        flow = ACPowerFlow(day.network).solve(-(at @ day.load_kw[t]), -(at @ day.load_kvar[t]))
+        lowest.append(flow.v_pu.min())
+    # Equal lossless drops; the AC losses differ a little with the tree.
+    assert lowest == pytest.approx([lowest[0]] * 3, abs=0.004)
+
+
+def test_days_and_finer_steps_keep_the_energy() -> None:
+    day = packaged()
+    energy = day.load_kw.sum()
+    assert with_days(day, 2).load_kw.sum() == pytest.approx(2 * energy)
+    fine = with_step(day, 15)
+    assert fine.load_kw.sum() * fine.grid.dt_h == pytest.approx(energy)
+    assert fine.outage.sum() == 4 * day.outage.sum()
+
+
+def test_unknown_size_is_an_error() -> None:
+    with pytest.raises(InputError) as caught:
+        feeder_scenario(34)
+    assert str(caught.value) == ("feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, "
+                                 "273, 545, 1021.")
+
+
+def test_error_settings_are_those_of_the_reproduction() -> None:
+    names = [name for name, _ in error_settings(seeds=3)]
+    assert len(names) == 2 * 4 + 2 * 3 * 3
+    assert {"load_bias -0.2", "pv_alpha_per_h 0.03"} <= set(names)
+
+
+# Runs
+
+
+def test_finished_rows_are_not_measured_again(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def measure() -> dict[str, float]:
+        calls.append(1)
+        return {"solve_s": 1.5}
+
+    first, second = (Store(tmp_path).row({"instance": "o001"}, measure) for _ in range(2))
+    assert first == second == {"instance": "o001", "solve_s": 1.5}
+    assert len(calls) == 1
+    Store(tmp_path).row({"instance": "o002"}, measure)
+    assert len(calls) == 2
+
+
+def test_tiny_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = [i for i in INSTANCES if i.steps == 1][:2]
+    monkeypatch.setattr(command.Plan, "instances", lambda plan: tiny)
+    result = CliRunner().invoke(app(), ["--quick", "--only", "windows", "--jobs", "1",
+                                        "--results", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    rows = pd.read_parquet(tmp_path / "windows.parquet")
+    solved = rows[rows["status"] == "optimal"].groupby("method")["instance"].count()
+    for method in ("decomposed/highs", "decomposed/scip", "monolithic/highs/16-gon",
+                   "monolithic/scip/16-gon", "monolithic/scip/cones"):
+        assert solved[method] == 2
+    assert (profiles.agreement(rows)["below"] <= 1e-4).all()
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "| ordinary instances certified within 10 s: 100% | 100.0% of 2 | yes |" in report
+    assert (tmp_path / "report.html").is_file()
+    assert {"profile.png", "profile.svg"} <= {f.name for f in (tmp_path / "figures").iterdir()}
+
+
+def test_unknown_part_is_an_error(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app(), ["--only", "weather", "--results", str(tmp_path)])
+    assert result.exit_code == 2
+    assert result.stderr.strip() == ("benchmarks, only = weather: is not known. Use one of: "
+                                     "windows, day, scaling, throughput.")
+
+
+def app() -> object:
+    """The command as a typer application."""
+    import typer
+
+    application = typer.Typer()
+    application.command()(command.main)
+    return application
+
+
+def test_tables_take_the_place_of_older_ones(tmp_path: Path) -> None:
+    document = tmp_path / "benchmarks.md"
+    document.write_text(f"Before.\n\n{BEGIN}\nold\n{END}\n\nAfter.\n", encoding="utf-8")
+    section = Section("Windows", "Words.", (pd.DataFrame({"steps": [6], "share": [0.5]}),))
+    publish([section], document, "A run.")
+    text = document.read_text(encoding="utf-8")
+    assert text.startswith(f"Before.\n\n{BEGIN}\nA run. ")
+    assert "### Windows\n\nWords.\n\n| steps | share |\n|---|---|\n| 6 | 0.5 |" in text
+    assert text.endswith(f"{END}\n\nAfter.\n")
+    assert "old" not in text
+
+
+def test_document_without_marks_is_left_alone(tmp_path: Path) -> None:
+    document = tmp_path / "benchmarks.md"
+    document.write_text("Words.\n", encoding="utf-8")
+    with pytest.raises(InputError, match="has no marks for the results"):
+        publish([], document, "A run.")
+    assert document.read_text(encoding="utf-8") == "Words.\n"
