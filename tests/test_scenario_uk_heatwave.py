@@ -330,7 +330,7 @@ def test_zone_pairing() -> None:
     default, same_order = build().batteries, build(zone_pairing=(0, 1, 2, 3)).batteries
     at = [list(default.bus).index(bus) for bus in (2, 19, 23, 33)]
     assert default.r_theta_c_per_kw[at].tolist() == [2.771, 3.343, 3.914, 4.486]
-    assert default.c_theta_kwh_per_c[at].tolist() == [0.439, 0.327, 0.216, 0.104]
+    assert default.c_theta_kwh_per_c[at].tolist() == [0.216, 0.104, 0.439, 0.327]
     assert same_order.c_theta_kwh_per_c[at].tolist() == [0.104, 0.216, 0.327, 0.439]
     assert same_order.r_theta_c_per_kw.tolist() == default.r_theta_c_per_kw.tolist()
 

@@ -32,7 +32,7 @@ FOLDER = Path(vppres.__file__).parent / "scenarios" / NAME
 # Options of the packaged scenario.
 SEED = 0
 CRITICAL_SHARE = 0.36
-ZONE_PAIRING = (3, 2, 1, 0)
+ZONE_PAIRING = (1, 0, 3, 2)
 
 SERIES_DIGITS = 3
 

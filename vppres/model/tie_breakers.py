@@ -15,14 +15,7 @@ from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.data import Dispatch, Floats, Site, WindowData
 from vppres.model.variables import Parameters, Variables
-from vppres.model.window import require_dpp
-
-
-LARGEST_WITH_CONES, SIDES_BEYOND = 400, 16
-"""Buses times steps up to which discs are cones, and the sides of inscribed polygons beyond.
-
-cvxpy's time to compile cones grows with the product of variables and parameters, 3 s at 33 buses
-and 24 steps. Polygons compile ten times faster there, solve slower, and cost 0.01 % of f4."""
+from vppres.model.window import disc_sides, require_dpp
 
 
 class TieBreakerModel:
@@ -70,8 +63,8 @@ class TieBreakerModel:
         """The network's families as they are, the devices' with what is held put in."""
         args, b = (self.site, self.v, self.p), self.site.batteries
         named: families.Named = {}
-        small = self.site.network.n_buses * self.n_steps <= LARGEST_WITH_CONES
-        discs = families.inverter_discs if small else families.inverter_polygons(SIDES_BEYOND)
+        sides = disc_sides(self.site, self.n_steps)
+        discs = families.inverter_polygons(sides) if sides else families.inverter_discs
         inverters = discs(*args)
         for family in (families.circular_charging, families.grid_connection,
                        *families.NETWORK_FAMILIES):

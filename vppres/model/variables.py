@@ -104,8 +104,7 @@ class Variables:
 
         P_ch, P_dch = nonneg("P_ch", W, B), nonneg("P_dch", W, B)
         return cls(
-            x_served=(cp.Constant(np.ones((W, C))) if service == "fixed" else
-                      cp.Variable((W, C), name="x_served", boolean=service == "integer")),
+            x_served=_service(W, C, service),
             P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
             P_curt=nonneg("P_curt", W, P), Q_pv=free("Q_pv", W, P),
             P_ch=P_ch, P_dch=P_dch, P_batt=P_ch - P_dch,
@@ -136,3 +135,12 @@ class Variables:
             v_pu=np.sqrt(clean(self.u, 0.0)),
             p_flow_kw=clean(self.P_flow), q_flow_kvar=clean(self.Q_flow),
         )
+
+
+def _service(W: int, C: int, mode: Mode) -> cp.Expression:
+    """Served status, (W, C): binary, between 0 and 1, or everyone the parameters know."""
+    if mode == "fixed":
+        return cp.Constant(np.ones((W, C)))
+    if mode == "relaxed":
+        return cp.Variable((W, C), name="x_served", bounds=[0, 1])
+    return cp.Variable((W, C), name="x_served", boolean=True)

@@ -15,7 +15,7 @@ from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
 from vppres.model.window import Form, objective_scale
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
-from vppres.solve.solvers import SolverSpec, find_solver, run
+from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
 from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
 
 METHODS = ("decomposed", "monolithic")
@@ -149,6 +149,8 @@ class WindowSolver:
         search = Search(self.limits, self.limits.absolute(whole))
         if self.method == "decomposed":
             self._decomposed(data, whole, search)
+            if not search.certified and search.left_s > 0:
+                self._relaxed(data, search)
         if not search.certified and search.left_s > 0:
             self._full(data, search)
         return self._finish(data, search)
@@ -201,8 +203,10 @@ class WindowSolver:
     def _cheapest(self, name: str, data: WindowData, served: Served, form: Form,
                   search: Search) -> Candidate | None:
         """Cheapest dispatch of a served set in a form of the cost level."""
-        # A started answer is always finished: recovery gets a moment even when time is up.
-        stage = solve_cost(self.cache, data, served, self.spec, form, max(search.left_s, 5.0))
+        # A started answer is always finished: recovery gets a moment even when time is up. In a
+        # large network it may need long to find that there is none, so it may not take it all.
+        time_s = max(search.left_s / 3.0 if form.network else search.left_s, 5.0)
+        stage = solve_cost(self.cache, data, served, self.spec, form, time_s)
         search.note(name, stage.outcome)
         if stage.dispatch is None:
             return None
@@ -292,6 +296,22 @@ class WindowSolver:
         """Served set and bound of the relaxation with every battery but without the network."""
         form = Form("service", "integer", "integer", 0, network=False)
         self._window(form, "per_battery", data, 0.8 * search.gap, search)
+
+    def _relaxed(self, data: WindowData, search: Search) -> None:
+        """Bound of the whole problem without binaries, and those it serves in full.
+
+        It is there for networks that forbid what the fleet could do: an answer comes before the
+        search with binaries, which may need all the time there is.
+        """
+        form = Form("service", "relaxed", "relaxed", self.sides or POLYGON_SIDES, outer=True)
+        model = self.cache.window(form, data.n_steps)
+        model.fill(data)
+        outcome = run_conic(model.problem, search.left_s, objective_scale(self.site))
+        search.note("relaxed", outcome)
+        if outcome.status == Status.OPTIMAL:
+            # Interior points end within their tolerance of the optimum, on either side.
+            search.bound = min(search.bound, outcome.value + 1e-6 * abs(outcome.value) + 1e-6)
+            self._recover(data, model.v.x_served.value > 1.0 - 1e-3, search, network=True)
 
     def _full(self, data: WindowData, search: Search) -> None:
         """The whole problem. Where discs are polygons, outer ones bound and inner ones answer."""

@@ -186,8 +186,11 @@ def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
     return Status.NUMERICAL
 
 
-def run_conic(problem: cp.Problem, time_s: float) -> Outcome:
-    """Solve a continuous problem with cones or a quadratic objective by interior points."""
+def run_conic(problem: cp.Problem, time_s: float, scale: float = 1.0) -> Outcome:
+    """Solve a continuous problem with cones or a quadratic objective by interior points.
+
+    ``scale`` is a factor in the problem's objective; the value is meant without it.
+    """
     begin = time.perf_counter()
     try:
         with warnings.catch_warnings():
@@ -201,5 +204,5 @@ def run_conic(problem: cp.Problem, time_s: float) -> Outcome:
     status = {cp.OPTIMAL: Status.OPTIMAL, cp.OPTIMAL_INACCURATE: Status.INACCURATE,
               cp.INFEASIBLE: Status.INFEASIBLE, cp.UNBOUNDED: Status.UNBOUNDED,
               cp.USER_LIMIT: Status.NO_ANSWER}.get(problem.status, Status.NUMERICAL)
-    value = float(problem.objective.value) if status.has_answer else np.nan
+    value = float(problem.objective.value) / scale if status.has_answer else np.nan
     return Outcome(status, value, value, elapsed)

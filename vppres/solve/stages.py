@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
-from vppres.model.window import Form, WindowModel
+from vppres.model.window import Form, WindowModel, disc_sides
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
 
@@ -90,9 +90,10 @@ def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], s
     """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
     ``form`` says whether the network is part of it, and how its discs are stated for binaries;
-    without binaries they are cones.
+    without binaries they are cones, or polygons in large windows.
     """
-    relaxed = replace(form, exclusivity="relaxed", polygon_sides=0)
+    sides = disc_sides(cache.site, data.n_steps) if form.network else 0
+    relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
     stage = _cost(cache, data, served, spec, relaxed, time_s)
     if stage.dispatch is None:
         return stage
