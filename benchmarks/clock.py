@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import resource
 import sys
 import time
@@ -60,6 +61,16 @@ def peak_memory_mb() -> float:
     """Largest resident memory of this process so far, in MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def limit_memory(share: float = 0.6) -> None:
+    """Let this process fail with ``MemoryError`` instead of filling the machine.
+
+    A kernel that runs out of memory ends whichever process it likes, others' included.
+    """
+    page, pages = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_PHYS_PAGES")
+    limit = int(share * page * pages)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def in_fresh_process(work: Callable[P, R], *args: P.args, **options: P.kwargs) -> R:

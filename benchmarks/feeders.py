@@ -52,6 +52,7 @@ class Feeder:
         return Feeder(pd.concat(lines, ignore_index=True), pd.concat(loads))
 
 
+@cache
 def feeder_scenario(n_buses: int, seed: int = 0) -> Scenario:
     """The packaged day on another feeder.
 
@@ -115,6 +116,7 @@ def base_feeder(name: str) -> Feeder:
     return Feeder(lines.reset_index(drop=True), load)
 
 
+@cache
 def _nominal_kw() -> float:
     """Nominal load of the 33-bus feeder, to which the packaged day's shares refer."""
     return float(mw_to_kw(pandapower.networks.case33bw().load["p_mw"].sum()))

@@ -134,8 +134,9 @@ def scaling_bars(rows: pd.DataFrame) -> list[Bar]:
              for axis in ("buses", "steps")]
     large = rows[(rows["axis"] == "buses") & (rows["size"] >= 1000)]
     if len(large):
-        found.append(_at_most("a step of about 1,000 buses at H = 5, worst",
-                              float(large["max_s"].max()), STEP_1000_BUSES_S, "s"))
+        worst = float(large["max_s"].max(skipna=False))
+        found.append(_at_most("a step of about 1,000 buses at H = 5, worst", worst,
+                              STEP_1000_BUSES_S, "s"))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,6 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from experiments.report import machine
 from vppres.errors import InputError, Problem
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
@@ -67,6 +67,12 @@ def write_report(sections: Sequence[Section], folder: Path, effort: str) -> Path
         environment = _environment(figures, escape=file == HTML)
         atomic_write_text(folder / file, environment.get_template(f"{file}.j2").render(values))
     return folder / MARKDOWN
+
+
+def machine() -> str:
+    """Cores and memory."""
+    memory_gb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    return f"{os.cpu_count()} cores, {memory_gb:.0f} GB"
 
 
 def publish(sections: Sequence[Section], document: Path, effort: str) -> None:

@@ -48,13 +48,13 @@ def run_throughput(folder: Path, days: int, processes: int, bar: Progress) -> Ro
                     seconds.append(spent)
                     ends.append(time.perf_counter() - begin)
                     bar.advance(task)
-        return _rates(ends, seconds, processes)
+        return rates(ends, seconds, processes)
 
     return Store(folder / "rows").row({"bench": "throughput", "days": days,
                                        "processes": processes}, measure)
 
 
-def _rates(ends: list[float], seconds: list[float], processes: int) -> Row:
+def rates(ends: list[float], seconds: list[float], processes: int) -> Row:
     """Rates over the whole run, and over its days after the first of each process."""
     warm = min(processes, len(ends) - 1)
     later = (len(ends) - warm) / (ends[-1] - ends[warm - 1]) if warm else len(ends) / ends[-1]

@@ -18,7 +18,7 @@ from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.store import Row, Store
 from vppres.errors import SolveError
 from vppres.model.data import Site
-from vppres.model.window import Form, WindowModel
+from vppres.model.window import Form, WindowModel, objective_scale
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import COMPILER, SOLVERS, SolverSpec, run
@@ -139,7 +139,8 @@ class Bench:
         whole = self.site.customers.weight.sum() * self.site.dt_h * instance.steps
         begin = time.perf_counter()
         try:
-            outcome = run(model.problem, spec, limits.absolute(whole), limits.time_s)
+            outcome = run(model.problem, spec, limits.absolute(whole), limits.time_s,
+                          scale=objective_scale(self.site))
         except Exception as error:  # a licensed solver's own class, which may not be installed
             if method.solver not in LICENSED:
                 raise

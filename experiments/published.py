@@ -62,7 +62,7 @@ _ALL = (
     Statement("R2b", "text", "Corrections of the full horizon under ideal conditions", "none",
               0, 0),
     Statement("R3a", "fig:1a, text", "Resilience for H of 4 and more: largest distance to the "
-              X,
+              "full horizon's", "plateau at the full-horizon value", 0.0, 0.0, 0.003),
     Statement("R3b", "fig:1a, text", "Resilience against H below 4",
               "degrades for H < 4"),
     Statement("R3c", "fig:1a, text", "Cost against H up to the plateau", "rises with H"),

@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 import vppres
@@ -223,9 +224,30 @@ def test_debug_shows_the_traceback_and_keeps_the_status(tiny_folder: Path) -> No
     assert "InputError" in result.stderr
 
 
-def test_documentation_lists_every_option() -> None:
-    page = Path(__file__).parents[1] / "docs" / "command-line.md"
-    documented = re.findall(r"^\| `(--[a-z-]+)`", page.read_text(encoding="utf-8"), re.MULTILINE)
-    offered = [f"--{name.replace('_', '-')}" for name in inspect.signature(cli.run).parameters
-               if name != "scenario"]
-    assert documented == offered
+COMMANDS = typer.main.get_command(cli.app).commands
+
+
+def option_names(command: str) -> list[str]:
+    """Options of a command in the order of its help, without --help."""
+    return [parameter.opts[0] for parameter in COMMANDS[command].params
+            if parameter.opts[0].startswith("--") and parameter.name != "help"]
+
+
+def documented_options(command: str) -> list[str]:
+    """Options in the table of the command's section of the documentation."""
+    page = (Path(__file__).parents[1] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    found = re.search(rf"^## Options of `{command}`$(.*?)^## ", page, re.MULTILINE | re.DOTALL)
+    return re.findall(r"^\| `(--[a-z-]+)`", found[1], re.MULTILINE) if found else []
+
+
+@pytest.mark.parametrize("command", sorted(set(COMMANDS) - {"sweep"}))
+def test_documentation_lists_every_option(command: str) -> None:
+    assert documented_options(command) == option_names(command)
+
+
+def test_documentation_lists_the_options_of_sweep() -> None:
+    own = documented_options("sweep")
+    # The page refers to those that it shares with `run`.
+    shared = [name for name in option_names("run") if name not in (*own, "--out")]
+    assert sorted(own + shared) == sorted(option_names("sweep"))
+    assert shared == [name for name in option_names("sweep") if name not in own]

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vppres"
 ENTRY_POINTS = {"", "__main__"}  # above all layers: the package itself and `python -m vppres`
-OWNERS = {"cvxpy": {"model", "solve"}, "pandapower": {"powerflow"}}
+OWNERS = {"cvxpy": {"model", "solve"}, "pandapower": {"powerflow", "networks"}}
 
 
 def module_name(path: Path) -> str:

@@ -6,42 +6,57 @@ at once.
 
 from __future__ import annotations
 
+import json
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from vppres.errors import VppresError
+from vppres.cli_options import (
+    Controller,
+    Debug,
+    Gap,
+    Horizon,
+    Json,
+    LoadBias,
+    LoadError,
+    Method,
+    PVBias,
+    PVError,
+    Quiet,
+    RunFolder,
+    ScenarioName,
+    Seed,
+    Solver,
+    Thermal,
+    TimeLimit,
+    run_options,
+)
+from vppres.cli_tables import (
+    comparison_table,
+    content_of,
+    figures_table,
+    problem_record,
+    sweep_table,
+)
+from vppres.errors import InputError, Problem, VppresError
 
 if TYPE_CHECKING:
     from vppres.scenario import Scenario
     from vppres.simulate import RunOptions
+    from vppres.sweep import Outcome
+    from vppres.sweep_parameters import Parameter, Value
     from vppres.trajectory import Trajectory
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 RESULTS = Path("results")
 
-# Key of the summary, words, format, unit; in the order of the printed table.
-FIGURES = (
-    ("resilience", "resilience", ".4f", ""),
-    ("cost_gbp", "cost of the import", ",.2f", "GBP"),
-    ("import_kwh", "imported energy", ",.1f", "kWh"),
-    ("pv_curtailed_kwh", "curtailed PV energy", ",.2f", "kWh"),
-    ("v_min_ac_pu", "lowest AC voltage", ".4f", "pu"),
-    ("v_max_ac_pu", "highest AC voltage", ".4f", "pu"),
-    ("v_error_max_pu", "largest voltage error of the model", ".4f", "pu"),
-    ("corrections", "corrected steps", "d", ""),
-    ("gap_max", "largest optimality gap", ".2e", ""),
-)
-
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False,
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
                   help="Dispatch a virtual power plant through an outage.")
 
 
@@ -58,13 +73,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _positive(value: float) -> float:
-    """Refuse what the bounds of an option let pass, NaN and infinity."""
-    if not (isfinite(value) and value > 0):
-        raise typer.BadParameter(f"{value} is not a positive number.")
-    return value
-
-
 @app.callback()
 def common(
     version: Annotated[bool, typer.Option(
@@ -74,69 +82,212 @@ def common(
     """Dispatch a virtual power plant through an outage."""
 
 
-# The arguments of a typer command are its options, hence their number.
-@app.command()
+# The arguments of a typer command are its options, hence their number. Those that are not used by
+# name are read from the context.
+@app.command(epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1")
 def run(
-    scenario: Annotated[str, typer.Argument(help="A packaged scenario's name, or a folder.")],
-    controller: Annotated[str | None, typer.Option(
-        help="mpc or full-horizon; the scenario's if not given.")] = None,
-    horizon: Annotated[float | None, typer.Option(
-        metavar="HOURS",
-        help="Prediction horizon of the MPC; the scenario's if not given.")] = None,
-    solver: Annotated[str, typer.Option(help="Solver of the mixed-integer problems.")] = "highs",
-    method: Annotated[str, typer.Option(help="decomposed or monolithic.")] = "decomposed",
-    load_bias: Annotated[float, typer.Option(
-        help="Share by which the load forecast is too high.")] = 0.0,
-    load_error: Annotated[float, typer.Option(
-        help="Random error of the load forecast: growth of sigma per hour ahead.")] = 0.0,
-    pv_bias: Annotated[float, typer.Option(
-        help="Share by which the PV forecast is too high.")] = 0.0,
-    pv_error: Annotated[float, typer.Option(
-        help="Random error of the PV forecast: growth of sigma per hour ahead.")] = 0.0,
-    thermal: Annotated[Literal["off", "exact", "euler"], typer.Option(
-        help="Battery heating, and its time integration.")] = "off",
-    seed: Annotated[int, typer.Option(help="Seed of the random forecast errors.")] = 0,
+    context: typer.Context,
+    scenario: ScenarioName,
+    controller: Controller = None,
+    horizon: Horizon = None,
+    solver: Solver = "highs",
+    method: Method = "decomposed",
+    load_bias: LoadBias = 0.0,
+    load_error: LoadError = 0.0,
+    pv_bias: PVBias = 0.0,
+    pv_error: PVError = 0.0,
+    thermal: Thermal = "off",
+    seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
-    time_limit: Annotated[float, typer.Option(
-        metavar="S", callback=_positive, help="Time limit of one window in seconds.")] = 60.0,
-    gap: Annotated[float, typer.Option(
-        callback=_positive, help="Relative optimality gap at which a window is done.")] = 1e-4,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+    time_limit: TimeLimit = 60.0,
+    gap: Gap = 1e-4,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
 ) -> None:
     """Run a scenario's day and write a run folder."""
     with _plain_errors(debug):
-        from vppres.forecast import ForecastErrors
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
         from vppres.report import write_run
-        from vppres.simulate import RunOptions
-        from vppres.solve.result import SolveLimits
 
         day = read_scenario(find_scenario(scenario))
-        options = RunOptions(
-            controller=controller or day.controller.kind,
-            horizon_h=day.controller.horizon_h if horizon is None else horizon,
-            solver=solver, method=method, thermal=thermal, seed=seed,
-            errors=ForecastErrors(load_bias, load_error, pv_bias, pv_error),
-            limits=SolveLimits(gap_rel=gap, time_s=time_limit))
+        options = run_options(day, context.params)
         folder = out or RESULTS / f"{day.name}-{options.controller}"
         check_target(folder)  # before the work, not after it
-        trajectory = _run_with_bar(day, options, quiet)
-        _print_figures(write_run(trajectory, folder), day.title)
+        summary = write_run(_run_with_bar(day, options, quiet), folder)
+        if as_json:
+            _print_json({"folder": str(folder), "summary": summary})
+            return
+        Console().print(figures_table(summary, day.title))
         typer.echo(f"Written to {folder}")
 
 
+@app.command(epilog="Example: vppres validate ./my-feeder")
+def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False) -> None:
+    """Check a scenario and list all its problems with their cures; the status is 2 if it has any.
+
+    The problems are sorted by file and row.
+    """
+    with _plain_errors(debug):
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+
+        folder = find_scenario(scenario)
+        problems: tuple[Problem | str, ...] = ()
+        content: dict[str, Any] | None = None
+        try:
+            content = content_of(read_scenario(folder))
+        except InputError as error:
+            problems = error.problems
+        if as_json:
+            _print_json({"folder": str(folder), "valid": not problems, "content": content,
+                         "problems": [problem_record(problem) for problem in problems]})
+        else:
+            _print_problems(problems, content)
+    if problems:
+        raise typer.Exit(InputError.exit_status)
+
+
+@app.command(epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html")
+def report(
+    run_folder: RunFolder,
+    out: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="HTML file; report.html in the run folder if not given.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Draw the figures of a finished run again and write its report as one HTML file."""
+    with _plain_errors(debug):
+        from vppres.finished import read_finished, rewrite_report
+        from vppres.report import REPORT_FILE
+
+        file = out or run_folder / REPORT_FILE
+        rewrite_report(read_finished(run_folder), file)
+        typer.echo(f"Written to {file}")
+
+
+@app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
+def compare(
+    run_folders: Annotated[list[Path], typer.Argument(
+        metavar="RUN_FOLDER RUN_FOLDER...", help="Two or more folders that run wrote.")],
+    out: Annotated[Path, typer.Option(
+        metavar="FILE|DIR", help="A file that ends in .html, or a folder for comparison.html."),
+    ] = RESULTS,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Lay runs of the same day side by side in one HTML file, with differences to the first."""
+    with _plain_errors(debug):
+        from vppres.compare import (
+            COMPARISON_FILE,
+            compared_figures,
+            comparison_record,
+            read_runs,
+            render_comparison,
+        )
+        from vppres.pages import write_page
+
+        runs = read_runs(run_folders)
+        file = out if out.suffix == ".html" else out / COMPARISON_FILE
+        write_page(file, render_comparison(runs))
+        if as_json:
+            _print_json({"report": str(file), **comparison_record(runs)})
+            return
+        Console().print(comparison_table(list(runs), compared_figures(runs)))
+        typer.echo(f"Written to {file}")
+
+
+@app.command(epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
+                    "--out results/horizons")
+def sweep(
+    context: typer.Context,
+    scenario: ScenarioName,
+    param: Annotated[str, typer.Option(
+        metavar="NAME", help="An option of run without its hyphens (horizon, load-bias, ...), or "
+        "a number of the scenario: outage.hours; scale.load, .pv, .batteries, .price (factors); "
+        "tiers.TIER; network., objective. or batteries. with the name of a field.")],
+    out: Annotated[Path, typer.Option(
+        metavar="DIR", help="Folder for the run folders, the table and the page.")],
+    values: Annotated[str | None, typer.Option(
+        metavar="A,B,C", help="Values, separated by commas.")] = None,
+    range_: Annotated[str | None, typer.Option(
+        "--range", metavar="START:STOP:N", help="N equidistant values, both ends included."),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(
+        min=1, help="Runs at a time; one per core if not given.")] = None,
+    controller: Controller = None,
+    horizon: Horizon = None,
+    solver: Solver = "highs",
+    method: Method = "decomposed",
+    load_bias: LoadBias = 0.0,
+    load_error: LoadError = 0.0,
+    pv_bias: PVBias = 0.0,
+    pv_error: PVError = 0.0,
+    thermal: Thermal = "off",
+    seed: Seed = 0,
+    time_limit: TimeLimit = 60.0,
+    gap: Gap = 1e-4,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a scenario for several values of one parameter, in parallel.
+
+    Each run is a run folder; a table (summary.csv) and a page (sweep.html) hold all of them.
+    """
+    with _plain_errors(debug):
+        from vppres.io.atomic import check_target
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+        from vppres.sweep import cases_of, outcome_records, run_cases
+        from vppres.sweep_page import write_sweep_page
+        from vppres.sweep_parameters import find_parameter
+
+        day = read_scenario(find_scenario(scenario))
+        parameter = find_parameter(param, day)
+        cases = cases_of(parameter, _sweep_values(parameter, values, range_), day,
+                         run_options(day, context.params))
+        check_target(out)
+        with _bar(quiet) as bar:
+            task = bar.add_task(parameter.name, total=len(cases))
+            outcomes = run_cases(
+                cases, out, jobs, lambda done, _: bar.update(task, completed=done),
+                lambda found, folder: write_sweep_page(parameter.name, day, found, folder))
+        if as_json:
+            _print_json({"folder": str(out), "parameter": parameter.name,
+                         **outcome_records(outcomes)})
+        else:
+            Console().print(sweep_table(parameter.name, outcomes))
+            typer.echo(f"Written to {out}")
+    _report_failures(parameter.name, outcomes)
+
+
 @app.command()
-def scenarios() -> None:
+def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with the package."""
     with _plain_errors(debug=False):
-        from vppres.io.find import packaged_scenarios
+        from vppres.io.find import find_scenario, packaged_scenarios
 
-        for name in packaged_scenarios():
+        names = packaged_scenarios()
+        if as_json:
+            _print_json([{"name": name, "folder": str(find_scenario(name))} for name in names])
+            return
+        for name in names:
             typer.echo(name)
+
+
+def _sweep_values(parameter: Parameter, values: str | None, range_: str | None) -> list[Value]:
+    """The values of a sweep from whichever of the two options was given."""
+    from vppres.sweep_parameters import read_range, read_values
+
+    if values is not None and range_ is None:
+        return read_values(parameter, values)
+    if range_ is not None and values is None:
+        return read_range(parameter, range_)
+    raise InputError(Problem("sweep", "needs either --values or --range",
+                             "Give one of them, for example --values 1,2,3 or --range 0:5:6."))
 
 
 @contextmanager
@@ -159,15 +310,19 @@ def _fail(message: str, status: int, debug: bool) -> NoReturn:
     raise typer.Exit(status)
 
 
+def _bar(quiet: bool) -> Progress:
+    """A progress bar on stderr, if that is a terminal."""
+    console = Console(stderr=True)
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                    TimeElapsedColumn(), console=console, transient=True,
+                    disable=quiet or not console.is_terminal)
+
+
 def _run_with_bar(day: Scenario, options: RunOptions, quiet: bool) -> Trajectory:
-    """Run the day with a progress bar on stderr, if that is a terminal."""
+    """Run the day with a progress bar."""
     from vppres.simulate import run_day
 
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True,
-                  disable=quiet or not console.is_terminal) as bar:
+    with _bar(quiet) as bar:
         task = bar.add_task(options.controller, total=day.grid.n_steps)
 
         def show(step: int, total: int) -> None:
@@ -176,17 +331,26 @@ def _run_with_bar(day: Scenario, options: RunOptions, quiet: bool) -> Trajectory
         return run_day(day, options, progress=show)
 
 
-def _print_figures(summary: dict[str, Any], title: str) -> None:
-    """Key figures of a run as a table on stdout; what is not defined is left out."""
-    table = Table(title=title, show_header=False)
-    table.add_column()
-    table.add_column(justify="right")
-    table.add_column()
-    for key, words, form, unit in FIGURES:
-        if summary[key] is not None:
-            table.add_row(words, format(summary[key], form), unit)
-    for tier, share in summary["served_share"].items():
-        if share is not None:
-            table.add_row(f"served in the outage, {tier}", f"{share:.1%}", "")
-    table.add_row("solve time", f"{summary['solve_s']['total']:.1f}", "s")
-    Console().print(table)
+def _print_json(record: object) -> None:
+    typer.echo(json.dumps(record, indent=2, allow_nan=False))
+
+
+def _print_problems(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> None:
+    """One line per problem and their number, or what the sound scenario holds."""
+    for problem in problems:
+        typer.echo(str(problem))
+    if content is None:
+        typer.echo(f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}.")
+        return
+    typer.echo("{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
+               "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
+               "them without grid.".format_map(content))
+
+
+def _report_failures(name: str, outcomes: Sequence[Outcome]) -> None:
+    """Say on stderr which runs failed and end with status 1, if any did."""
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    for outcome in failed:
+        typer.echo(f"{name} = {outcome.value}: {outcome.error}", err=True)
+    if failed:
+        raise typer.Exit(1)

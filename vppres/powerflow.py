@@ -1,4 +1,4 @@
-"""AC power flow of what the plant did. The only importer of pandapower.
+"""AC power flow of what the plant did. Besides this module only ``networks`` imports pandapower.
 
 The check shares the network's data with the optimiser, never its equations: pandapower solves the
 full AC equations by Newton's method. The pandapower net, which is mutable and keeps its results as
