@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 from rich.console import Console
@@ -262,6 +262,61 @@ def sweep(
             Console().print(sweep_table(parameter.name, outcomes))
             typer.echo(f"Written to {out}")
     _report_failures(parameter.name, outcomes)
+
+
+@app.command(epilog="Example: vppres new case33bw ./my-feeder --outage 12:00..18:00")
+def new(
+    network: Annotated[str, typer.Argument(
+        metavar="NETWORK", help="case33bw, case69, cigre-mv, cigre-mv-der, a file (.json of "
+        "pandapower, .m or .mat of MATPOWER, .dss of OpenDSS), or a SimBench code.")],
+    folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="The scenario's folder.")],
+    source: Annotated[Literal["pandapower", "matpower", "opendss", "simbench"] | None, typer.Option(
+        "--from", help="Where the network comes from; by the file's suffix if not given.")] = None,
+    open_branch: Annotated[list[str] | None, typer.Option(
+        "--open", metavar="BRANCH", help="Open a branch, as 'line 7' or by its name; may be "
+        "repeated.")] = None,
+    outage: Annotated[list[str] | None, typer.Option(
+        metavar="START..END", help="12:00..18:00 on the first day, or dates with time zones; may "
+        "be repeated.")] = None,
+    start: Annotated[str, typer.Option(
+        metavar="DATE", help="Beginning of the first day.")] = "2025-07-01T00:00Z",
+    step_minutes: Annotated[float, typer.Option(metavar="M", help="Length of a step.")] = 60.0,
+    days: Annotated[int, typer.Option(help="Number of days.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the drawn tiers and PV buses.")] = 0,
+    tier_shares: Annotated[tuple[float, float, float], typer.Option(
+        help="Shares of critical, high and low customers.")] = (0.2, 0.3, 0.5),
+    pv: Annotated[Literal["auto", "existing", "sized", "none"], typer.Option(
+        help="The network's PV, PV by the rule of size, the former if there is any (auto), or "
+        "none.")] = "auto",
+    pv_share_of_peak: Annotated[float, typer.Option(
+        help="kW of sized PV per kW of a customer's peak load.")] = 0.5,
+    pv_share_of_buses: Annotated[float, typer.Option(
+        help="Share of the customers with sized PV.")] = 0.8,
+    battery_kwh_per_peak_kw: Annotated[float, typer.Option(
+        help="kWh of battery per kW of a customer's peak load; 0 for no batteries.")] = 0.625,
+    price: Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+    = "time-of-use",
+    v_slack: Annotated[float | None, typer.Option(
+        metavar="PU", help="Voltage of the slack bus; the network's if not given.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Make an editable scenario folder from a network."""
+    with _plain_errors(debug):
+        from vppres.io.atomic import check_target
+        from vppres.networks import import_network
+        from vppres.new_scenario import NewOptions, parse_outage, parse_start, write_new_scenario
+
+        check_target(folder)  # before the work, not after it
+        begin = parse_start(start)
+        options = NewOptions(
+            start=begin, step_minutes=step_minutes, days=days, seed=seed, tier_shares=tier_shares,
+            outages=tuple(parse_outage(text, begin) for text in outage or ()),
+            pv=pv, pv_share_of_peak=pv_share_of_peak, pv_share_of_buses=pv_share_of_buses,
+            battery_kwh_per_peak_kw=battery_kwh_per_peak_kw, price=price, v_slack_pu=v_slack)
+        feeder = import_network(network, source, open_branch or ())
+        for note in write_new_scenario(feeder, options, folder):
+            typer.echo(f"- {note}")
+        typer.echo(f"Written to {folder}")
 
 
 @app.command()

@@ -1,0 +1,569 @@
+"""The engineer's commands: validate, report, compare, sweep, their JSON and their messages."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from run_factory import small_run, small_scenario
+from test_cli import call
+
+from vppres import sweep, sweep_parameters
+from vppres.compare import read_runs
+from vppres.errors import InfeasibleError, InputError
+from vppres.io import read_scenario, write_scenario
+from vppres.plots import FIGURES
+from vppres.report import write_run
+from vppres.scenario import Scenario
+from vppres.simulate import RunOptions
+from vppres.sweep_page import sweep_figure
+from vppres.sweep_parameters import changed, find_parameter, read_range, read_values, value_text
+from vppres.trajectory import Trajectory
+
+# What a browser would fetch: any source or link that leaves the file, but for links between runs.
+OUTWARD = re.compile(r"""(?:src|href)=["'](?!data:)([^"']+)|url\((?!#)|@import""")
+
+
+def better(run: Trajectory) -> Trajectory:
+    """The small run with everybody served in its second step and 8 kW more import in the first."""
+    customers = run.customers.assign(
+        served=run.customers["served"] | (run.customers["time"] == run.steps["time"][1]))
+    steps = run.steps.assign(p_grid_kw=run.steps["p_grid_kw"] + [8.0, 0.0, 0.0, 0.0])
+    return replace(run, customers=customers, steps=steps,
+                   options={**run.options, "horizon_h": 6.0, "errors": {"load_bias": 0.2}})
+
+
+@pytest.fixture(scope="module")
+def written_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two run folders of the small day that are made up, not solved."""
+    home = tmp_path_factory.mktemp("runs")
+    write_run(small_run(), home / "plain")
+    write_run(better(small_run()), home / "more")
+    return home
+
+
+@pytest.fixture
+def two_runs(written_runs: Path, tmp_path: Path) -> list[Path]:
+    """Copies of the two run folders, to be spoiled."""
+    return [shutil.copytree(written_runs / name, tmp_path / name) for name in ("plain", "more")]
+
+
+def without_solving(scenario: Scenario, options: RunOptions) -> Trajectory:
+    """A made-up run that has the options it was asked for; a horizon of 4 has no answer."""
+    if options.horizon_h == 4:
+        raise InfeasibleError("Step 2 has no feasible dispatch.")
+    run = small_run(scenario)
+    return replace(run, options={**run.options, "horizon_h": options.horizon_h})
+
+
+@pytest.fixture
+def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The small day as a scenario folder, and runs of it that are not solved."""
+    monkeypatch.setattr(sweep, "run_day", without_solving)
+    for name in list(FIGURES)[1:]:  # one figure in a report is enough here
+        monkeypatch.delitem(FIGURES, name)
+    folder = tmp_path / "small"
+    write_scenario(small_scenario(), folder)
+    return folder
+
+
+# validate
+
+
+def test_valid_scenario(tiny_folder: Path) -> None:
+    result = call("validate", tiny_folder)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout == ("tiny is valid: 4 buses, 3 customers, 2 PV systems, 2 batteries, "
+                             "6 steps of 60 min, 2 of them without grid.\n")
+
+
+def test_valid_scenario_as_json(tiny_folder: Path) -> None:
+    result = call("validate", tiny_folder, "--json")
+    assert result.exit_code == 0
+    record = json.loads(result.stdout)
+    assert (record["folder"], record["valid"], record["problems"]) == (str(tiny_folder), True, [])
+    assert record["content"] == {
+        "name": "tiny", "title": "Four buses, six hours", "buses": 4, "customers": 3,
+        "pv_systems": 2, "batteries": 2, "steps": 6, "step_minutes": 60.0, "outage_steps": 2}
+
+
+def spoil(folder: Path) -> None:
+    """Three mistakes in two files, the later row first."""
+    (folder / "lines.csv").write_text("from_bus,to_bus,r_ohm,x_ohm\n1,2,0.3,0.2\n2,3,0.4,none\n"
+                                      "2,4,-0.5,0.4\n", encoding="utf-8")
+    toml = folder / "scenario.toml"
+    toml.write_text(toml.read_text(encoding="utf-8").replace("steps = 6", "steps = 0"),
+                    encoding="utf-8")
+
+
+def test_all_problems_by_file_and_row(tiny_folder: Path) -> None:
+    spoil(tiny_folder)
+    result = call("validate", tiny_folder)
+    assert (result.exit_code, result.stderr) == (2, "")
+    assert result.stdout.splitlines() == [
+        "scenario.toml, time.steps = 0: must be at least 1. Give the number of steps.",
+        "lines.csv, row 3, x_ohm = none: is not a number. Give the series reactance in ohm.",
+        "lines.csv, row 4, r_ohm = -0.5: must be greater than 0. "
+        "Give the series resistance in ohm.",
+        "3 problems."]
+
+
+def test_problems_as_json(tiny_folder: Path) -> None:
+    spoil(tiny_folder)
+    result = call("validate", tiny_folder, "--json")
+    record = json.loads(result.stdout)
+    assert (result.exit_code, record["valid"], record["content"]) == (2, False, None)
+    assert [(p["file"], p["row"], p["field"]) for p in record["problems"]] == [
+        ("scenario.toml", None, "time.steps"), ("lines.csv", 3, "x_ohm"), ("lines.csv", 4, "r_ohm")]
+    assert record["problems"][2] == {
+        "file": "lines.csv", "row": 4, "field": "r_ohm", "value": "-0.5",
+        "message": "must be greater than 0", "cure": "Give the series resistance in ohm."}
+
+
+def test_single_problem_is_counted_in_words(tiny_folder: Path) -> None:
+    (tiny_folder / "lines.csv").unlink()
+    lines = call("validate", tiny_folder).stdout.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("lines.csv: the file is missing.")
+    assert lines[1] == "1 problem."
+
+
+def test_validate_of_nothing_is_an_error() -> None:
+    result = call("validate", "nowhere", "--json")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("scenario nowhere: is neither a packaged scenario nor ")
+
+
+def test_validate_is_quick_and_loads_neither_solver_nor_power_flow() -> None:
+    heavy = ("cvxpy", "highspy", "matplotlib", "pandapower", "pyscipopt")
+    code = ("import sys\nfrom vppres.cli import app\n"
+            "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
+            f"print('loaded', [name for name in {heavy!r} if name in sys.modules])")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.stdout.splitlines()[-1] == "loaded []"
+    # Time of the processor: the clock on the wall depends on what else runs.
+    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 2.0
+
+
+# JSON of run and scenarios
+
+
+def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
+    result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run", "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert json.loads(result.stdout) == {"folder": str(tmp_path / "run"), "summary": summary}
+
+
+def test_scenarios_as_json() -> None:
+    (record,) = json.loads(call("scenarios", "--json").stdout)
+    assert record["name"] == "uk-heatwave-2022"
+    assert read_scenario(record["folder"]).name == "uk-heatwave-2022"
+
+
+# report
+
+
+def test_report_is_drawn_again(two_runs: list[Path]) -> None:
+    file = two_runs[0] / "report.html"
+    old = file.read_text(encoding="utf-8")
+    file.unlink()
+    result = call("report", two_runs[0])
+    assert (result.exit_code, result.stdout) == (0, f"Written to {file}\n")
+    assert file.read_text(encoding="utf-8") == old
+
+
+def test_report_keeps_recorded_figures_and_adds_missing_ones(two_runs: list[Path],
+                                                             tmp_path: Path) -> None:
+    summary_file = two_runs[0] / "summary.json"
+    summary = json.loads(summary_file.read_text(encoding="utf-8"))
+    del summary["v_mean_of_min_ac_pu"]  # as if an older version had written it
+    summary["versions"]["vppres"] = "0.0.1"
+    summary_file.write_text(json.dumps(summary), encoding="utf-8")
+    out = tmp_path / "pages" / "report.html"
+    assert call("report", two_runs[0], "--out", out).exit_code == 0
+    text = out.read_text(encoding="utf-8")
+    assert "<td>vppres</td><td>0.0.1</td>" in text
+    assert '<td class="n">0.9650</td><td>pu</td>' in text  # mean of 0.98, 0.97, 0.96, 0.95
+    assert OUTWARD.findall(text) == []
+
+
+@pytest.mark.parametrize(("spoiled", "message"), [
+    (lambda run: shutil.rmtree(run), "there is no such folder. Give a folder written by a run."),
+    (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
+    (lambda run: (run / "summary.json").unlink(), "has no summary.json. Give a folder written by"),
+    (lambda run: (run / "summary.json").write_text("{"), "summary.json: is not valid JSON (Expec"),
+    (lambda run: (run / "summary.json").write_text("[]"), "summary.json: is not a table of fig"),
+    (lambda run: (run / "options.json").write_text("{"), "cannot be read (Expecting property"),
+    (lambda run: (run / "pv.parquet").write_text("id"), "cannot be read ("),
+])
+def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> None:
+    spoiled(two_runs[0])
+    result = call("report", two_runs[0])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(str(two_runs[0]))
+    assert message in result.stderr
+
+
+def test_report_of_a_file(two_runs: list[Path]) -> None:
+    file = two_runs[0] / "summary.json"
+    assert call("report", file).stderr == (
+        f"{file}: is not a folder. Give a folder written by a run.\n")
+
+
+def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "letter").write_text("keep", encoding="utf-8")
+    result = call("report", two_runs[0], "--out", tmp_path / "letter" / "report.html")
+    assert result.exit_code == 2
+    assert "cannot be written (" in result.stderr
+    assert (tmp_path / "letter").read_text(encoding="utf-8") == "keep"
+
+
+# compare
+
+
+def test_compare_by_hand(two_runs: list[Path], tmp_path: Path) -> None:
+    result = call("compare", *two_runs, "--out", tmp_path / "both.html", "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    record = json.loads(result.stdout)
+    assert record["report"] == str(tmp_path / "both.html")
+    assert record["same_scenario"] is True
+    assert [run["label"] for run in record["runs"]] == ["plain", "more"]
+    figures = {row["key"]: row for row in record["figures"]}
+    # Weights 1, 0.1, 0.2 over two outage steps; b and c, weights 0.3, come on in one of them.
+    assert figures["resilience"]["values"] == pytest.approx([1.1 / 2.6, 1.4 / 2.6])
+    assert figures["resilience"]["differences"] == pytest.approx([0.0, 0.3 / 2.6])
+    # 8 kW for half an hour at 0.1 GBP/kWh.
+    assert figures["import_kwh"]["differences"] == pytest.approx([0.0, 4.0])
+    assert figures["cost_gbp"]["differences"] == pytest.approx([0.0, 0.4])
+    assert figures["served_share.low"]["values"] == pytest.approx([0.25, 0.75])
+
+
+def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path) -> None:
+    result = call("compare", *two_runs, "--out", tmp_path / "pages")
+    assert result.exit_code == 0
+    assert "(+0.1154)" in result.stdout
+    page = tmp_path / "pages" / "comparison.html"
+    assert result.stdout.endswith(f"Written to {page}\n")
+    text = page.read_text(encoding="utf-8")
+    assert OUTWARD.findall(text) == []
+    assert text.count('src="data:image/svg+xml;base64,') == 4
+    assert '<td class="n">0.5385</td><td class="n change">+0.1154</td>' in text
+    assert "<tr><td>horizon h</td><td>5</td><td>6</td></tr>" in text
+    assert "<tr><td>errors, load bias</td><td>0.1</td><td>0.2</td></tr>" in text
+    assert "<td>seed</td>" not in text  # the same in both
+    assert '<tr><td>b</td><td>low</td><td class="n">0.50</td><td class="n">0.00</td>' in text
+    assert "The runs differ in their scenario." not in text
+
+
+def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
+    shutil.copytree(two_runs[0], tmp_path / "copy")
+    call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
+    text = (tmp_path / "both.html").read_text(encoding="utf-8")
+    assert "None: the runs had the same options." in text
+    assert "None: every customer was as long without supply in each run." in text
+
+
+def test_compare_says_that_scenarios_differ(two_runs: list[Path], tmp_path: Path) -> None:
+    day = small_scenario()
+    write_run(small_run(replace(day, load_kw=day.load_kw * 2)), tmp_path / "double")
+    call("compare", two_runs[0], tmp_path / "double", "--out", tmp_path / "both.html")
+    assert "The runs differ in their scenario." in (tmp_path / "both.html").read_text("utf-8")
+
+
+def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path],
+                                                      tmp_path: Path) -> None:
+    other = tmp_path / "b" / "plain"
+    shutil.copytree(two_runs[0], other)
+    assert list(read_runs([two_runs[0], other, two_runs[1]])) == [
+        str(two_runs[0]), str(other), "more"]
+
+
+@pytest.mark.parametrize(("choose", "message"), [
+    (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
+    (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
+    (lambda a, b: [a, b, b.parent / "more" / ".." / "more"],
+     "{b}: is given more than once. Give each run folder once.\n"),
+    (lambda a, b: [a, b, "c", "d", "e", "f"], "compare: can tell 5 runs apart in a figure, and was "
+     "given 6. Leave some out, or compare them in parts.\n"),
+    (lambda a, b: [a, b / "x"],
+     "{b}/x: there is no such folder. Give a folder written by a run.\n"),
+])
+def test_runs_that_cannot_be_compared(two_runs: list[Path], choose: Any, message: str) -> None:
+    result = call("compare", *choose(*two_runs))
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == message.format(a=two_runs[0], b=two_runs[1])
+
+
+def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
+    write_run(small_run(small_scenario(step_minutes=15.0)), tmp_path / "quarters")
+    result = call("compare", two_runs[0], tmp_path / "quarters", "--out", tmp_path / "x.html")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"{tmp_path / 'quarters'}: has 4 steps of 15 min from 2022-07-19 00:00:00+00:00, "
+        f"{two_runs[0]} has 4 of 30 min from 2022-07-19 00:00:00+00:00. "
+        "Compare runs of the same day.\n")
+    assert not (tmp_path / "x.html").exists()
+
+
+# sweep
+
+
+@pytest.mark.slow
+def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sweep"
+    result = call("sweep", tiny_folder, "--param", "horizon", "--values", "2,0", "--out", out,
+                  "--jobs", 2, "--load-bias", 0.1)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.endswith(f"Written to {out}\n")
+    alone = tmp_path / "alone"
+    assert call("run", tiny_folder, "--horizon", 2, "--load-bias", 0.1, "--out",
+                alone).exit_code == 0
+    runs = read_runs([alone, out / "horizon=2", out / "horizon=0"])
+    assert [run.summary["horizon_h"] for run in runs.values()] == [2.0, 2.0, 0.0]
+    assert [run.summary["options"]["errors"]["load_bias"] for run in runs.values()] == [0.1] * 3
+    assert runs["alone"].summary["cost_gbp"] == runs["horizon=2"].summary["cost_gbp"]
+    table = pd.read_csv(out / "summary.csv")
+    assert table["value"].tolist() == [2.0, 0.0]
+    assert table["folder"].tolist() == ["horizon=2", "horizon=0"]
+    assert table["resilience"].tolist() == pytest.approx(
+        [runs[name].summary["resilience"] for name in ("horizon=2", "horizon=0")])
+
+
+def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sweep"
+    result = call("sweep", small_folder, "--param", "scale.load", "--range", "1:2:3", "--out", out,
+                  "--jobs", 1, "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    record = json.loads(result.stdout)
+    assert (record["folder"], record["parameter"]) == (str(out), "scale.load")
+    assert [run["folder"] for run in record["runs"]] == [
+        "scale.load=1", "scale.load=1.5", "scale.load=2"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "scale.load=1", "scale.load=1.5", "scale.load=2", "summary.csv", "summary.json",
+        "sweep.html", "sweep.png", "sweep.svg"]
+    loads = [read_scenario(out / run["folder"] / "scenario").load_kw[0, 0]
+             for run in record["runs"]]
+    assert loads == pytest.approx([10.0, 15.0, 20.0])
+    text = (out / "sweep.html").read_text(encoding="utf-8")
+    links = ["scale.load%3D1/report.html", "scale.load%3D1.5/report.html",
+             "scale.load%3D2/report.html"]
+    assert OUTWARD.findall(text) == links
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == record["runs"]
+
+
+def test_failed_run_does_not_end_the_others(small_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sweep"
+    result = call("sweep", small_folder, "--param", "horizon", "--values", "3,4,5", "--out", out,
+                  "--jobs", 1)
+    assert result.exit_code == 1
+    assert result.stderr == "horizon = 4.0: Step 2 has no feasible dispatch.\n"
+    assert "failed" in result.stdout
+    table = pd.read_csv(out / "summary.csv")
+    assert table["error"].fillna("").tolist() == ["", "Step 2 has no feasible dispatch.", ""]
+    assert table["resilience"].notna().tolist() == [True, False, True]
+    assert not (out / "horizon=4").exists()
+    text = (out / "sweep.html").read_text(encoding="utf-8")
+    assert re.search(r'class="error" colspan="\d+">Step 2 has no feasible dispatch.<', text)
+
+
+def test_sweep_replaces_a_sweep_and_nothing_else(small_folder: Path, tmp_path: Path) -> None:
+    arguments = ["sweep", small_folder, "--param", "seed", "--jobs", 1]
+    for values in ("1,2", "3"):
+        assert call(*arguments, "--values", values, "--out", tmp_path / "s").exit_code == 0
+    assert [path.name for path in (tmp_path / "s").glob("seed=*")] == ["seed=3"]
+    result = call(*arguments, "--values", "1", "--out", small_folder)
+    assert result.exit_code == 2
+    assert "exists and is not a run folder" in result.stderr
+    assert (small_folder / "scenario.toml").is_file()
+
+
+def test_interrupted_sweep_leaves_nothing(small_folder: Path, tmp_path: Path,
+                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep, "write_run", interrupt)
+    result = call("sweep", small_folder, "--param", "seed", "--values", "1,2", "--out",
+                  tmp_path / "s", "--jobs", 1)
+    assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["small"]
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--param", "horizont", "--values", "1"],
+     "sweep, --param = horizont: is not a parameter. Did you mean horizon?"),
+    (["--param", "network.v_min", "--values", "1"],
+     "sweep, --param = network.v_min: is not a parameter. Did you mean network.v_min_pu?"),
+    (["--param", "zzz", "--values", "1"],
+     "sweep, --param = zzz: is not a parameter. Use one of: controller, horizon, solver, "),
+    (["--param", "horizon"], "sweep: needs either --values or --range. Give one of them, "),
+    (["--param", "horizon", "--values", "1", "--range", "0:1:2"],
+     "sweep: needs either --values or --range. Give one of them, "),
+    (["--param", "horizon", "--values", "1,two,nan,,1.0"],
+     "sweep, --values = 1,two,nan,,1.0: two is not a finite number. Give values of horizon, "
+     "separated by commas.\n"
+     "sweep, --values = 1,two,nan,,1.0: nan is not a finite number. Give values of horizon, "
+     "separated by commas.\n"
+     "sweep, --values = 1,two,nan,,1.0: nothing is not a finite number. Give values of horizon, "
+     "separated by commas.\n"
+     "sweep, --values = 1,two,nan,,1.0: 1.0 comes twice. Give each value once.\n"),
+    (["--param", "seed", "--values", "1.5"],
+     "sweep, --values = 1.5: 1.5 is not a whole number. Give values of seed, "),
+    (["--param", "seed", "--range", "0:1:3"],
+     "sweep, --values = 0,0.5,1: 0.5 is not a whole number. Give values of seed, "),
+    (["--param", "solver", "--values", "highs,"],
+     "sweep, --values = highs,: nothing is not a word. Give values of solver, "),
+    (["--param", "horizon", "--range", "0:5"],
+     "sweep, --range = 0:5: is not start:stop:n with n from 2 to 1000. Write for example "),
+    (["--param", "horizon", "--range", "0:x:3"], "sweep, --range = 0:x:3: is not start:stop:n "),
+    (["--param", "horizon", "--range", "0:5:1"], "sweep, --range = 0:5:1: is not start:stop:n "),
+    (["--param", "controller", "--range", "0:5:6"],
+     "sweep, --range = 0:5:6: controller takes words, not numbers. Use --values."),
+    (["--param", "horizon", "--values", "1,-1"],
+     "horizon = -1: options, horizon_h = -1.0: must be zero or positive. Give hours."),
+    (["--param", "thermal", "--values", "hot"],
+     "thermal = hot: options, thermal = hot: is not known. Use one of: off, exact, euler."),
+    (["--param", "gap", "--values", "0"],
+     "gap = 0: options, gap = 0.0: must be positive. Give a number above 0."),
+    (["--param", "load_error", "--values", "-0.1"],
+     "load-error = -0.1: forecast errors, load_alpha_per_h = -0.1: must be a number not below 0."),
+    (["--param", "network.v_min_pu", "--values", "0.94,1.06"],
+     "network.v_min_pu = 1.06: scenario.toml, network.v_min_pu = 1.06: must be less than "
+     "v_max_pu (1.053). Correct one of the limits."),
+    (["--param", "batteries.soc_min", "--values", "1.5"],
+     "batteries.soc_min = 1.5: batteries.csv, row 2, soc_min = 1.5: must be at most 1."),
+    (["--param", "outage.hours", "--values", "0.75"],
+     "outage.hours = 0.75: scenario: the outage must last from 0 to 1.5 h in steps of 0.5 h. "
+     "Give another duration."),
+    (["--param", "seed", "--values", "1", "--jobs", "0"], "greater than or equal to 1"),
+])
+def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str],
+                   message: str) -> None:
+    result = call("sweep", small_folder, "--out", tmp_path / "s", *arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr
+    assert not (tmp_path / "s").exists()
+
+
+def test_unknown_solver_ends_the_sweep(tiny_folder: Path, tmp_path: Path) -> None:
+    result = call("sweep", tiny_folder, "--param", "solver", "--values", "glpk", "--jobs", 1,
+                  "--out", tmp_path / "s")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "solver = glpk: is not a known solver (highs, scip, " in result.stderr
+    assert not (tmp_path / "s").exists()
+
+
+def test_outage_hours_of_a_day_with_two_outages() -> None:
+    day = replace(small_scenario(), grid_limit_kw=[0.0, np.inf, 0.0, np.inf])
+    with pytest.raises(InputError, match=r"scenario: has not exactly one outage\. Sweep the"):
+        changed(find_parameter("outage.hours", day), 1.0, day, RunOptions())
+
+
+# What the parameters change
+
+
+def varied(name: str, value: float) -> Scenario:
+    """The small day with one parameter changed."""
+    day = small_scenario()
+    return changed(find_parameter(name, day), value, day, RunOptions())[0]
+
+
+def test_every_option_of_run_is_a_parameter() -> None:
+    values = {"controller": "full-horizon", "solver": "scip", "method": "monolithic",
+              "thermal": "euler", "centre": "literal", "pv-check": "literal", "seed": 3}
+    day, options = small_scenario(), RunOptions()
+    for name in sweep_parameters.OPTION_FIELDS:
+        value = values.get(name, 0.5)
+        same, options = changed(find_parameter(name, day), value, day, options)
+        assert same is day
+    assert options.as_record() == {
+        "controller": "full-horizon", "horizon_h": 0.5, "solver": "scip", "method": "monolithic",
+        "errors": {"load_bias": 0.5, "load_alpha_per_h": 0.5, "pv_bias": 0.5,
+                   "pv_alpha_per_h": 0.5},
+        "thermal": "euler", "seed": 3,
+        "limits": {**RunOptions().as_record()["limits"], "gap_rel": 0.5, "time_s": 0.5},
+        "polygon_sides": RunOptions().polygon_sides, "centre": "literal", "pv_check": "literal"}
+
+
+def test_scenario_parameters_by_hand() -> None:
+    assert varied("outage.hours", 1.5).outage.tolist() == [False, True, True, True]
+    assert varied("outage.hours", 0).outage.tolist() == [False] * 4
+    assert varied("scale.load", 2).load_kw[0].tolist() == [20.0, 40.0, 80.0]
+    assert varied("scale.price", 0.5).price_gbp_per_kwh.tolist() == [0.05, 0.1, 0.15, 0.2]
+    pv = varied("scale.pv", 2)
+    assert (pv.pv.p_max_kw[0], pv.pv.s_max_kva[0], pv.pv_kw[0, 0]) == (60.0, 80.0, 24.0)
+    battery = varied("scale.batteries", 2).batteries
+    assert (battery.energy_kwh[0], battery.p_max_kw[0], battery.s_max_kva[0]) == (200, 100, 200)
+    assert varied("batteries.soc_max", 0.7).batteries.soc_max.tolist() == [0.7]
+    assert varied("tiers.critical", 5).customers.weight.tolist() == [5.0, 0.1, 0.2]
+    assert varied("network.v_min_pu", 0.95).network.v_min_pu == 0.95
+    assert varied("objective.lambda_curt", 0.2).objective.lambda_curt == 0.2
+
+
+def test_nothing_is_left_at_scale_zero() -> None:
+    assert varied("scale.pv", 0).pv_kw.shape == (4, 0)
+    assert len(varied("scale.batteries", 0).batteries) == 0
+
+
+def test_range_has_both_ends_and_plain_decimals() -> None:
+    horizon = find_parameter("horizon", small_scenario())
+    assert read_range(horizon, "0:0.3:4") == [0.0, 0.1, 0.2, 0.3]
+    assert read_range(horizon, "5:1:3") == [5.0, 3.0, 1.0]
+    seed = find_parameter("seed", small_scenario())
+    assert [value_text(v) for v in read_range(seed, "0:4:3")] == ["0", "2", "4"]
+
+
+def test_values_may_have_spaces() -> None:
+    controller = find_parameter("controller", small_scenario())
+    assert read_values(controller, "mpc, full-horizon") == ["mpc", "full-horizon"]
+
+
+def test_figure_orders_numbers_and_leaves_a_gap() -> None:
+    outcomes = [sweep.Outcome(value, "", None if value == 1.0 else {"resilience": value / 10}, None)
+                for value in (2.0, 1.0, 0.0)]
+    figure = sweep_figure("horizon", outcomes, ("critical",))
+    x, y = figure.axes[1].lines[0].get_data()
+    assert list(x) == [0.0, 1.0, 2.0]
+    np.testing.assert_array_equal(y, [0.0, np.nan, 0.2])
+
+
+def test_figure_names_words_on_its_axis() -> None:
+    outcomes = [sweep.Outcome(value, "", {"resilience": 0.5}, None) for value in ("mpc", "full")]
+    axis = sweep_figure("controller", outcomes, ("critical",)).axes[-1]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["mpc", "full"]
+    assert axis.lines[0].get_linestyle() == "None"  # there is nothing between two words
+
+
+# Help and completion
+
+
+@pytest.mark.parametrize("command", ["run", "validate", "report", "compare", "sweep"])
+def test_help_has_an_example(command: str) -> None:
+    result = call(command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: vppres {command} " in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    ("vppres val", "validate"), ("vppres run uk", "uk-heatwave-2022"),
+    ("vppres sweep x --ra", "--range")])
+def test_shell_completion(words: str, expected: str) -> None:
+    environment = {**os.environ, "_VPPRES_COMPLETE": "complete_bash", "COMP_WORDS": words,
+                   "COMP_CWORD": str(len(words.split()) - 1)}
+    done = subprocess.run([sys.executable, "-m", "vppres"], env=environment, capture_output=True,
+                          text=True, check=True)
+    assert done.stdout.split() == [expected]

@@ -1,0 +1,86 @@
+"""Arguments and options of the command line, as types; those that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from vppres.scenario import Scenario
+    from vppres.simulate import RunOptions
+
+
+def _positive(value: float) -> float:
+    """Refuse what the bounds of an option let pass, NaN and infinity."""
+    if not (isfinite(value) and value > 0):
+        raise typer.BadParameter(f"{value} is not a positive number.")
+    return value
+
+
+def _complete_scenario(start: str) -> list[str]:
+    """Packaged names for the shell; it offers folders itself where none of them fits."""
+    from vppres.io.find import packaged_scenarios
+
+    return [name for name in packaged_scenarios() if name.startswith(start)]
+
+
+FORECAST, SOLVER = "Forecast errors", "Solver"  # headings of the help
+
+ScenarioName = Annotated[str, typer.Argument(
+    metavar="SCENARIO", help="A packaged scenario's name, or a folder.",
+    autocompletion=_complete_scenario)]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN_FOLDER", help="A folder that run wrote.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress bar.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
+
+# The options that `run` and `sweep` share; run_options reads them.
+Controller = Annotated[str | None, typer.Option(
+    help="mpc or full-horizon; the scenario's if not given.")]
+Horizon = Annotated[float | None, typer.Option(
+    metavar="HOURS", help="Prediction horizon of the MPC; the scenario's if not given.")]
+Solver = Annotated[str, typer.Option(
+    help="Solver of the mixed-integer problems.", rich_help_panel=SOLVER)]
+Method = Annotated[str, typer.Option(
+    help="decomposed or monolithic.", rich_help_panel=SOLVER)]
+LoadBias = Annotated[float, typer.Option(
+    help="Share by which the load forecast is too high.", rich_help_panel=FORECAST)]
+LoadError = Annotated[float, typer.Option(
+    help="Random error of the load forecast: growth of sigma per hour ahead.",
+    rich_help_panel=FORECAST)]
+PVBias = Annotated[float, typer.Option(
+    help="Share by which the PV forecast is too high.", rich_help_panel=FORECAST)]
+PVError = Annotated[float, typer.Option(
+    help="Random error of the PV forecast: growth of sigma per hour ahead.",
+    rich_help_panel=FORECAST)]
+Thermal = Annotated[Literal["off", "exact", "euler"], typer.Option(
+    help="Battery heating, and its time integration.")]
+Seed = Annotated[int, typer.Option(
+    help="Seed of the random forecast errors.", rich_help_panel=FORECAST)]
+TimeLimit = Annotated[float, typer.Option(
+    metavar="S", callback=_positive, help="Time limit of one window in seconds.",
+    rich_help_panel=SOLVER)]
+Gap = Annotated[float, typer.Option(
+    callback=_positive, help="Relative optimality gap at which a window is done.",
+    rich_help_panel=SOLVER)]
+
+
+def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
+    """The options of a run from those of the command line; the scenario has the defaults."""
+    from vppres.forecast import ForecastErrors
+    from vppres.simulate import RunOptions
+    from vppres.solve.result import SolveLimits
+
+    horizon_h = given["horizon"]
+    return RunOptions(
+        controller=given["controller"] or day.controller.kind,
+        horizon_h=day.controller.horizon_h if horizon_h is None else horizon_h,
+        solver=given["solver"], method=given["method"], thermal=given["thermal"],
+        seed=given["seed"],
+        errors=ForecastErrors(given["load_bias"], given["load_error"], given["pv_bias"],
+                              given["pv_error"]),
+        limits=SolveLimits(gap_rel=given["gap"], time_s=given["time_limit"]))
