@@ -81,7 +81,10 @@ def _ratio_bar(table: pd.DataFrame, method: str, least: float, where: str) -> Ba
     if not len(row) or not row["instances"].iloc[0]:
         return Bar(claim, "no instance", None)
     median, low, high = (float(row[f"ratio {q}"].iloc[0]) for q in ("median", "p5", "p95"))
-    return Bar(claim, f"{median:.1f} ({low:.1f} to {high:.1f})", median >= least)
+    undecided = median < least <= float(row["median at most"].iloc[0])
+    return Bar(claim, f"{median:.1f} ({low:.1f} to {high:.1f})"
+               + (", cut off by the time limit" if undecided else ""),
+               None if undecided else median >= least)
 
 
 def _licensed(method: str) -> bool:

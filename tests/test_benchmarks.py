@@ -114,6 +114,7 @@ def test_unsolved_instances_enter_the_ratios_with_their_limit() -> None:
     rows = rows_of({"a": [1.0, 2.0, 4.0], "b": [10.0, 60.0, 60.0]})
     (table,) = profiles.ratios(rows, base="a").to_dict("records")
     assert table["ratio median"] == 15.0  # of 10, 30 and 15
+    assert table["median at most"] == np.inf  # 10 and twice no end
     assert table["unsolved"] == 2
     assert table["share slower"] == 1.0
 

@@ -25,6 +25,9 @@ Master = Callable[[WindowData, "Search"], None]
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
 
+GRACE_S = 5.0
+"""What each step on the way to the first answer may take when time is up."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -65,6 +68,11 @@ class Search:
     def certified(self) -> bool:
         """Whether the best dispatch is within the gap of the bound."""
         return self.best is not None and self.bound - self.best.value <= self.gap
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is a dispatch that the network carries."""
+        return self.best is not None and self.best.in_network
 
     @property
     def status(self) -> Status:
@@ -149,7 +157,8 @@ class WindowSolver:
         search = Search(self.limits, self.limits.absolute(whole))
         if self.method == "decomposed":
             self._decomposed(data, whole, search)
-            if not search.certified and search.left_s > 0:
+            if search.proof is None and (not search.answered or
+                                         (not search.certified and search.left_s > 0)):
                 self._relaxed(data, search)
         if not search.certified and search.left_s > 0:
             self._full(data, search)
@@ -193,7 +202,7 @@ class WindowSolver:
 
     def _polished(self, data: WindowData, found: Candidate, search: Search) -> Candidate | None:
         """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
-        stage = polish(self.cache, data, found.dispatch, max(search.left_s, 5.0))
+        stage = polish(self.cache, data, found.dispatch, max(search.left_s, GRACE_S))
         search.note("tie_breakers", stage.outcome)
         if stage.dispatch is None:
             return None
@@ -205,7 +214,7 @@ class WindowSolver:
         """Cheapest dispatch of a served set in a form of the cost level."""
         # A started answer is always finished: recovery gets a moment even when time is up. In a
         # large network it may need long to find that there is none, so it may not take it all.
-        time_s = max(search.left_s / 3.0 if form.network else search.left_s, 5.0)
+        time_s = max(search.left_s / 3.0 if form.network else search.left_s, GRACE_S)
         stage = solve_cost(self.cache, data, served, self.spec, form, time_s)
         search.note(name, stage.outcome)
         if stage.dispatch is None:
@@ -243,6 +252,7 @@ class WindowSolver:
         best = search.best
         # The objective is whole, so the bound may be rounded down to the grid.
         service_bound = model.grid * np.floor(outcome.bound + 1e-6)
+        search.bound = min(search.bound, service_bound)  # cost only lowers the objective
         if best is not None and service_bound - best.service <= search.gap:
             search.service_bound = service_bound
             self._cost_level(data, model, search)
@@ -301,12 +311,14 @@ class WindowSolver:
         """Bound of the whole problem without binaries, and those it serves in full.
 
         It is there for networks that forbid what the fleet could do: an answer comes before the
-        search with binaries, which may need all the time there is.
+        search with binaries, which may need all the time there is. Where there is no answer yet it
+        runs even when time is up.
         """
         form = Form("service", "relaxed", "relaxed", self.sides or POLYGON_SIDES, outer=True)
         model = self.cache.window(form, data.n_steps)
         model.fill(data)
-        outcome = run_conic(model.problem, search.left_s, objective_scale(self.site))
+        outcome = run_conic(model.problem, max(search.left_s, GRACE_S),
+                            objective_scale(self.site))
         search.note("relaxed", outcome)
         if outcome.status == Status.OPTIMAL:
             # Interior points end within their tolerance of the optimum, on either side.
@@ -352,7 +364,7 @@ class WindowSolver:
 
     def _finish(self, data: WindowData, search: Search) -> WindowSolution:
         """The certificate."""
-        if search.best is None or not search.best.in_network:
+        if search.best is None or not search.answered:
             search.no_answer().require_answer(f"The window of {data.n_steps} steps")
             raise AssertionError("an outcome without answer always raises")
         best, weights = search.best, self.site.weights

@@ -95,6 +95,9 @@ def _copt_slack(problem: cp.Problem) -> float:
 
 def _xpress_slack(problem: cp.Problem) -> float:
     attributes = _stats(problem)
+    # cvxpy does not hand them on in every version: without them there is no bound.
+    if not attributes:
+        return np.inf
     return float(attributes["mipobjval"] - attributes["bestbound"])
 
 

@@ -100,8 +100,11 @@ def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], s
     netted, done = net_modes(cache.site, data, stage.dispatch)
     if done:
         return replace(stage, dispatch=netted)
-    return _cost(cache, data, served, spec, replace(form, exclusivity="integer"),
-                 time_s - stage.outcome.solve_s)
+    first_s = stage.outcome.solve_s
+    exclusive = _cost(cache, data, served, spec, replace(form, exclusivity="integer"),
+                      time_s - first_s)
+    both_s = first_s + exclusive.outcome.solve_s
+    return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
 
 
 def cost_form(polygon_sides: int, network: bool) -> Form:
