@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+import vppres
 from benchmarks.instances import packaged
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import InputError, Problem
@@ -23,7 +24,7 @@ from vppres.units import mw_to_kw
 
 Floats = NDArray[np.float64]
 
-CASE69 = Path(__file__).parents[1] / "tests" / "data" / "case69.csv"
+CASE69 = Path(vppres.__file__).parent / "networks" / "data" / "case69.csv"
 BASE_KV = 12.66
 FEEDERS = {33: ("33", 1), 69: ("69", 1), 115: ("115", 1), 273: ("69", 4), 545: ("69", 8),
            1021: ("69", 15)}

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+import vppres
 from vppres.errors import InputError, VerificationError
 from vppres.network import Network
 from vppres.powerflow import ACPowerFlow, ACResult
@@ -41,7 +42,8 @@ def case33(open_lines: tuple[int, ...] = TIE_LINES) -> Case:
 
 
 def case69() -> Case:
-    table = pd.read_csv(Path(__file__).parent / "data" / "case69.csv", comment="#")
+    file = Path(vppres.__file__).parent / "networks" / "data" / "case69.csv"
+    table = pd.read_csv(file, comment="#")
     return _case(table, table.rename(columns={"to_bus": "bus"}))
 
 

@@ -6,8 +6,12 @@ start without the solver and power-flow libraries.
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import Any
+
+# pandapower reports at every start that it goes without plotly, which nothing here uses.
+logging.getLogger("pandapower.plotting").setLevel(logging.WARNING)
 
 _HOME_OF = {
     "ForecastErrors": "vppres.forecast",
@@ -17,6 +21,8 @@ _HOME_OF = {
     "Trajectory": "vppres.trajectory",
     "VppresError": "vppres.errors",
     "find_scenario": "vppres.io.find",
+    "import_network": "vppres.networks",
+    "new_scenario": "vppres.new_scenario",
     "packaged_scenarios": "vppres.io.find",
     "read_scenario": "vppres.io.scenario_folder",
     "run_day": "vppres.simulate",

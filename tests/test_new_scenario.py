@@ -1,0 +1,253 @@
+"""A first scenario on an imported feeder: its rules, its refusals, and that it runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandapower as pp
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from vppres import cli
+from vppres.errors import InputError
+from vppres.io import read_scenario, scenario_digest
+from vppres.networks import ImportedFeeder, import_network
+from vppres.new_scenario import (
+    LOAD_SHAPE,
+    NewOptions,
+    assumptions,
+    new_scenario,
+    parse_outage,
+    parse_start,
+    write_new_scenario,
+)
+from vppres.simulate import RunOptions, run_day
+
+START = NewOptions().start
+
+
+@pytest.fixture(scope="module")
+def case33() -> ImportedFeeder:
+    return import_network("case33bw")
+
+
+@pytest.fixture(scope="module")
+def cigre() -> ImportedFeeder:
+    return import_network("cigre-mv-der")
+
+
+@pytest.fixture(scope="module")
+def tagged() -> ImportedFeeder:
+    """Four loads; two have a tier, one has no active power, one feeds reactive power."""
+    net = pp.create_empty_network()
+    pp.create_buses(net, 6, vn_kv=11.0)
+    pp.create_ext_grid(net, 0)
+    for bus in range(5):
+        pp.create_line_from_parameters(net, bus, bus + 1, length_km=1.0, r_ohm_per_km=0.3,
+                                       x_ohm_per_km=0.2, c_nf_per_km=0.0, max_i_ka=1.0)
+    for bus, p_mw, q_mvar in ((1, 0.1, 0.05), (2, 0.2, 0.0), (3, 0.0, 0.02), (4, 0.1, -0.02)):
+        pp.create_load(net, bus, p_mw=p_mw, q_mvar=q_mvar)
+    net.load["tier"] = ["critical", "", "", "low"]
+    return import_network(net)
+
+
+def test_rules_of_size(case33: ImportedFeeder) -> None:
+    day = new_scenario(case33)
+    peak_kw = case33.p_load_kw[case33.p_load_kw > 0]
+    assert {t: int((day.customers.tier == t).sum()) for t in day.tiers} == {
+        "critical": 6, "high": 10, "low": 16}  # 20, 30 and 50 % of 32
+    assert len(day.pv) == 26  # 80 % of 32
+    owners = day.pv.owner(day.customers)
+    assert day.pv.p_max_kw == pytest.approx(0.5 * peak_kw[owners])
+    assert (day.pv.s_max_kva >= day.pv.p_max_kw).all()
+    assert day.batteries.energy_kwh.sum() == pytest.approx(0.625 * 3715.0)
+    assert day.batteries.p_max_kw == pytest.approx(0.5 * day.batteries.energy_kwh)
+    assert day.load_kw.max(axis=0) == pytest.approx(peak_kw)
+    assert day.load_kvar.max(axis=0).sum() == pytest.approx(2300.0, rel=1e-4)
+    assert day.network is case33.network
+
+
+def test_hourly_day_has_the_bundled_shape(case33: ImportedFeeder) -> None:
+    day = new_scenario(case33)
+    assert day.load_kw.sum(axis=1) / 3715.0 == pytest.approx(LOAD_SHAPE)
+    assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
+    assert day.price_gbp_per_kwh[[0, 5, 6, 15, 16, 19, 20]] == pytest.approx(
+        [0.20, 0.20, 0.36, 0.36, 0.54, 0.54, 0.36])
+    assert new_scenario(case33, NewOptions(price="flat")).price_gbp_per_kwh == pytest.approx(0.36)
+
+
+def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> None:
+    outages = (parse_outage("12:00..18:00", START),
+               parse_outage("2025-07-02T06:15Z..2025-07-02T09:00Z", START))
+    day = new_scenario(case33, NewOptions(step_minutes=15, days=2, outages=outages))
+    assert day.grid.n_steps == 192
+    dark = np.flatnonzero(day.outage)
+    assert dark.tolist() == [*range(48, 72), *range(121, 132)]
+    # Linear between the middles of the hours: the mean over an hour keeps the day's shape.
+    hourly = day.load_kw.reshape(48, 4, -1).mean(axis=1).sum(axis=1) / 3715.0
+    assert hourly == pytest.approx(np.tile(LOAD_SHAPE, 2), abs=0.02)
+    assert day.load_kw[:96] == pytest.approx(day.load_kw[96:])
+
+
+def test_what_is_drawn_hangs_on_the_seed(case33: ImportedFeeder) -> None:
+    days = [new_scenario(case33, NewOptions(seed=seed)) for seed in (3, 3, 4)]
+    digests = [scenario_digest(day) for day in days]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
+    day = new_scenario(cigre)
+    own = cigre.generators
+    assert len(day.pv) == 8
+    assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw[own.kind == "PV"].sum())
+    assert "Generators that the scenario does not have: sgen 8 (WKA 7)." in assumptions(
+        cigre, day, NewOptions())
+    assert len(new_scenario(cigre, NewOptions(pv="none")).pv) == 0
+    assert len(new_scenario(cigre, NewOptions(pv="sized")).pv) == round(0.8 * len(day.customers))
+    assert len(new_scenario(cigre, NewOptions(battery_kwh_per_peak_kw=0.0)).batteries) == 0
+
+
+def test_pv_of_a_source_without_any_is_none(case33: ImportedFeeder) -> None:
+    assert len(new_scenario(case33, NewOptions(pv="existing")).pv) == 0
+
+
+def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
+    day = new_scenario(tagged)
+    assert day.customers.bus.tolist() == [1, 2, 4]
+    assert day.customers.tier[[0, 2]].tolist() == ["critical", "low"]
+    assert day.customers.power_factor == pytest.approx([2 / np.sqrt(5), 1.0, 1.0], abs=1e-6)
+    notes = assumptions(tagged, day, NewOptions())
+    assert "Loads without active power are left out: bus 3." in notes
+    assert "Loads that feed reactive power count as purely active: bus 4." in notes
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"step_minutes": 7.0}, "options, step_minutes = 7.0: must be at least 1 and divide a day. "
+                            "Give a step that divides the day, for example 60, 30 or 15."),
+    ({"step_minutes": 0.0}, "options, step_minutes = 0.0: must be at least 1 and divide a day. "
+                            "Give a step that divides the day, for example 60, 30 or 15."),
+    ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
+    ({"tier_shares": (0.5, 0.5, 0.5)},
+     "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
+     "and low, for example 0.2 0.3 0.5."),
+    ({"pv_share_of_peak": 0.0}, "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
+                                "kW of PV per kW of peak load, for example 0.5."),
+    ({"pv_share_of_buses": 1.2}, "options, pv_share_of_buses = 1.2: must lie between 0 and 1. Give "
+                                 "the share of customers with PV, for example 0.8."),
+    ({"battery_kwh_per_peak_kw": -1.0},
+     "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
+     "load, for example 0.625."),
+    ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
+    ({"v_slack_pu": 1.2}, "case33bw, v_slack_pu = 1.2: must lie between 0.947 and 1.053, the "
+                          "limits of the voltages. Give another one with --v-slack, or correct the "
+                          "source."),
+    ({"outages": (parse_outage("18:00..12:00", START),)},
+     "options, outage = 2025-07-01T18:00:00+00:00..2025-07-01T12:00:00+00:00: must end after it "
+     "begins. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+     "60 min."),
+    ({"outages": (parse_outage("2025-07-03T12:00Z..2025-07-03T13:00Z", START),)},
+     "options, outage = 2025-07-03T12:00:00+00:00..2025-07-03T13:00:00+00:00: lies outside the "
+     "scenario. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+     "60 min."),
+    ({"step_minutes": 480.0},
+     "options, outage = 2025-07-01T12:00:00+00:00..2025-07-01T18:00:00+00:00: begins or ends "
+     "inside a step. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in "
+     "steps of 480 min."),
+])
+def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any],
+                              message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        new_scenario(case33, NewOptions(**change))
+    assert str(caught.value) == message
+
+
+def test_all_wrong_options_at_once(case33: ImportedFeeder) -> None:
+    with pytest.raises(InputError) as caught:
+        new_scenario(case33, NewOptions(days=0, seed=-1, v_slack_pu=0.5))
+    assert len(caught.value.problems) == 3
+
+
+def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
+    with pytest.raises(InputError) as caught:
+        new_scenario(replace(tagged, p_load_kw=0.0 * tagged.p_load_kw,
+                             tier=np.where(tagged.tier == "low", "vip", tagged.tier)))
+    assert str(caught.value) == (
+        "pandapower net: has no load. Add the loads to the source: each bus with a load becomes a "
+        "customer.\npandapower net, tier = vip: is not a tier. Write critical, high, low into the "
+        "loads' column tier, or leave it empty.")
+
+
+@pytest.mark.parametrize("text", ["12:00", "12:00..", "25:00..26:00", "12:00..2025-07-01T13:00",
+                                  "a..b", "1:00..2:00..3:00", "NaT..NaT"])
+def test_intervals_that_are_none(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_outage(text, START)
+    assert str(caught.value) == (
+        f"options, outage = {text}: is not an interval of time. Write start..end, for example "
+        "12:00..18:00 (first day) or 2025-07-02T06:00Z..2025-07-02T09:00Z.")
+
+
+@pytest.mark.parametrize("text", ["2025-07-01", "noon", ""])
+def test_starts_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="is not a date with a time zone"):
+        parse_start(text)
+
+
+def test_clock_times_are_those_of_the_start() -> None:
+    start = pd.Timestamp("2025-07-01T00:00:00+02:00")
+    assert parse_outage("12:00..24:00", start) == (
+        pd.Timestamp("2025-07-01T10:00:00Z"), pd.Timestamp("2025-07-01T22:00:00Z"))
+
+
+def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path) -> None:
+    options = NewOptions(step_minutes=240.0, outages=(parse_outage("12:00..20:00", START),))
+    notes = write_new_scenario(tagged, options, tmp_path / "mine")
+    day = read_scenario(tmp_path / "mine")
+    assert scenario_digest(day) == scenario_digest(new_scenario(tagged, options))
+    text = (tmp_path / "mine" / "notes.md").read_text(encoding="utf-8")
+    assert all(f"- {note}\n" in text for note in notes)
+    trajectory = run_day(day, RunOptions(horizon_h=4.0))
+    assert len(trajectory.steps) == 6
+    connected = trajectory.customers[~trajectory.customers["time"].isin(day.grid.times[day.outage])]
+    assert connected["served"].all()
+
+
+def call(*arguments: str | Path) -> Any:
+    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="vppres")
+
+
+def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    done = call("new", "cigre-mv-der", folder, "--step-minutes", 15, "--days", 2, "--start",
+                "2025-07-01T00:00Z", "--outage", "12:00..18:00", "--outage",
+                "2025-07-02T06:00Z..2025-07-02T09:00Z", "--seed", 2, "--price", "flat")
+    assert done.exit_code == 0, done.stderr
+    assert "The charging of 15 lines" in done.stdout
+    assert f"Written to {folder}" in done.stdout
+    assert read_scenario(folder).grid.n_steps == 192
+    assert call("validate", folder).exit_code == 0
+
+
+def test_command_opens_a_loop_of_a_file(tmp_path: Path) -> None:
+    net = pp.networks.create_cigre_network_mv()
+    net.switch["closed"] = True
+    file = tmp_path / "ring.json"
+    pp.to_json(net, str(file))
+    refused = call("new", file, tmp_path / "out")
+    assert refused.exit_code == 2
+    assert "closes a loop" in refused.stderr
+    assert not (tmp_path / "out").exists()
+    done = call("new", file, tmp_path / "out", "--from", "pandapower", "--open", "Line 6-7",
+                "--open", "line 13", "--open", "line 14")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_command_refuses_before_it_works(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("mine")
+    done = call("new", "case33bw", tmp_path)
+    assert done.exit_code == 2
+    assert (tmp_path / "letter.txt").read_text() == "mine"
