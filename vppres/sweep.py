@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import joblib
 import pandas as pd
-from joblib import Parallel, cpu_count, delayed, parallel_config
 
 from vppres.compare import flattened
 from vppres.errors import SolveError, VerificationError
@@ -97,7 +97,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
         In the order of the cases. A run that has no answer does not end the others.
     """
     with atomic_folder(folder) as aside:
-        outcomes = _outcomes(cases, aside, jobs or int(cpu_count()), progress)
+        outcomes = _outcomes(cases, aside, jobs or int(joblib.cpu_count()), progress)
         if finish is not None:
             finish(outcomes, aside)
         outcome_table(outcomes).to_csv(aside / SUMMARY_TABLE, index=False, lineterminator="\n")
@@ -140,11 +140,11 @@ def _outcomes(cases: Sequence[Case], folder: Path, jobs: int,
               progress: Progress | None) -> list[Outcome]:
     found: dict[int, Outcome] = {}
     # One thread each: solvers and linear algebra would only fight for the cores.
-    with parallel_config("loky", inner_max_num_threads=1):
-        parallel = Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",
+    with joblib.parallel_config("loky", inner_max_num_threads=1):
+        parallel = joblib.Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",
                             batch_size=1)
         # Closing the generator stops the workers, whatever ends the loop.
-        with closing(parallel(delayed(run_case)(position, case, folder)
+        with closing(parallel(joblib.delayed(run_case)(position, case, folder)
                               for position, case in enumerate(cases))) as finished:
             for position, outcome in finished:
                 found[position] = outcome
