@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -10,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
@@ -18,7 +16,8 @@ from matplotlib.figure import Figure
 from vppres.errors import InputError, Problem
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
-from vppres.plots import DPI, SVG_HASH_SALT
+from vppres.plots import save_figure
+from vppres.report import embedded_svg
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN, HTML = "report.md", "report.html"
@@ -60,7 +59,7 @@ def write_report(sections: Sequence[Section], folder: Path, effort: str) -> Path
     figures.mkdir(parents=True, exist_ok=True)
     for section in sections:
         for name, figure in section.figures.items():
-            _save(figure, figures / name)
+            save_figure(figure, figures / name)
     values = {"sections": sections, "effort": effort, "machine": machine(),
               "versions": {k: v for k, v in versions().items() if v}}
     for file in (MARKDOWN, HTML):
@@ -124,21 +123,13 @@ def _packages() -> str:
     return ", ".join(f"{name} {versions()[name]}" for name in wanted if versions().get(name)) + "."
 
 
-def _save(figure: Figure, stem: Path) -> None:
-    """A figure as PNG and SVG."""
-    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
-    figure.savefig(stem.with_suffix(".png"), dpi=DPI)
-
-
 def _environment(figures: Path, escape: bool) -> Environment:
     environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
                               trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
 
     def embedded(name: str) -> str:
         """A figure's SVG as a data URI."""
-        svg = (figures / f"{name}.svg").read_bytes()
-        return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
+        return embedded_svg(figures / f"{name}.svg")
 
     helpers: dict[str, Callable[..., str]] = {"embedded": embedded, "cell": cell,
                                               "markdown_table": markdown_table}

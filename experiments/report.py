@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import os
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from experiments import sensitivities
 from experiments.catalogue import EXPERIMENTS
@@ -20,7 +17,8 @@ from experiments.rows import Row, order
 from experiments.runner import Results
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
-from vppres.plots import DPI, SVG_HASH_SALT
+from vppres.plots import save_figure
+from vppres.report import embedded_svg
 
 TEMPLATES = Path(__file__).with_name("templates")
 HTML, MARKDOWN = "report.html", "report.md"
@@ -92,7 +90,7 @@ def write_report(configs: Mapping[str, Config], results: Results, effort: Effort
     sections, rows = [], []
     for name, config in configs.items():
         experiment = EXPERIMENTS[name]
-        _save(experiment.figure(config, results), figures / name)
+        save_figure(experiment.figure(config, results), figures / name)
         rows += experiment.rows(config, results)
         sections.append(Section(name, experiment.LABEL, experiment.TITLE, experiment.PAPER,
                                 experiment.ours(config, results)))
@@ -117,21 +115,13 @@ def _lines(configs: Mapping[str, Config], results: Results) -> list[sensitivitie
     return [] if config is None else sensitivities.lines(config, results)
 
 
-def _save(figure: Figure, stem: Path) -> None:
-    """A figure as PNG and SVG."""
-    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
-    figure.savefig(stem.with_suffix(".png"), dpi=DPI)
-
-
 def _environment(figures: Path, escape: bool) -> Environment:
     environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
                               trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
 
     def embedded(name: str) -> str:
         """A figure's SVG as a data URI."""
-        svg = (figures / f"{name}.svg").read_bytes()
-        return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
+        return embedded_svg(figures / f"{name}.svg")
 
     environment.globals["embedded"] = embedded
     environment.filters["cell"] = lambda text: str(text).replace("|", "\\|")

@@ -189,13 +189,30 @@ def save_figures(runs: Runs, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, draw in FIGURES.items():
-        figure = draw(runs)
-        png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-        with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-            figure.savefig(svg, metadata={"Date": None})
-        figure.savefig(png, dpi=DPI)
-        files += [png, svg]
+        files += save_figure(draw(runs), folder / name)
     return files
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write one figure as PNG and SVG; equal figures give equal files.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+    stem : Path
+        File without its ending, in an existing folder.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    png, svg = stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.svg")
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(svg, metadata={"Date": None})
+    figure.savefig(png, dpi=DPI)
+    return [png, svg]
 
 
 def stored_energy_kwh(run: Trajectory) -> Floats:

@@ -99,7 +99,7 @@ def render_report(trajectory: Trajectory, summary: dict[str, Any], figures: Path
     return environment.get_template(TEMPLATE).render(
         title=trajectory.scenario.title, summary=summary, key_figures=key_figures(summary),
         options=_option_words(summary["options"]),
-        figures=[(FIGURE_TEXTS[name], _embedded(figures / f"{name}.svg")) for name in FIGURES],
+        figures=[(FIGURE_TEXTS[name], embedded_svg(figures / f"{name}.svg")) for name in FIGURES],
         tiers=trajectory.scenario.tiers, service=_service_rows(trajectory),
         unserved=unserved[unserved["unserved_h"] > 0].to_dict("records"),
         n_customers=len(unserved), steps=_step_rows(trajectory), number=number)
@@ -149,7 +149,7 @@ def _step_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
             for row in trajectory.steps.assign(time=times).to_dict("records")]
 
 
-def _embedded(svg: Path) -> str:
+def embedded_svg(svg: Path) -> str:
     """An SVG file as a data URI."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg.read_bytes()).decode("ascii")
 

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vppres.io.atomic import atomic_write_text
 from vppres.pages import embedded, page
-from vppres.plots import BLUE, DPI, SVG_HASH_SALT, TIER_STYLES
+from vppres.plots import BLUE, TIER_STYLES, save_figure
 from vppres.report import KEY_FIGURES, number
 from vppres.scenario import Scenario
 from vppres.sweep import Outcome, outcome_table
@@ -35,9 +34,7 @@ def write_sweep_page(parameter: str, scenario: Scenario, outcomes: Sequence[Outc
                      folder: Path) -> None:
     """Write the page, and the figure as PNG and SVG, into an existing folder."""
     figure = sweep_figure(parameter, outcomes, scenario.tiers)
-    figure.savefig(folder / f"{FIGURE_NAME}.png", dpi=DPI)
-    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-        figure.savefig(folder / f"{FIGURE_NAME}.svg", metadata={"Date": None})
+    save_figure(figure, folder / FIGURE_NAME)
     text = page(TEMPLATE, {
         "title": scenario.title, "parameter": parameter, "image": embedded(figure),
         "columns": [words for _, words, *_ in _columns(scenario)],
