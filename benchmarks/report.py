@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from vppres.errors import InputError, Problem
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
+from vppres.pages import embedded_svg
 from vppres.plots import save_figure
-from vppres.report import embedded_svg
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN, HTML = "report.md", "report.html"

@@ -17,8 +17,8 @@ from experiments.rows import Row, order
 from experiments.runner import Results
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
+from vppres.pages import embedded_svg
 from vppres.plots import save_figure
-from vppres.report import embedded_svg
 
 TEMPLATES = Path(__file__).with_name("templates")
 HTML, MARKDOWN = "report.html", "report.md"

@@ -15,8 +15,9 @@ from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small
 from run_factory import without_devices as bare
 
 from vppres import plots
+from vppres.key_figures import key_figures
 from vppres.metrics import summarise
-from vppres.report import key_figures, write_run
+from vppres.report import write_run
 from vppres.trajectory import read_run
 
 

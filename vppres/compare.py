@@ -10,10 +10,10 @@ from typing import Any
 
 from vppres.errors import InputError, Problem
 from vppres.finished import FinishedRun, read_finished
+from vppres.key_figures import KEY_FIGURES, number
 from vppres.metrics import service_by_customer
 from vppres.pages import embedded, page
-from vppres.plots import FIGURES, RUN_STYLES
-from vppres.report import FIGURE_TEXTS, KEY_FIGURES, number
+from vppres.plots import FIGURE_TEXTS, FIGURES, RUN_STYLES
 from vppres.trajectory import OPTIONS
 
 COMPARISON_FILE = "comparison.html"

@@ -32,6 +32,11 @@ def embedded(figure: Figure) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(image.getvalue()).decode("ascii")
 
 
+def embedded_svg(svg: Path) -> str:
+    """An SVG file as a data URI."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg.read_bytes()).decode("ascii")
+
+
 def write_page(file: Path, text: str) -> None:
     """Write a page, whole or not at all; its folder is made if missing.
 

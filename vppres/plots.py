@@ -177,6 +177,16 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "service_by_tier": service_by_tier,
 }
 
+FIGURE_TEXTS = {
+    "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
+    "import_load_pv": "Import at the slack bus (above); demand, demand served and available PV "
+                      "power (below).",
+    "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
+                "and AC power flow at any bus.",
+    "service_by_tier": "Who was served in each step, customer by customer, and the share of each "
+                       "tier.",
+}
+
 
 def save_figures(runs: Runs, folder: Path) -> list[Path]:
     """Write every figure as PNG and SVG into a folder, which is made if missing.

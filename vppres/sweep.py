@@ -15,7 +15,8 @@ import pandas as pd
 from vppres.compare import flattened
 from vppres.errors import SolveError, VerificationError
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
-from vppres.report import KEY_FIGURES, write_run
+from vppres.key_figures import KEY_FIGURES
+from vppres.report import write_run
 from vppres.scenario import Scenario
 from vppres.simulate import Progress, RunOptions, run_day
 from vppres.sweep_parameters import Parameter, Value, changed, value_text

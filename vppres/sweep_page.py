@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vppres.io.atomic import atomic_write_text
+from vppres.key_figures import KEY_FIGURES, number
 from vppres.pages import embedded, page
 from vppres.plots import BLUE, TIER_STYLES, save_figure
-from vppres.report import KEY_FIGURES, number
 from vppres.scenario import Scenario
 from vppres.sweep import Outcome, outcome_table
 from vppres.sweep_parameters import Value, value_text

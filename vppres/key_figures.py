@@ -1,0 +1,44 @@
+"""Key figures in words: what each is called, its unit, and how it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+NOT_DEFINED = "n/a"
+
+# Key of the summary, words, unit, format.
+KEY_FIGURES = (
+    ("resilience", "Resilience: weighted share served in the outage", "", ".4f"),
+    ("resilience_planned", "Resilience that was planned", "", ".4f"),
+    ("cost_gbp", "Cost of imported energy", "GBP", ",.2f"),
+    ("import_kwh", "Imported energy", "kWh", ",.1f"),
+    ("pv_curtailed_kwh", "Curtailed PV energy", "kWh", ",.1f"),
+    ("v_min_ac_pu", "Lowest AC voltage", "pu", ".4f"),
+    ("v_max_ac_pu", "Highest AC voltage", "pu", ".4f"),
+    ("v_mean_of_min_ac_pu", "Mean over the steps of the lowest AC voltage", "pu", ".4f"),
+    ("v_error_max_pu", "Largest voltage difference, optimisation to AC", "pu", ".4f"),
+    ("island_import_max_kw", "Largest power drawn from the slack bus in the outage", "kW", ",.2f"),
+    ("island_export_max_kw", "Largest surplus at the slack bus in the outage", "kW", ",.2f"),
+    ("island_reactive_max_kvar", "Largest reactive power of the slack bus in the outage", "kvar",
+     ",.1f"),
+    ("corrections", "Steps in which the plan was corrected", "", "d"),
+    ("gap_max", "Largest relative optimality gap", "", ".1e"),
+)
+
+
+def key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Words, value and unit of each key figure that the summary has."""
+    return [(words, number(summary[key], form), unit)
+            for key, words, unit, form in KEY_FIGURES if key in summary]
+
+
+def number(value: float | None, form: str) -> str:
+    """A number in the given format, or "n/a" where it is not defined.
+
+    >>> number(0.91873, ".3f"), number(None, ".3f")
+    ('0.919', 'n/a')
+    """
+    return NOT_DEFINED if value is None or pd.isna(value) else format(value, form)
