@@ -18,7 +18,7 @@ from vppres.simulate import RunOptions
 # What shows, reads or writes results cannot change them.
 PRESENTATION = (
     "__init__.py", "__main__.py", "cli.py", "cli_options.py", "cli_tables.py", "compare.py",
-    "finished.py", "io", "networks", "new_scenario.py", "pages.py", "plots.py", "report.py",
+    "finished.py", "io", "networks", "new_options.py", "pages.py", "plots.py", "report.py",
     "schema.py", "sweep.py", "sweep_page.py", "sweep_parameters.py")
 RESULT_FORMAT = Path(__file__).with_name("shorten.py")
 

@@ -14,18 +14,26 @@ from typing import Any
 logging.getLogger("pandapower.plotting").setLevel(logging.WARNING)
 
 _HOME_OF = {
+    "Controller": "vppres.control",
     "ForecastErrors": "vppres.forecast",
     "InputError": "vppres.errors",
+    "Measurement": "vppres.measurement",
+    "NewScenarioOptions": "vppres.new_options",
     "RunOptions": "vppres.simulate",
     "Scenario": "vppres.scenario",
+    "SetPoints": "vppres.control",
     "Trajectory": "vppres.trajectory",
     "VppresError": "vppres.errors",
     "find_scenario": "vppres.io.find",
     "import_network": "vppres.networks.sources",
+    "load_scenario": "vppres.io.find",
+    "new_scenario": "vppres.make_scenario",
     "packaged_scenarios": "vppres.io.find",
+    "read_run": "vppres.trajectory",
     "read_scenario": "vppres.io.scenario_folder",
     "run_day": "vppres.simulate",
     "summarise": "vppres.metrics",
+    "write_new_scenario": "vppres.make_scenario",
     "write_run": "vppres.report",
     "write_scenario": "vppres.io.scenario_folder",
 }

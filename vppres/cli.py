@@ -11,12 +11,13 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from vppres import cli_new
 from vppres.cli_options import (
     Controller,
     Debug,
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from vppres.scenario import Scenario
     from vppres.simulate import RunOptions
     from vppres.sweep import Outcome
-    from vppres.sweep_parameters import Parameter, Value
     from vppres.trajectory import Trajectory
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
@@ -243,11 +243,11 @@ def sweep(
         from vppres.io.scenario_folder import read_scenario
         from vppres.sweep import cases_of, outcome_records, run_cases
         from vppres.sweep_page import write_sweep_page
-        from vppres.sweep_parameters import find_parameter
+        from vppres.sweep_parameters import chosen_values, find_parameter
 
         day = read_scenario(find_scenario(scenario))
         parameter = find_parameter(param, day)
-        cases = cases_of(parameter, _sweep_values(parameter, values, range_), day,
+        cases = cases_of(parameter, chosen_values(parameter, values, range_), day,
                          run_options(day, context.params))
         check_target(out)
         with _bar(quiet) as bar:
@@ -266,49 +266,34 @@ def sweep(
 
 @app.command(epilog="Example: vppres new case33bw ./my-feeder --outage 12:00..18:00")
 def new(
-    network: Annotated[str, typer.Argument(
-        metavar="NETWORK", help="case33bw, case69, cigre-mv, cigre-mv-der, a file (.json of "
-        "pandapower, .m or .mat of MATPOWER, .dss of OpenDSS), or a SimBench code.")],
-    folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="The scenario's folder.")],
-    source: Annotated[Literal["pandapower", "matpower", "opendss", "simbench"] | None, typer.Option(
-        "--from", help="Where the network comes from; by the file's suffix if not given.")] = None,
-    open_branch: Annotated[list[str] | None, typer.Option(
-        "--open", metavar="BRANCH", help="Open a branch, as 'line 7' or by its name; may be "
-        "repeated.")] = None,
-    outage: Annotated[list[str] | None, typer.Option(
-        metavar="START..END", help="12:00..18:00 on the first day, or dates with time zones; may "
-        "be repeated.")] = None,
-    start: Annotated[str, typer.Option(
-        metavar="DATE", help="Beginning of the first day.")] = "2025-07-01T00:00Z",
-    step_minutes: Annotated[float, typer.Option(metavar="M", help="Length of a step.")] = 60.0,
-    days: Annotated[int, typer.Option(help="Number of days.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of the drawn tiers and PV buses.")] = 0,
-    tier_shares: Annotated[tuple[float, float, float], typer.Option(
-        help="Shares of critical, high and low customers.")] = (0.2, 0.3, 0.5),
-    pv: Annotated[Literal["auto", "existing", "sized", "none"], typer.Option(
-        help="The network's PV, PV by the rule of size, the former if there is any (auto), or "
-        "none.")] = "auto",
-    pv_share_of_peak: Annotated[float, typer.Option(
-        help="kW of sized PV per kW of a customer's peak load.")] = 0.5,
-    pv_share_of_buses: Annotated[float, typer.Option(
-        help="Share of the customers with sized PV.")] = 0.8,
-    battery_kwh_per_peak_kw: Annotated[float, typer.Option(
-        help="kWh of battery per kW of a customer's peak load; 0 for no batteries.")] = 0.625,
-    price: Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
-    = "time-of-use",
-    v_slack: Annotated[float | None, typer.Option(
-        metavar="PU", help="Voltage of the slack bus; the network's if not given.")] = None,
+    network: cli_new.NetworkName,
+    folder: cli_new.NewFolder,
+    source: cli_new.From = None,
+    open_branch: cli_new.Open = None,
+    outage: cli_new.Outages = None,
+    start: cli_new.Start = "2025-07-01T00:00Z",
+    step_minutes: cli_new.StepMinutes = 60.0,
+    days: cli_new.Days = 1,
+    seed: cli_new.DrawSeed = 0,
+    tier_shares: cli_new.TierShares = (0.2, 0.3, 0.5),
+    pv: cli_new.PV = "auto",
+    pv_share_of_peak: cli_new.PVShareOfPeak = 0.5,
+    pv_share_of_buses: cli_new.PVShareOfBuses = 0.8,
+    battery_kwh_per_peak_kw: cli_new.BatterySize = 0.625,
+    price: cli_new.Price = "time-of-use",
+    v_slack: cli_new.SlackVoltage = None,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
     with _plain_errors(debug):
         from vppres.io.atomic import check_target
+        from vppres.make_scenario import write_new_scenario
         from vppres.networks import import_network
-        from vppres.new_scenario import NewOptions, parse_outage, parse_start, write_new_scenario
+        from vppres.new_options import NewScenarioOptions, parse_outage, parse_start
 
         check_target(folder)  # before the work, not after it
         begin = parse_start(start)
-        options = NewOptions(
+        options = NewScenarioOptions(
             start=begin, step_minutes=step_minutes, days=days, seed=seed, tier_shares=tier_shares,
             outages=tuple(parse_outage(text, begin) for text in outage or ()),
             pv=pv, pv_share_of_peak=pv_share_of_peak, pv_share_of_buses=pv_share_of_buses,
@@ -331,18 +316,6 @@ def scenarios(as_json: Json = False) -> None:
             return
         for name in names:
             typer.echo(name)
-
-
-def _sweep_values(parameter: Parameter, values: str | None, range_: str | None) -> list[Value]:
-    """The values of a sweep from whichever of the two options was given."""
-    from vppres.sweep_parameters import read_range, read_values
-
-    if values is not None and range_ is None:
-        return read_values(parameter, values)
-    if range_ is not None and values is None:
-        return read_range(parameter, range_)
-    raise InputError(Problem("sweep", "needs either --values or --range",
-                             "Give one of them, for example --values 1,2,3 or --range 0:5:6."))
 
 
 @contextmanager

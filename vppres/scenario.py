@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.frozen import freeze_fields
 from vppres.network import Network
+from vppres.notebook import facts_html
 from vppres.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
@@ -109,3 +110,12 @@ class Scenario:
         limit = np.where(self.outage, np.inf, self.grid_limit_kw)
         limit = np.where((times >= start) & (times < end), 0.0, limit)
         return replace(self, grid_limit_kw=limit)
+
+    def _repr_html_(self) -> str:
+        """What the scenario holds, for a notebook."""
+        return facts_html(f"{self.name}: {self.title}", {
+            "buses": self.network.n_buses, "customers": len(self.customers),
+            "PV systems": f"{len(self.pv)}, {self.pv.p_max_kw.sum():,.0f} kW",
+            "batteries": f"{len(self.batteries)}, {self.batteries.energy_kwh.sum():,.0f} kWh",
+            "steps": f"{self.grid.n_steps} of {self.grid.step_minutes:g} min",
+            "steps without grid": int(self.outage.sum())})

@@ -157,13 +157,18 @@ class Day:
 
     def step(self, controller: Controller, t: int) -> None:
         """Observe, decide, actuate, verify, record."""
+        self.recorder.add(self.play(controller, t))
+
+    def play(self, controller: Controller, t: int) -> StepRecord:
+        """One step without its record's place in the run: what was decided and what came of it."""
         decision = controller.decide(self.observe(controller, t))
         realised = self.plant.apply(t, decision, self.state)
         result = self.verify(t, realised)
-        self.recorder.add(_record(self.scenario, t, decision, self.state, realised, result))
+        record = _record(self.scenario, t, decision, self.state, realised, result)
         self.operating_point = OperatingPoint(result.v_pu, result.p_from_kw, result.q_from_kvar,
                                               realised.p_injection_kw, realised.q_injection_kvar)
         self.state = self.plant.advance(t, self.state, realised)
+        return record
 
     def verify(self, t: int, realised: Realised) -> ACResult:
         """AC power flow of what happened."""

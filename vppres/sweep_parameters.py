@@ -105,6 +105,22 @@ def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
     }
 
 
+def chosen_values(parameter: Parameter, values: str | None, range_: str | None) -> list[Value]:
+    """The values of a sweep, written as a list or as a range.
+
+    Raises
+    ------
+    InputError
+        If none or both are given, or a value does not fit the parameter.
+    """
+    if values is not None and range_ is None:
+        return read_values(parameter, values)
+    if range_ is not None and values is None:
+        return read_range(parameter, range_)
+    raise InputError(Problem("sweep", "needs either --values or --range",
+                             "Give one of them, for example --values 1,2,3 or --range 0:5:6."))
+
+
 def read_values(parameter: Parameter, text: str) -> list[Value]:
     """Values that are separated by commas.
 

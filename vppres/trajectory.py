@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from vppres.errors import InputError, Problem
 from vppres.io.scenario_folder import read_scenario
 from vppres.network import BusId
+from vppres.notebook import facts_html
 from vppres.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -167,6 +168,16 @@ class Trajectory:
     def tables(self) -> dict[str, pd.DataFrame]:
         """The six tables by name."""
         return {name: getattr(self, name) for name in TABLES}
+
+    def _repr_html_(self) -> str:
+        """The run in a few figures, for a notebook."""
+        steps = self.steps
+        return facts_html(f"Run of {self.scenario.name}", {
+            "controller": f"{self.options['controller']}, {self.options['horizon_h']:g} h",
+            "steps": len(steps), "steps without grid": int(steps["outage"].sum()),
+            "customers served": f"{self.customers['served'].mean():.1%} of all steps",
+            "lowest AC voltage": f"{steps['v_min_ac_pu'].min():.4f} pu",
+            "tables": ", ".join(TABLES)})
 
 
 class Recorder:

@@ -4,10 +4,37 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vppres.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.io.settings import SCENARIO_FILE
+
+if TYPE_CHECKING:
+    from vppres.scenario import Scenario
+
+
+def load_scenario(name_or_folder: str | Path) -> Scenario:
+    """A packaged scenario, or one from a folder, read and checked.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        As for :func:`find_scenario`.
+
+    Raises
+    ------
+    InputError
+        If there is none, or with every problem of its files.
+
+    Examples
+    --------
+    >>> load_scenario("uk-heatwave-2022").grid.n_steps
+    24
+    """
+    from vppres.io.scenario_folder import read_scenario  # pandas loads slowly
+
+    return read_scenario(find_scenario(name_or_folder))
 
 
 def packaged_scenarios() -> list[str]:

@@ -9,7 +9,7 @@ simplified.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ import pandas as pd
 from vppres.errors import InputError, Problem, VerificationError
 from vppres.io.messages import did_you_mean
 from vppres.network import BusId, Network, find_loops
+from vppres.networks.elements import NetCase, few, in_service, label, supplied
 from vppres.networks.feeder import (
     Deviation,
     Floats,
@@ -26,6 +27,7 @@ from vppres.networks.feeder import (
     ImportedFeeder,
     Names,
 )
+from vppres.networks.notes import notes_of
 from vppres.powerflow import ACPowerFlow
 from vppres.units import mw_to_kw
 
@@ -33,25 +35,7 @@ BRANCHES = ("line", "trafo", "trafo3w", "impedance")
 # Three-phase loads, controlled devices and direct current have no place in the model.
 UNSUPPORTED = ("asymmetric_load", "asymmetric_sgen", "ward", "xward", "dcline", "motor", "svc",
                "ssc", "tcsc", "vsc", "b2b_vsc", "bus_dc", "line_dc", "load_dc", "source_dc")
-TABLES_OF_BUSES = ("load", "sgen", "gen")
-NAMES_SHOWN = 12
-TAP_TOLERANCE = 1e-9
 FROM, TO, R, X, B, TAP = 0, 1, 2, 3, 4, 8  # columns of the branch table of pandapower's case
-
-
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """pandapower's internal case: supplied buses and branches in service, in pu.
-
-    ``bus_at`` gives the row of ``bus_kv`` for each supplied bus of the source.
-    """
-
-    base_mva: float
-    bus_kv: Floats
-    bus_at: dict[int, int]
-    branches: pd.DataFrame
-    slack: int
-    v_slack_pu: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +81,7 @@ def feeder_of(net: Any, name: str, open_branches: Sequence[str] = (),
         name=name, network=network, p_load_kw=loads.p_kw, q_load_kvar=loads.q_kvar, tier=loads.tier,
         generators=_generators(net, case, ids),
         bus_of={bus: ids[row] for bus, row in case.bus_at.items()},
-        notes=tuple(_notes(net, case, stubs)))
+        notes=tuple(notes_of(net, case, stubs)))
     return replace(feeder, deviation=_deviation(net, feeder))
 
 
@@ -109,32 +93,32 @@ def _raise(problems: list[Problem]) -> None:
 def _check_elements(net: Any, name: str) -> list[Problem]:
     """Elements that the model cannot hold."""
     problems = [
-        Problem(name, f"{_label(net, table, i)} is not supported",
+        Problem(name, f"{label(net, table, i)} is not supported",
                 "Replace it by loads, static generators and lines, or take it out of service.")
-        for table in UNSUPPORTED if table in net for i in _in_service(net, table).index]
-    impedance = _in_service(net, "impedance")
+        for table in UNSUPPORTED if table in net for i in in_service(net, table).index]
+    impedance = in_service(net, "impedance")
     skewed = ((impedance["rft_pu"] != impedance["rtf_pu"])
               | (impedance["xft_pu"] != impedance["xtf_pu"]))
     return problems + [
-        Problem(name, f"{_label(net, 'impedance', i)} differs between its two directions",
+        Problem(name, f"{label(net, 'impedance', i)} differs between its two directions",
                 "Give it the same impedance in both.") for i in impedance.index[skewed]]
 
 
 def _check_slack(net: Any, name: str) -> list[Problem]:
     """Whether there is exactly one grid connection."""
-    grids = [_label(net, "ext_grid", i) for i in _in_service(net, "ext_grid").index]
-    gens = _in_service(net, "gen")
-    grids += [_label(net, "gen", i) for i in gens.index[gens["slack"].astype(bool)]]
+    grids = [label(net, "ext_grid", i) for i in in_service(net, "ext_grid").index]
+    gens = in_service(net, "gen")
+    grids += [label(net, "gen", i) for i in gens.index[gens["slack"].astype(bool)]]
     if not grids:
         return [Problem(name, "has no external grid",
                         "Add one at the bus of the grid connection.")]
     if len(grids) > 1:
-        return [Problem(name, f"has {len(grids)} external grids: {_few(grids)}",
+        return [Problem(name, f"has {len(grids)} external grids: {few(grids)}",
                         "Keep the one that feeds the feeder and take the others out of service.")]
     if grids[0].startswith("gen"):
         return [Problem(name, f"{grids[0]} is the grid connection",
                         "Replace it by an external grid.")]
-    bus = int(_in_service(net, "ext_grid")["bus"].iloc[0])
+    bus = int(in_service(net, "ext_grid")["bus"].iloc[0])
     if not net.bus["in_service"].at[bus]:
         return [Problem(name, f"{grids[0]} is at bus {bus}, which is out of service",
                         "Put the bus into service.")]
@@ -156,7 +140,7 @@ def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
         net[table].loc[i, "in_service"] = False
 
 
-def _case_of(net: Any) -> _Case:
+def _case_of(net: Any) -> NetCase:
     """The branch model of pandapower, for a net that passed the checks."""
     from pandapower.converter.pypower.to_ppc import to_ppc
 
@@ -173,14 +157,14 @@ def _case_of(net: Any) -> _Case:
               if used]
     columns = dict(zip(("from", "to", "r", "x", "b", "tap"),
                        ppc["branch"][:, [FROM, TO, R, X, B, TAP]].real.T, strict=True))
-    branches = pd.DataFrame({**columns, "label": [_label(net, *o) for o in inside]})
-    grid = _in_service(net, "ext_grid").iloc[0]
-    return _Case(float(ppc["baseMVA"]), ppc["bus"][:, 9].real, bus_at,
+    branches = pd.DataFrame({**columns, "label": [label(net, *o) for o in inside]})
+    grid = in_service(net, "ext_grid").iloc[0]
+    return NetCase(float(ppc["baseMVA"]), ppc["bus"][:, 9].real, bus_at,
                  branches.astype({"from": int, "to": int}), bus_at[int(grid["bus"])],
                  float(grid["vm_pu"]))
 
 
-def _without_stubs(case: _Case) -> tuple[pd.DataFrame, list[str]]:
+def _without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
     """Branches without the open ends that pandapower gives a bus of their own, and their labels."""
     branches = case.branches
     stubs: list[str] = []
@@ -200,10 +184,10 @@ def _check_branches(branches: pd.DataFrame, name: str) -> list[Problem]:
     if branches.empty:
         return [Problem(name, "has no branch that is in service and supplied",
                         "Close a switch or put a line into service.")]
-    return [Problem(name, f"{label} has a resistance of {r:.3g} pu and a reactance of {x:.3g} pu",
+    return [Problem(name, f"{branch} has a resistance of {r:.3g} pu and a reactance of {x:.3g} pu",
                     "The model needs a positive resistance and no negative reactance: correct "
                     "it, or replace the branch by a closed switch.")
-            for label, r, x in zip(branches["label"], branches["r"], branches["x"], strict=True)
+            for branch, r, x in zip(branches["label"], branches["r"], branches["x"], strict=True)
             if not (r > 0 and x >= 0)]
 
 
@@ -220,11 +204,11 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
                          "label": label.to_numpy()})
 
 
-def _check_loops(branches: pd.DataFrame, case: _Case, name: str) -> list[Problem]:
+def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
     """One problem per loop, with the branches of which one has to be opened."""
     merged = _merged(branches)
     source = {row: bus for bus, row in reversed([*case.bus_at.items()])}
-    between = {frozenset((a, b)): label for a, b, label in
+    between = {frozenset((a, b)): branch for a, b, branch in
                zip(merged["from"], merged["to"], merged["label"], strict=True)}
     problems = []
     for row, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
@@ -233,11 +217,11 @@ def _check_loops(branches: pd.DataFrame, case: _Case, name: str) -> list[Problem
         buses = " - ".join(str(source.get(int(bus), "star point")) for bus in loop)
         problems.append(Problem(
             name, f"{merged['label'][row]} closes a loop: bus {buses}",
-            f"The feeder must be radial: open one of {_few(choices)}."))
+            f"The feeder must be radial: open one of {few(choices)}."))
     return problems
 
 
-def _identifiers(case: _Case, bus_ids: Mapping[int, BusId] | None) -> dict[int, BusId]:
+def _identifiers(case: NetCase, bus_ids: Mapping[int, BusId] | None) -> dict[int, BusId]:
     """Identifier of each row of the case: that of its first bus; star points come after all."""
     ids: dict[int, BusId] = {}
     for bus, row in case.bus_at.items():
@@ -249,7 +233,7 @@ def _identifiers(case: _Case, bus_ids: Mapping[int, BusId] | None) -> dict[int, 
     return ids
 
 
-def _network(branches: pd.DataFrame, case: _Case, ids: Mapping[int, BusId]) -> Network:
+def _network(branches: pd.DataFrame, case: NetCase, ids: Mapping[int, BusId]) -> Network:
     """The network, its impedances referred to the voltage that most of its buses have."""
     rows = np.unique(branches[["from", "to"]].to_numpy())
     levels, count = np.unique(case.bus_kv[rows], return_counts=True)
@@ -264,17 +248,10 @@ def _network(branches: pd.DataFrame, case: _Case, ids: Mapping[int, BusId]) -> N
                    v_slack_pu=case.v_slack_pu)
 
 
-def _supplied(net: Any, table: str, case: _Case) -> pd.DataFrame:
-    """Elements in service at supplied buses, with the row of their bus as ``row``."""
-    frame = _in_service(net, table)
-    frame = frame[frame["bus"].isin([*case.bus_at])]
-    return frame.assign(row=frame["bus"].map(case.bus_at).astype(int))
-
-
-def _loads(net: Any, case: _Case, ids: Mapping[int, BusId],
+def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId],
            network: Network) -> _Loads:
     """Load of each bus, and the tier that its first load with a tier names."""
-    loads = _supplied(net, "load", case)
+    loads = supplied(net, "load", case)
     bus = loads["row"].map(ids)
     sums = loads[["p_mw", "q_mvar"]].mul(loads["scaling"].fillna(1.0), axis=0).groupby(bus).sum()
     sums = sums.reindex(network.buses, fill_value=0.0)
@@ -283,17 +260,17 @@ def _loads(net: Any, case: _Case, ids: Mapping[int, BusId],
     return _Loads(mw_to_kw(sums["p_mw"]), mw_to_kw(sums["q_mvar"]), first.to_numpy(dtype=object))
 
 
-def _generators(net: Any, case: _Case, ids: Mapping[int, BusId]) -> Generators:
+def _generators(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators:
     """Static generators, and generators without their voltage control."""
     tables = []
     for table in ("sgen", "gen"):
-        frame = _supplied(net, table, case)
+        frame = supplied(net, table, case)
         scaling = frame["scaling"].fillna(1.0)
         p_mw = frame["p_mw"] * scaling
         q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
         rating = pd.to_numeric(frame["sn_mva"]) if "sn_mva" in frame else np.nan * p_mw
         tables.append(pd.DataFrame({
-            "id": [_label(net, table, i) for i in frame.index],
+            "id": [label(net, table, i) for i in frame.index],
             "bus": frame["row"].map(ids).to_numpy(dtype=object),
             "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
             "p_kw": mw_to_kw(p_mw), "q_kvar": mw_to_kw(q_mvar),
@@ -302,73 +279,6 @@ def _generators(net: Any, case: _Case, ids: Mapping[int, BusId]) -> Generators:
     filled = [table for table in tables if len(table)] or tables[:1]
     columns = pd.concat(filled, ignore_index=True)
     return Generators(*(columns[name].to_numpy() for name in columns))
-
-
-def _notes(net: Any, case: _Case, stubs: list[str]) -> Iterator[str]:
-    """What was simplified, in sentences."""
-    yield from _notes_on_topology(net, case, stubs)
-    yield from _notes_on_branches(net, case)
-    yield from _notes_on_elements(net, case)
-
-
-def _notes_on_topology(net: Any, case: _Case, stubs: list[str]) -> Iterator[str]:
-    joined: dict[int, list[int]] = {}
-    for bus, row in case.bus_at.items():
-        joined.setdefault(row, []).append(bus)
-    for buses in joined.values():
-        if len(buses) > 1:
-            yield f"Closed switches make one bus of the buses {_few(buses)}."
-    lost = net.bus.index.difference([*case.bus_at])
-    if len(lost):
-        yield f"Without supply or out of service, and left out: bus {_few(lost)}."
-        for table in TABLES_OF_BUSES:
-            frame = _in_service(net, table)
-            names = [_label(net, table, i) for i in frame.index[frame["bus"].isin(lost)]]
-            if names:
-                yield f"Left out with their buses: {_few(names)}."
-    if stubs:
-        yield f"Open at one end, and left out: {_few(stubs)}."
-
-
-def _notes_on_branches(net: Any, case: _Case) -> Iterator[str]:
-    branches = case.branches  # those that are open at one end charge too
-    kv = np.unique(case.bus_kv)
-    if len(kv) > 1:
-        yield (f"The voltage levels {', '.join(f'{level:g}' for level in kv)} kV are referred to "
-               "one by the square of the nominal ratio; phase shifts have no effect in a radial "
-               "feeder and are left out.")
-    charging = branches["b"] > 0
-    if charging.any():
-        kvar = float(mw_to_kw(branches.loc[charging, "b"].sum() * case.base_mva))
-        yield f"The charging of {charging.sum()} lines, {kvar:.4g} kvar in all, is left out."
-    leaking = _labels_where(net, ["line"], ["g_us_per_km"])
-    if leaking:
-        yield f"The leakage conductance of {_few(leaking)} is left out."
-    losses = _labels_where(net, ["trafo", "trafo3w"], ["pfe_kw", "i0_percent"])
-    if losses:
-        yield f"The no-load losses and the magnetising current are left out of {_few(losses)}."
-    shunted = _labels_where(net, ["impedance"], ["gf_pu", "bf_pu", "gt_pu", "bt_pu"])
-    if shunted:
-        yield f"The shunt admittance of {_few(shunted)} is left out."
-    off = branches[(branches["tap"] - 1).abs() > TAP_TOLERANCE]
-    if len(off):
-        ratios = [f"{n} ({tap:.4f})" for n, tap in zip(off["label"], off["tap"], strict=True)]
-        yield f"Ratios that are not nominal are taken as nominal (tap at neutral): {_few(ratios)}."
-
-
-def _notes_on_elements(net: Any, case: _Case) -> Iterator[str]:
-    for table, words in (("shunt", "Shunts are left out"),
-                         ("storage", "Batteries of the source are left out"),
-                         ("gen", "Generators keep their active power and lose their voltage "
-                                 "control")):
-        names = [_label(net, table, i) for i in _supplied(net, table, case).index]
-        if names:
-            yield f"{words}: {_few(names)}."
-    loads = _supplied(net, "load", case)
-    shares = loads[[c for c in loads if str(c).startswith(("const_z", "const_i"))]]
-    varying = [_label(net, "load", i) for i in loads.index[shares.fillna(0.0).any(axis=1)]]
-    if varying:
-        yield f"Loads that follow the voltage are taken as constant power: {_few(varying)}."
 
 
 def _deviation(net: Any, feeder: ImportedFeeder) -> Deviation | None:
@@ -385,32 +295,3 @@ def _deviation(net: Any, feeder: ImportedFeeder) -> Deviation | None:
     difference = np.abs(net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy() - v_pu)
     losses_mw = sum(float(net[f"res_{table}"]["pl_mw"].sum()) for table in BRANCHES)
     return Deviation(float(difference.max()), float(mw_to_kw(losses_mw)), result.losses_kw)
-
-
-def _labels_where(net: Any, tables: list[str], columns: list[str]) -> list[str]:
-    """Elements in service that are not zero in one of the columns."""
-    found = []
-    for table in tables:
-        frame = _in_service(net, table)
-        values = frame.reindex(columns=columns).fillna(0.0)
-        found += [_label(net, table, i) for i in frame.index[(values != 0).any(axis=1)]]
-    return found
-
-
-def _in_service(net: Any, table: str) -> pd.DataFrame:
-    """Elements of a table that are in service."""
-    frame: pd.DataFrame = net[table]
-    return frame[frame["in_service"].astype(bool)] if "in_service" in frame else frame
-
-
-def _label(net: Any, table: str, index: Any) -> str:
-    """An element by table and index, with its name if it has one."""
-    name = net[table]["name"].at[index] if "name" in net[table] else None
-    return f"{table} {index}" + (f" ({name})" if isinstance(name, str) and name else "")
-
-
-def _few(names: Iterable[object]) -> str:
-    """Names in a row; many are cut."""
-    words = [str(name) for name in names]
-    more = f" and {len(words) - NAMES_SHOWN} more" if len(words) > NAMES_SHOWN else ""
-    return ", ".join(words[:NAMES_SHOWN]) + more

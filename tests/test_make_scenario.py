@@ -15,19 +15,12 @@ from typer.testing import CliRunner
 from vppres import cli
 from vppres.errors import InputError
 from vppres.io import read_scenario, scenario_digest
+from vppres.make_scenario import LOAD_SHAPE, assumptions, new_scenario, write_new_scenario
 from vppres.networks import ImportedFeeder, import_network
-from vppres.new_scenario import (
-    LOAD_SHAPE,
-    NewOptions,
-    assumptions,
-    new_scenario,
-    parse_outage,
-    parse_start,
-    write_new_scenario,
-)
+from vppres.new_options import NewScenarioOptions, parse_outage, parse_start
 from vppres.simulate import RunOptions, run_day
 
-START = NewOptions().start
+START = NewScenarioOptions().start
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +70,14 @@ def test_hourly_day_has_the_bundled_shape(case33: ImportedFeeder) -> None:
     assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
     assert day.price_gbp_per_kwh[[0, 5, 6, 15, 16, 19, 20]] == pytest.approx(
         [0.20, 0.20, 0.36, 0.36, 0.54, 0.54, 0.36])
-    assert new_scenario(case33, NewOptions(price="flat")).price_gbp_per_kwh == pytest.approx(0.36)
+    flat = new_scenario(case33, NewScenarioOptions(price="flat"))
+    assert flat.price_gbp_per_kwh == pytest.approx(0.36)
 
 
 def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> None:
     outages = (parse_outage("12:00..18:00", START),
                parse_outage("2025-07-02T06:15Z..2025-07-02T09:00Z", START))
-    day = new_scenario(case33, NewOptions(step_minutes=15, days=2, outages=outages))
+    day = new_scenario(case33, NewScenarioOptions(step_minutes=15, days=2, outages=outages))
     assert day.grid.n_steps == 192
     dark = np.flatnonzero(day.outage)
     assert dark.tolist() == [*range(48, 72), *range(121, 132)]
@@ -94,7 +88,7 @@ def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> N
 
 
 def test_what_is_drawn_hangs_on_the_seed(case33: ImportedFeeder) -> None:
-    days = [new_scenario(case33, NewOptions(seed=seed)) for seed in (3, 3, 4)]
+    days = [new_scenario(case33, NewScenarioOptions(seed=seed)) for seed in (3, 3, 4)]
     digests = [scenario_digest(day) for day in days]
     assert digests[0] == digests[1] != digests[2]
 
@@ -105,14 +99,15 @@ def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     assert len(day.pv) == 8
     assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw[own.kind == "PV"].sum())
     assert "Generators that the scenario does not have: sgen 8 (WKA 7)." in assumptions(
-        cigre, day, NewOptions())
-    assert len(new_scenario(cigre, NewOptions(pv="none")).pv) == 0
-    assert len(new_scenario(cigre, NewOptions(pv="sized")).pv) == round(0.8 * len(day.customers))
-    assert len(new_scenario(cigre, NewOptions(battery_kwh_per_peak_kw=0.0)).batteries) == 0
+        cigre, day, NewScenarioOptions())
+    assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
+    sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
+    assert len(sized.pv) == round(0.8 * len(day.customers))
+    assert len(new_scenario(cigre, NewScenarioOptions(battery_kwh_per_peak_kw=0.0)).batteries) == 0
 
 
 def test_pv_of_a_source_without_any_is_none(case33: ImportedFeeder) -> None:
-    assert len(new_scenario(case33, NewOptions(pv="existing")).pv) == 0
+    assert len(new_scenario(case33, NewScenarioOptions(pv="existing")).pv) == 0
 
 
 def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
@@ -120,7 +115,7 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     assert day.customers.bus.tolist() == [1, 2, 4]
     assert day.customers.tier[[0, 2]].tolist() == ["critical", "low"]
     assert day.customers.power_factor == pytest.approx([2 / np.sqrt(5), 1.0, 1.0], abs=1e-6)
-    notes = assumptions(tagged, day, NewOptions())
+    notes = assumptions(tagged, day, NewScenarioOptions())
     assert "Loads without active power are left out: bus 3." in notes
     assert "Loads that feed reactive power count as purely active: bus 4." in notes
 
@@ -161,13 +156,13 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
 def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any],
                               message: str) -> None:
     with pytest.raises(InputError) as caught:
-        new_scenario(case33, NewOptions(**change))
+        new_scenario(case33, NewScenarioOptions(**change))
     assert str(caught.value) == message
 
 
 def test_all_wrong_options_at_once(case33: ImportedFeeder) -> None:
     with pytest.raises(InputError) as caught:
-        new_scenario(case33, NewOptions(days=0, seed=-1, v_slack_pu=0.5))
+        new_scenario(case33, NewScenarioOptions(days=0, seed=-1, v_slack_pu=0.5))
     assert len(caught.value.problems) == 3
 
 
@@ -204,7 +199,7 @@ def test_clock_times_are_those_of_the_start() -> None:
 
 
 def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path) -> None:
-    options = NewOptions(step_minutes=240.0, outages=(parse_outage("12:00..20:00", START),))
+    options = NewScenarioOptions(step_minutes=240.0, outages=(parse_outage("12:00..20:00", START),))
     notes = write_new_scenario(tagged, options, tmp_path / "mine")
     day = read_scenario(tmp_path / "mine")
     assert scenario_digest(day) == scenario_digest(new_scenario(tagged, options))

@@ -1,0 +1,197 @@
+"""The controller behind a plant of one's own: measured values in, set-points out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandapower as pp
+import pandas as pd
+import pytest
+
+import vppres
+from vppres import Controller, InputError, Measurement, RunOptions, Scenario
+from vppres.forecast import ForecastErrors
+
+SOC = {"big": 0.5, "small": 0.5}
+
+
+def followed(day: Scenario, options: RunOptions) -> list[vppres.SetPoints]:
+    """A day in which the plant is the expectation: each step's SoC is what the last one left."""
+    controller = Controller.of(day, options)
+    soc = dict(zip(day.batteries.id, day.batteries.soc_initial, strict=True))
+    decisions = []
+    for time in controller.times:
+        decisions.append(controller.step(Measurement(time, soc)))
+        soc = dict(decisions[-1].batteries["soc_end"])
+    return decisions
+
+
+@pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
+def test_steps_are_those_of_a_run(tiny: Scenario, kind: str) -> None:
+    options = RunOptions(controller=kind, horizon_h=3.0)
+    run = vppres.run_day(tiny, options)
+    decisions = followed(tiny, options)
+    for name, column in {"customers": "served", "batteries": "soc_end", "pv": "curtailed_kw"
+                         }.items():
+        found = pd.concat([getattr(d, name) for d in decisions])[column].to_numpy(float)
+        assert found == pytest.approx(run.tables[name][column].to_numpy(float), abs=1e-7), name
+    net_kw = run.batteries["charge_kw"] - run.batteries["discharge_kw"]
+    assert np.concatenate([d.batteries["p_kw"] for d in decisions]) == pytest.approx(
+        net_kw, abs=1e-4)
+    # Reactive power is a tie-breaker, equal only as far as its level is solved.
+    assert np.concatenate([d.buses["v_ac_pu"] for d in decisions]) == pytest.approx(
+        run.buses["v_ac_pu"], abs=1e-5)
+    assert [d.import_kw for d in decisions] == pytest.approx(
+        run.steps["p_grid_kw"].tolist(), abs=1e-2)
+
+
+def test_options_without_meaning_change_nothing(tiny: Scenario) -> None:
+    wild = RunOptions(horizon_h=3.0, seed=5, thermal="exact", errors=ForecastErrors(0.5, 0.5))
+    plain = followed(tiny, RunOptions(horizon_h=3.0))
+    for one, other in zip(plain, followed(tiny, wild), strict=True):
+        assert one.batteries["soc_end"].to_numpy() == pytest.approx(
+            other.batteries["soc_end"].to_numpy(), abs=1e-7)
+
+
+def test_what_is_measured_overrules_the_scenario(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    dark = controller.step(Measurement(controller.times[0], SOC, load_kw={"homes": 500.0},
+                                       pv_kw={"roof": 0.0, "field": 99.0}, grid_limit_kw=0.0))
+    assert dark.customers["load_kw"].to_dict() == {"hospital": 60.0, "shop": 40.0, "homes": 500.0}
+    assert dark.pv["available_kw"].to_dict() == {"roof": 0.0, "field": 20.0}  # its rating
+    # 60 kW of the hospital, 20 kW of PV, and a battery for one hour: 500 kW are out of reach.
+    assert dark.customers["served"].to_dict() == {"hospital": True, "shop": False, "homes": False}
+    assert dark.import_kw == pytest.approx(0.0, abs=1.0)
+    light = controller.step(Measurement(controller.times[0], SOC))
+    assert light.customers["served"].all()
+
+
+def test_an_outage_that_is_expected_is_prepared(tiny: Scenario) -> None:
+    empty = {"big": 0.15, "small": 0.15}
+    quiet = replace(tiny, grid_limit_kw=np.full(6, np.inf))
+    controller = Controller.of(quiet, RunOptions(horizon_h=2.0))
+    now = controller.times[0]
+    assert list(controller.window(now)) == list(controller.times[:3])
+    warned = pd.Series([0.0, 0.0], index=controller.times[1:3])
+    assert controller.step(Measurement(now, empty)).batteries["p_kw"].max() <= 1e-6
+    decision = controller.step(Measurement(now, empty, grid_limit_kw=warned))
+    assert decision.batteries["p_kw"].sum() > 50.0
+    assert decision.batteries["soc_end"].min() > 0.15
+
+
+def test_forecast_is_a_table_by_time(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=2.0))
+    ahead = controller.times[2:5]
+    load = pd.DataFrame({"shop": [0.0, 10.0, 20.0], "homes": [1.0, 2.0, 3.0]}, index=ahead)
+    decision = controller.step(Measurement(ahead[0], SOC, load_kw=load))
+    assert decision.time == ahead[0]
+    assert decision.customers["load_kw"].to_dict() == {"hospital": 64.0, "shop": 0.0, "homes": 1.0}
+
+
+def test_state_of_charge_beyond_the_limits_counts_as_the_limit(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    outside = controller.step(Measurement(controller.times[3], {"big": 0.0, "small": 1.0}))
+    at_limit = controller.step(Measurement(controller.times[3], {"big": 0.15, "small": 0.85}))
+    pd.testing.assert_frame_equal(outside.batteries, at_limit.batteries)
+
+
+def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
+    controller = Controller.of(tiny)
+    wrong = Measurement(
+        pd.Timestamp("2022-07-19T10:30Z"), soc={"bgi": 0.5, "small": 15.0},
+        load_kw={"shop": -1.0}, pv_kw=pd.DataFrame({"roof": [np.nan]}, index=controller.times[:1]),
+        grid_limit_kw=pd.Series([5.0], index=[pd.Timestamp("2022-07-20T10:00Z")]),
+        price_gbp_per_kwh=float("inf"), eta_charge={"big": 0.0})
+    with pytest.raises(InputError) as caught:
+        controller.step(wrong)
+    steps = ("The scenario's steps begin at 2022-07-19T10:00:00+00:00 and last 60 min; "
+             "there are 6.")
+    assert str(caught.value).splitlines() == [
+        "measurement, time = 2022-07-19 10:30:00+00:00: is not the beginning of a step. " + steps,
+        "measurement, load_kw of shop = -1.0: must be a number not below 0. "
+        "Correct the measurement.",
+        "measurement, pv_kw of roof = nan: must be a number not below 0. Correct the measurement.",
+        "measurement, price_gbp_per_kwh = inf: must be a number not below 0. "
+        "Correct the measurement.",
+        "measurement, grid_limit_kw = 2022-07-20 10:00:00+00:00: is not the beginning of a step. "
+        + steps,
+        "measurement, soc = bgi: is not in the scenario. Did you mean big?",
+        "measurement, soc of small = 15.0: must lie between 0 and 1. "
+        "Give a share, for example 0.5.",
+        "measurement, soc of big: is missing. Give the state of charge of every battery.",
+        "measurement, eta_charge of big = 0.0: must lie between 0 and 1. "
+        "Give a share, for example 0.5.",
+    ]
+    with pytest.raises(InputError, match="is not the beginning of a step"):
+        controller.window(pd.Timestamp("2022-07-19T10:30Z"))
+
+
+@pytest.fixture
+def net() -> Any:
+    """Three loads behind two buses that a closed switch joins; PV of its own."""
+    net = pp.create_empty_network()
+    pp.create_buses(net, 5, vn_kv=11.0)
+    pp.create_ext_grid(net, 0)
+    for a, b in ((0, 1), (1, 2), (2, 3)):
+        pp.create_line_from_parameters(net, a, b, length_km=1.0, r_ohm_per_km=0.4,
+                                       x_ohm_per_km=0.3, c_nf_per_km=0.0, max_i_ka=1.0)
+    pp.create_switch(net, 3, 4, et="b")
+    for bus, p_mw in ((1, 0.2), (2, 0.1), (4, 0.3), (4, 0.1)):
+        pp.create_load(net, bus, p_mw=p_mw, q_mvar=0.3 * p_mw)
+    pp.create_load(net, 2, p_mw=9.0, in_service=False)
+    pp.create_sgen(net, 2, p_mw=0.08, type="PV", name="old roof")
+    return net
+
+
+def test_set_points_in_a_pandapower_net(net: Any) -> None:
+    feeder = vppres.import_network(net)
+    day = vppres.new_scenario(feeder, vppres.NewScenarioOptions(step_minutes=240.0, outages=(
+        (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T20:00Z")),)))
+    controller = Controller.of(day, RunOptions(horizon_h=4.0))
+    soc = dict.fromkeys(day.batteries.id, 0.5)
+    for time in controller.times:
+        decision = controller.step(Measurement(time, soc))
+        soc = dict(decision.batteries["soc_end"])
+        decision.apply_to(net, feeder)
+        pp.runpp(net, numba=False, tolerance_mva=1e-9)
+        # Nothing of this net is simplified: both power flows are of the same circuit.
+        expected = decision.buses["v_ac_pu"].loc[[feeder.bus_of[i] for i in net.bus.index]]
+        assert net.res_bus["vm_pu"].to_numpy() == pytest.approx(expected.to_numpy(), abs=1e-7)
+        assert net.res_ext_grid["p_mw"][0] * 1000 == pytest.approx(decision.import_kw, abs=1e-3)
+    assert not decision.customers.empty
+    assert (len(net.sgen), len(net.storage)) == (1 + len(day.pv), len(day.batteries))
+    assert not net.sgen["in_service"][0]  # the scenario's PV system stands in its place
+    assert net.load["p_mw"].tolist() == [0.2, 0.1, 0.3, 0.1, 9.0]
+
+
+def test_set_points_of_another_net_are_refused(tiny: Scenario, net: Any) -> None:
+    feeder = vppres.import_network(net)
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    decision = controller.step(Measurement(controller.times[0], SOC))
+    net.load["in_service"] = net.load["bus"] != 2
+    before = net.load.copy()
+    with pytest.raises(InputError) as caught:
+        decision.apply_to(net, feeder)
+    other = "is not a bus of the net. Give the net and the feeder that the scenario was made from."
+    # Bus 4 of the net is one with bus 3.
+    assert str(caught.value).splitlines() == [
+        f"set-points, bus of homes = 4: {other}", f"set-points, bus of field = 4: {other}",
+        f"set-points, bus of small = 4: {other}",
+        "set-points, bus of hospital = 2: the net has no load at this bus. Give the net that the "
+        "scenario was made from.",
+        "set-points, bus of homes = 4: the net has no load at this bus. Give the net that the "
+        "scenario was made from."]
+    pd.testing.assert_frame_equal(net.load, before)
+
+
+def test_notebooks_show_tables(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    html = controller.step(Measurement(controller.times[0], SOC))._repr_html_()
+    assert "<b>Set-points of 2022-07-19 10:00</b>" in html
+    assert "<th>customers on</th><td>3 of 3</td>" in html
+    assert html.count("<table") == 4
+    assert "<th>batteries</th><td>2, 160 kWh</td>" in tiny._repr_html_()
+    run = vppres.run_day(tiny, RunOptions(horizon_h=0))
+    assert "<th>controller</th><td>mpc, 0 h</td>" in run._repr_html_()
