@@ -20,6 +20,8 @@ KEY_FIGURES = (
     ("v_max_ac_pu", "Highest AC voltage", "pu", ".4f"),
     ("v_mean_of_min_ac_pu", "Mean over the steps of the lowest AC voltage", "pu", ".4f"),
     ("v_error_max_pu", "Largest voltage difference, optimisation to AC", "pu", ".4f"),
+    ("line_current_max_a", "Largest line current", "A", ",.1f"),
+    ("line_loading_max", "Largest line loading, as a share of the rating", "", ".1%"),
     ("island_import_max_kw", "Largest power drawn from the slack bus in the outage", "kW", ",.2f"),
     ("island_export_max_kw", "Largest surplus at the slack bus in the outage", "kW", ",.2f"),
     ("island_reactive_max_kvar", "Largest reactive power of the slack bus in the outage", "kvar",

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vppres.io.digest import scenario_digest
 from vppres.trajectory import OPTIONS, Trajectory, json_safe
+from vppres.units import kva_to_a
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 FULL_HORIZON = "full-horizon"
+
+Floats = NDArray[np.float64]
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
@@ -38,6 +42,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "import_kwh": import_kwh(trajectory),
         "pv_curtailed_kwh": pv_curtailed_kwh(trajectory),
         **voltage_figures(trajectory),
+        **line_figures(trajectory),
         **island_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         "solve_s": solve_times(trajectory),
@@ -139,6 +144,35 @@ def voltage_figures(trajectory: Trajectory) -> dict[str, float]:
             "v_max_ac_pu": float(steps["v_max_ac_pu"].max()),
             "v_mean_of_min_ac_pu": float(steps["v_min_ac_pu"].mean()),
             "v_error_max_pu": float(steps["v_error_pu"].max())}
+
+
+def line_current_a(trajectory: Trajectory) -> Floats:
+    """Current of each line in the AC power flow, shape (T, L).
+
+    ``I = |S| / (sqrt(3) V)`` with power and voltage at the sending end; without shunts it is the
+    same along the line. Zero where a bus has no voltage.
+    """
+    net, lines = trajectory.scenario.network, trajectory.lines
+    shape = (len(trajectory.steps), net.n_lines)
+    s_kva = np.hypot(lines["p_ac_kw"].to_numpy(float), lines["q_ac_kvar"].to_numpy(float))
+    v_pu = trajectory.buses["v_ac_pu"].to_numpy(float).reshape(shape[0], -1)[:, net.parent]
+    live = np.nan_to_num(v_pu) > 0
+    current = kva_to_a(s_kva.reshape(shape), np.where(live, v_pu, 1.0) * net.base_kv)
+    return np.where(live, current, 0.0)
+
+
+def line_loading(trajectory: Trajectory) -> Floats:
+    """Current of each line as a share of its rating, shape (T, L); NaN for lines without one."""
+    rating = trajectory.scenario.network.i_max_a
+    return line_current_a(trajectory) / np.where(np.isfinite(rating), rating, np.nan)
+
+
+def line_figures(trajectory: Trajectory) -> dict[str, float | None]:
+    """Largest line current in A, and largest loading of any line that has a rating."""
+    loading = line_loading(trajectory)
+    rated = np.isfinite(loading).any()
+    return {"line_current_max_a": float(line_current_a(trajectory).max()),
+            "line_loading_max": float(np.nanmax(loading)) if rated else None}
 
 
 def island_figures(trajectory: Trajectory) -> dict[str, float | None]:

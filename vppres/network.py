@@ -17,6 +17,11 @@ from vppres.units import ohm_to_pu2_per_kw
 BusId = int | str
 
 
+def _no_ratings() -> NDArray[np.float64]:
+    """Stands for lines without thermal ratings; the network replaces it by infinities."""
+    return np.empty(0)
+
+
 @dataclass(frozen=True, eq=False)
 class Network:
     """A radial feeder.
@@ -31,6 +36,8 @@ class Network:
         Ends of each line; integers or strings.
     r_ohm, x_ohm : array, shape (L,)
         Series impedance.
+    i_max_a : array, shape (L,), optional
+        Thermal rating; infinite where a line has none. It is reported, not held.
     slack_bus : int or str
         Bus of the grid connection.
     base_kv : float
@@ -65,20 +72,24 @@ class Network:
     v_max_pu: float = 1.053
     v_min_ac_pu: float = 0.94
     v_max_ac_pu: float = 1.06
+    i_max_a: NDArray[np.float64] = field(default_factory=_no_ratings)
     buses: NDArray[np.object_] = field(init=False)
     parent: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.from_bus, dtype=object), np.asarray(self.to_bus, dtype=object)
         r, x = np.asarray(self.r_ohm, float), np.asarray(self.x_ohm, float)
-        problems = check_radial(ends[0], ends[1], self.slack_bus) + _check_impedance(r, x)
+        i_max = np.asarray(self.i_max_a, float)
+        i_max = i_max if len(i_max) else np.full(len(r), np.inf)
+        problems = (check_radial(ends[0], ends[1], self.slack_bus) + _check_impedance(r, x)
+                    + _check_ratings(i_max, len(r)))
         if problems:
             raise InputError(problems)
         order, parent, line_of = _orient(ends[0], ends[1], self.slack_bus)
         values = {
             "buses": order, "parent": parent,
             "from_bus": order[parent], "to_bus": order[1:],
-            "r_ohm": r[line_of], "x_ohm": x[line_of],
+            "r_ohm": r[line_of], "x_ohm": x[line_of], "i_max_a": i_max[line_of],
         }
         for name, value in values.items():
             object.__setattr__(self, name, freeze(value))
@@ -225,3 +236,14 @@ def _check_impedance(r_ohm: NDArray[np.float64], x_ohm: NDArray[np.float64]) -> 
     return [Problem("lines", "must be positive", "Give the series impedance in ohm; join buses "
                     "that have no impedance between them.", row=int(i), field=name, value=value)
             for name, i, value in bad]
+
+
+def _check_ratings(i_max_a: NDArray[np.float64], n_lines: int) -> list[Problem]:
+    """Ratings that are not one positive current for each line."""
+    if i_max_a.shape != (n_lines,):
+        return [Problem("lines", f"must have one value for each of the {n_lines} lines", "Give "
+                        "the thermal rating in A, infinite where a line has none.",
+                        field="i_max_a", value=i_max_a.shape)]
+    return [Problem("lines", "must be positive", "Give the thermal rating in A, infinite where a "
+                    "line has none.", row=int(i), field="i_max_a", value=i_max_a[i])
+            for i in np.flatnonzero(~(i_max_a > 0))]

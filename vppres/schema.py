@@ -47,6 +47,9 @@ class LineRow(Row):
     to_bus: str = Field(description="bus at the other end of the line")
     r_ohm: float = Field(gt=0, description="series resistance", json_schema_extra=OHM)
     x_ohm: float = Field(ge=0, description="series reactance", json_schema_extra=OHM)
+    i_max_a: float | None = Field(
+        default=None, gt=0, description="thermal rating for the report's line loading (empty: "
+        "none)", json_schema_extra={"unit": "A"})
 
 
 class CustomerRow(Row):

@@ -27,6 +27,15 @@ def mw_to_kw(p_mw: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(p_mw, dtype=float) * KW_PER_MW
 
 
+def kva_to_a(s_kva: ArrayLike, v_kv: ArrayLike) -> NDArray[np.float64]:
+    """Line current in A of a balanced apparent power in kVA at a line-to-line voltage in kV.
+
+    >>> round(float(kva_to_a(100.0, 11.0)), 4)
+    5.2486
+    """
+    return np.asarray(np.asarray(s_kva, dtype=float) / (np.sqrt(3.0) * np.asarray(v_kv)))
+
+
 def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> NDArray[np.float64]:
     """Impedance to the coefficient of LinDistFlow: change of V² (pu²) for each kW of flow.
 

@@ -40,7 +40,10 @@ def _canonical(value: Any) -> Any:
 def _canonical_network(network: Network) -> dict[str, Any]:
     """Limits by name and the lines sorted: their order in a file means nothing."""
     ends = [_canonical(end) for end in (network.from_bus, network.to_bus)]
-    lines = zip(*ends, network.r_ohm.tolist(), network.x_ohm.tolist(), strict=True)
+    columns = [*ends, network.r_ohm.tolist(), network.x_ohm.tolist()]
+    if np.isfinite(network.i_max_a).any():  # folders without ratings keep their digest
+        columns.append(network.i_max_a.tolist())
+    lines = zip(*columns, strict=True)
     scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]
     return {"lines": sorted((list(line) for line in lines), key=str),
             **{name: _canonical(getattr(network, name)) for name in scalars}}

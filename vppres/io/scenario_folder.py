@@ -287,6 +287,7 @@ def _network(section: schema.NetworkSection, rows: Mapping[int, schema.LineRow],
     columns = _columns(rows, schema.LineRow)
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]
+    columns["i_max_a"] = [np.inf if i_max_a is None else i_max_a for i_max_a in columns["i_max_a"]]
     scalars = {**section.model_dump(), "slack_bus": read_bus(section.slack_bus)}
     return Network(**columns, **scalars)
 
@@ -370,6 +371,9 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
         "system": _system_frame(scenario),
     }
+    rating_a = frames["lines"].pop("i_max_a")
+    if np.isfinite(rating_a).any():
+        frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
     return frames

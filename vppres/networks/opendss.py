@@ -25,7 +25,8 @@ PASSIVE = {"vsource", "line", "transformer", "load", "generator", "pvsystem", "s
 LEFT_OUT = {"capacitor": "Capacitors are left out", "storage": "Batteries of the source are left "
             "out", "regcontrol": "Regulators are taken at their nominal ratio"}
 THREE_PHASES = 3
-NO_LIMIT_KA = 99999.0
+A_PER_KA = 1000.0
+DEFAULT_AMPS = 400.0
 SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
 
 Contents = tuple[Any, dict[int, BusId], tuple[str, ...]]
@@ -183,7 +184,8 @@ def _add_line(net: Any, name: str, at: dict[str, int]) -> None:
     (start, end), closed = _buses(), _closed()
     dss.Lines.Name(name)
     pp.create_line_from_parameters(
-        net, at[start], at[end], length_km=dss.Lines.Length(), max_i_ka=NO_LIMIT_KA,
+        net, at[start], at[end], length_km=dss.Lines.Length(),
+        max_i_ka=dss.Lines.NormAmps() / A_PER_KA,
         r_ohm_per_km=_positive_sequence(dss.Lines.RMatrix(), dss.Lines.Phases()),
         x_ohm_per_km=_positive_sequence(dss.Lines.XMatrix(), dss.Lines.Phases()),
         c_nf_per_km=0.0, name=name, in_service=closed)
@@ -254,6 +256,10 @@ def _notes() -> Iterator[str]:
     if len(few):
         yield (f"{len(few)} of {len(phases)} lines have fewer than three phases; the equivalent "
                "understates their voltage drop and losses.")
+    unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
+    if unrated:
+        yield (f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
+               "OpenDSS also gives to lines without a rating.")
     for kind, words in LEFT_OUT.items():
         names = list(_of(kind))
         if names:

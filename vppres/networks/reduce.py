@@ -28,8 +28,9 @@ from vppres.networks.feeder import (
     Names,
 )
 from vppres.networks.notes import notes_of
+from vppres.networks.ratings import rating_mva, shared_rating
 from vppres.powerflow import ACPowerFlow
-from vppres.units import mw_to_kw
+from vppres.units import kva_to_a, mw_to_kw
 
 BRANCHES = ("line", "trafo", "trafo3w", "impedance")
 # Three-phase loads, controlled devices and direct current have no place in the model.
@@ -157,7 +158,8 @@ def _case_of(net: Any) -> NetCase:
               if used]
     columns = dict(zip(("from", "to", "r", "x", "b", "tap"),
                        ppc["branch"][:, [FROM, TO, R, X, B, TAP]].real.T, strict=True))
-    branches = pd.DataFrame({**columns, "label": [label(net, *o) for o in inside]})
+    branches = pd.DataFrame({**columns, "label": [label(net, *o) for o in inside],
+                             "rating_mva": [rating_mva(net, *o) for o in inside]})
     grid = in_service(net, "ext_grid").iloc[0]
     return NetCase(float(ppc["baseMVA"]), ppc["bus"][:, 9].real, bus_at,
                  branches.astype({"from": int, "to": int}), bus_at[int(grid["bus"])],
@@ -198,10 +200,13 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
     admittance = pd.Series(1 / (branches["r"] + 1j * branches["x"]).to_numpy(), branches.index)
     total = admittance.groupby([low, high], sort=False).sum()
     label = branches["label"].groupby([low, high], sort=False).agg(" with ".join)
+    together = admittance.groupby([low, high], sort=False).transform("sum")
+    rating = shared_rating(admittance, together, branches["rating_mva"])
+    rating = rating.groupby([low, high], sort=False).min()
     z = 1 / total.to_numpy()
     ends = np.array([*total.index], dtype=int)
     return pd.DataFrame({"from": ends[:, 0], "to": ends[:, 1], "r": z.real, "x": z.imag,
-                         "label": label.to_numpy()})
+                         "label": label.to_numpy(), "rating_mva": rating.to_numpy()})
 
 
 def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
@@ -245,7 +250,8 @@ def _network(branches: pd.DataFrame, case: NetCase, ids: Mapping[int, BusId]) ->
                   for side in ("from", "to"))
     r_ohm, x_ohm = (branches[part].to_numpy() * base_ohm for part in ("r", "x"))
     return Network(start, end, r_ohm, x_ohm, slack_bus=ids[case.slack], base_kv=base_kv,
-                   v_slack_pu=case.v_slack_pu)
+                   v_slack_pu=case.v_slack_pu,
+                   i_max_a=kva_to_a(mw_to_kw(branches["rating_mva"]), base_kv))
 
 
 def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId],

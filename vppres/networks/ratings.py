@@ -1,0 +1,48 @@
+"""Thermal ratings of the branches of a pandapower net, and of what a reduction makes of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+# Sources without ratings write a current that no line carries.
+NO_LIMIT_KA = 9999.0
+
+
+def rating_mva(net: Any, table: str, index: Any) -> float:
+    """Largest apparent power of a branch at nominal voltage; infinite where none is known.
+
+    Lines by ``max_i_ka`` and transformers with two windings by ``sn_mva``, both with their
+    derating ``df``. Windings of larger transformers and impedances count as unlimited.
+    """
+    if table not in ("line", "trafo"):
+        return np.inf
+    row = net[table].loc[index]
+    units = float(row.get("parallel", 1.0)) * float(row.get("df", 1.0))
+    if table == "trafo":
+        return float(row["sn_mva"]) * units
+    if not 0 < float(row["max_i_ka"]) < NO_LIMIT_KA:
+        return np.inf
+    return float(np.sqrt(3.0) * net.bus.at[row["from_bus"], "vn_kv"] * row["max_i_ka"]) * units
+
+
+def shared_rating(admittance: pd.Series[Any], total: pd.Series[Any],
+                  rating: pd.Series[float]) -> pd.Series[float]:
+    """Rating of parallel branches together: where the first of them reaches its own.
+
+    Parameters
+    ----------
+    admittance, total : Series of complex
+        Of each branch, and of all that lie beside it.
+    rating : Series of float
+        Of each branch, in any unit.
+
+    Examples
+    --------
+    >>> y, rating = pd.Series([1 + 0j, 3 + 0j]), pd.Series([10.0, 15.0])
+    >>> shared_rating(y, pd.Series([4 + 0j, 4 + 0j]), rating).tolist()
+    [40.0, 20.0]
+    """
+    return rating * total.abs() / admittance.abs()
