@@ -6,7 +6,7 @@ Absent assets are tables of length 0. The attributes' units, bounds and defaults
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from vppres.frozen import freeze_fields
 
 Floats = NDArray[np.float64]
 Names = NDArray[np.object_]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,7 @@ class Batteries:
 
     The thermal constants are those of the paper's Table "Battery electro-thermal efficiency
     parameters"; ``t_initial_c`` may be NaN, which means the ambient temperature of the first step.
+    ``grid_forming`` marks the batteries that are named to hold an island; see :attr:`formers`.
     """
 
     id: Names
@@ -90,10 +92,22 @@ class Batteries:
     u_batt_v: Floats
     t_ref_c: Floats
     t_initial_c: Floats
+    grid_forming: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
-        freeze_fields(self, **{f.name: object if f.name in ("id", "bus") else float
-                               for f in fields(self)})
+        if len(self.grid_forming) == 0:
+            object.__setattr__(self, "grid_forming", np.zeros(len(self.id), dtype=bool))
+        types = {"id": object, "bus": object, "grid_forming": bool}
+        freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
 
     def __len__(self) -> int:
         return len(self.id)
+
+    @property
+    def formers(self) -> Flags:
+        """Who forms an island's grid, (B,): those that are named, else the largest inverter."""
+        if self.grid_forming.any() or len(self) == 0:
+            return self.grid_forming
+        largest = np.zeros(len(self), dtype=bool)
+        largest[np.argmax(self.s_max_kva)] = True
+        return largest

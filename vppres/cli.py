@@ -27,6 +27,7 @@ from vppres.cli_options import (
     LoadBias,
     LoadError,
     Method,
+    Mode,
     PVBias,
     PVError,
     Quiet,
@@ -97,6 +98,7 @@ def run(
     pv_bias: PVBias = 0.0,
     pv_error: PVError = 0.0,
     thermal: Thermal = "off",
+    mode: Mode = None,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
@@ -226,6 +228,7 @@ def sweep(
     pv_bias: PVBias = 0.0,
     pv_error: PVError = 0.0,
     thermal: Thermal = "off",
+    mode: Mode = None,
     seed: Seed = 0,
     time_limit: TimeLimit = 60.0,
     gap: Gap = 1e-4,

@@ -59,6 +59,8 @@ PVError = Annotated[float, typer.Option(
     rich_help_panel=FORECAST)]
 Thermal = Annotated[Literal["off", "exact", "euler"], typer.Option(
     help="Battery heating, and its time integration.")]
+Mode = Annotated[str | None, typer.Option(
+    help="paper, or physical: islands that batteries hold; the scenario's if not given.")]
 Seed = Annotated[int, typer.Option(
     help="Seed of the random forecast errors.", rich_help_panel=FORECAST)]
 TimeLimit = Annotated[float, typer.Option(
@@ -80,6 +82,7 @@ def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
         controller=given["controller"] or day.controller.kind,
         horizon_h=day.controller.horizon_h if horizon_h is None else horizon_h,
         solver=given["solver"], method=given["method"], thermal=given["thermal"],
+        mode=given["mode"] or day.controller.mode,
         seed=given["seed"],
         errors=ForecastErrors(given["load_bias"], given["load_error"], given["pv_bias"],
                               given["pv_error"]),

@@ -233,6 +233,7 @@ def _batteries(customers: Customers, peak_kw: Floats, options: NewScenarioOption
         name: np.full(len(has), np.nan if field.default is None else field.default)
         for name, field in schema.BatteryRow.model_fields.items() if not field.is_required()}
     defaults["soc_initial"] = defaults["soc_min"]
+    defaults["grid_forming"] = np.zeros(len(has), dtype=bool)
     return Batteries(id=_ids("b", customers.bus[has]), bus=customers.bus[has],
                      energy_kwh=energy_kwh[has], p_max_kw=p_kw,
                      s_max_kva=_written(BATTERY_INVERTER_RATIO * p_kw), **defaults)

@@ -32,6 +32,22 @@ class BatteryState:
 
 
 @dataclass(frozen=True, eq=False)
+class Powers:
+    """Powers of one step that all devices can deliver; a charging battery is positive.
+
+    ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
+    """
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    battery_kw: Floats
+    batt_q_kvar: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation."""
 
@@ -64,8 +80,8 @@ class Plant:
         self.scenario, self.thermal = scenario, thermal
         index = scenario.network.bus_index
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
-        self._battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
-        self._owner = scenario.pv.owner(scenario.customers)
+        self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
+        self.owner = scenario.pv.owner(scenario.customers)
 
     def initial_state(self) -> BatteryState:
         """State before the first step."""
@@ -91,23 +107,34 @@ class Plant:
         pv, b = self.scenario.pv, self.scenario.batteries
         pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
         batt_q = _limit_q(plan.batt_q_kvar[row], charge - discharge, b.s_max_kva)
-        dt_h = self.scenario.grid.dt_h
-        stored = (state.eta_charge * charge - discharge / state.eta_discharge) * dt_h
         clipped = max(np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
                       np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
                       np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0))
-        p, q = self._injections(t, served, own, export, charge - discharge)
-        np.add.at(q, self._customer_bus[self._owner], pv_q)
-        np.add.at(q, self._battery_bus, batt_q)
-        soc_end = np.clip(state.soc + stored / b.energy_kwh, b.soc_min, b.soc_max)
-        return Realised(served, own, export, curtailed, pv_q, charge, discharge, batt_q, soc_end,
-                        p, q, float(clipped))
+        powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
+        return self.realise(t, powers, state, float(clipped))
+
+    def realise(self, t: int, powers: Powers, state: BatteryState,
+                clipped_kw: float = 0.0) -> Realised:
+        """What powers that are within all limits do to the buses and the batteries."""
+        b = self.scenario.batteries
+        charge = np.maximum(powers.battery_kw, 0.0)
+        discharge = np.maximum(-powers.battery_kw, 0.0)
+        stored = state.eta_charge * charge - discharge / state.eta_discharge
+        p, q = self._injections(t, powers.served, powers.pv_self_kw, powers.pv_export_kw,
+                                powers.battery_kw)
+        np.add.at(q, self._customer_bus[self.owner], powers.pv_q_kvar)
+        np.add.at(q, self.battery_bus, powers.batt_q_kvar)
+        soc_end = np.clip(state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min,
+                          b.soc_max)
+        return Realised(powers.served, powers.pv_self_kw, powers.pv_export_kw,
+                        powers.pv_curtailed_kw, powers.pv_q_kvar, charge, discharge,
+                        powers.batt_q_kvar, soc_end, p, q, clipped_kw)
 
     def _split_pv(self, t: int, served: NDArray[np.bool_],
                   curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
-        demand = self.scenario.load_kw[t, self._owner] * served[self._owner]
+        demand = self.scenario.load_kw[t, self.owner] * served[self.owner]
         rating = self.scenario.pv.s_max_kva
         own = np.minimum(np.minimum(available, demand), rating)
         # The inverter cannot pass more than its rating, whatever was asked for.
@@ -118,14 +145,18 @@ class Plant:
     def _battery_power(self, charge_kw: Floats, discharge_kw: Floats,
                        state: BatteryState) -> tuple[Floats, Floats]:
         """Set-points as far as power rating and state of charge allow."""
-        b, dt_h = self.scenario.batteries, self.scenario.grid.dt_h
+        most_charge, most_discharge = self.battery_limits_kw(state)
         net = charge_kw - discharge_kw
+        return np.clip(net, 0.0, most_charge), np.clip(-net, 0.0, most_discharge)
+
+    def battery_limits_kw(self, state: BatteryState) -> tuple[Floats, Floats]:
+        """Largest charge and discharge over one step, by rating and state of charge, (B,) each."""
+        b, dt_h = self.scenario.batteries, self.scenario.grid.dt_h
         room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
         held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
         rating = np.minimum(b.p_max_kw, b.s_max_kva)
-        charge = np.minimum(np.clip(net, 0.0, rating), room_kwh / (state.eta_charge * dt_h))
-        discharge = np.minimum(np.clip(-net, 0.0, rating), held_kwh * state.eta_discharge / dt_h)
-        return charge, discharge
+        return (np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
+                np.minimum(rating, held_kwh * state.eta_discharge / dt_h))
 
     def _injections(self, t: int, served: NDArray[np.bool_], own: Floats, export: Floats,
                     battery_kw: Floats) -> tuple[Floats, Floats]:
@@ -134,8 +165,8 @@ class Plant:
         q = np.zeros_like(p)
         np.add.at(p, self._customer_bus, -self.scenario.load_kw[t] * served)
         np.add.at(q, self._customer_bus, -self.scenario.load_kvar[t] * served)
-        np.add.at(p, self._customer_bus[self._owner], own + export)
-        np.add.at(p, self._battery_bus, -battery_kw)
+        np.add.at(p, self._customer_bus[self.owner], own + export)
+        np.add.at(p, self.battery_bus, -battery_kw)
         return p, q
 
 

@@ -37,13 +37,13 @@ class ACResult:
     v_pu : array, shape (N,)
         Voltage magnitude, in the network's bus order.
     p_from_kw, q_from_kvar : array, shape (L,)
-        Flow at the sending end of each line, positive away from the slack bus.
+        Flow at the sending end of each line, positive away from the network's slack bus.
     p_to_kw, q_to_kvar : array, shape (L,)
-        Flow that arrives at the receiving end, positive away from the slack bus.
+        Flow that arrives at the receiving end, positive away from the network's slack bus.
     losses_kw : float
         Sum of the lines' active losses.
     p_slack_kw, q_slack_kvar : float
-        Import at the slack bus.
+        What the source at the reference bus gives: the import, unless an island was solved.
     converged : bool
         Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises.
     """
@@ -72,7 +72,7 @@ class ACPowerFlow:
     Parameters
     ----------
     network : Network
-        The slack bus is held at ``v_slack_pu``; lines have a series impedance and no shunt.
+        The reference bus is held at ``v_slack_pu``; lines have a series impedance and no shunt.
 
     Examples
     --------
@@ -84,16 +84,20 @@ class ACPowerFlow:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self._net = _build(network)
-        self._warm = False
+        self._nets = {0: _build(network, 0)}
+        self._warm: set[int] = set()
 
-    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike) -> ACResult:
+    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
         """Power flow for the net injection of every bus.
 
         Parameters
         ----------
         p_kw, q_kvar : array, shape (N,)
-            Net injection, generation positive. What is injected at the slack bus lowers the import.
+            Net injection, generation positive. What is injected at the reference bus lowers what
+            its source gives.
+        reference : int, optional
+            Position of the bus with the only source, 0 for the grid. With another bus the network
+            is an island: the grid's bus has no source, so nothing can come from there.
 
         Returns
         -------
@@ -108,15 +112,20 @@ class ACPowerFlow:
         """
         p = self._checked("p_kw", p_kw)
         q = self._checked("q_kvar", q_kvar)
-        self._net.load["p_mw"] = -kw_to_mw(p)
-        self._net.load["q_mvar"] = -kw_to_mw(q)
-        if not (self._warm and self._run(init="results")) and not self._run(init="flat"):
+        if reference not in self._nets:
+            self._nets[reference] = _build(self.network, reference)
+        net = self._nets[reference]
+        net.load["p_mw"], net.load["q_mvar"] = -kw_to_mw(p), -kw_to_mw(q)
+        warm = reference in self._warm
+        self._warm.discard(reference)
+        if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
             raise VerificationError(self._divergence(p, q))
-        return self._read()
+        self._warm.add(reference)
+        return _read(net)
 
     def restart(self) -> None:
         """Forget the last solution: the next solve starts flat."""
-        self._warm = False
+        self._warm.clear()
 
     def _checked(self, name: str, values: ArrayLike) -> Floats:
         """Injections as an array with one finite value per bus."""
@@ -132,30 +141,6 @@ class ACPowerFlow:
                                      field=name, value=array[wrong[0]]))
         return array
 
-    def _run(self, init: str) -> bool:
-        """Run Newton's method; whether it converged."""
-        # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
-        # time. Without numba the outcome does not hang on what else is installed.
-        try:
-            pp.runpp(self._net, init=init, recycle=REUSE if init == "results" else None,
-                     tolerance_mva=TOLERANCE_MVA, calculate_voltage_angles=False, numba=False)
-            self._warm = bool(self._net.converged)
-        except pp.LoadflowNotConverged:
-            self._warm = False
-        return self._warm
-
-    def _read(self) -> ACResult:
-        """Results of the net in the network's order and in kW."""
-        lines, slack = self._net.res_line, self._net.res_ext_grid
-        return ACResult(
-            v_pu=self._net.res_bus["vm_pu"].to_numpy(),
-            p_from_kw=mw_to_kw(lines["p_from_mw"]), q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
-            # pandapower counts both ends as flowing into the line.
-            p_to_kw=-mw_to_kw(lines["p_to_mw"]), q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
-            losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
-            p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
-            q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]))
-
     def _divergence(self, p_kw: Floats, q_kvar: Floats) -> str:
         """What to say when there is no solution."""
         worst = int(np.argmin(p_kw))
@@ -163,6 +148,31 @@ class ACPowerFlow:
                 f"{-p_kw.sum():.1f} kW and {-q_kvar.sum():.1f} kvar, the largest "
                 f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}. The lines cannot carry "
                 "it: check the units of loads and impedances, or serve less.")
+
+
+def _run(net: pp.pandapowerNet, init: str) -> bool:
+    """Run Newton's method; whether it converged."""
+    # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
+    # time. Without numba the outcome does not hang on what else is installed.
+    try:
+        pp.runpp(net, init=init, recycle=REUSE if init == "results" else None,
+                 tolerance_mva=TOLERANCE_MVA, calculate_voltage_angles=False, numba=False)
+    except pp.LoadflowNotConverged:
+        return False
+    return bool(net.converged)
+
+
+def _read(net: pp.pandapowerNet) -> ACResult:
+    """Results of the net in the network's order and in kW."""
+    lines, slack = net.res_line, net.res_ext_grid
+    return ACResult(
+        v_pu=net.res_bus["vm_pu"].to_numpy(),
+        p_from_kw=mw_to_kw(lines["p_from_mw"]), q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
+        # pandapower counts both ends as flowing into the line.
+        p_to_kw=-mw_to_kw(lines["p_to_mw"]), q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
+        losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
+        p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
+        q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]))
 
 
 def shared_power_flow(network: Network) -> ACPowerFlow:
@@ -184,11 +194,11 @@ _FLOWS: OrderedDict[str, ACPowerFlow] = OrderedDict()
 _FLOWS_KEPT = 3
 
 
-def _build(network: Network) -> pp.pandapowerNet:
-    """The pandapower net: one load per bus, the slack bus included, and lines of 1 km."""
+def _build(network: Network, reference: int) -> pp.pandapowerNet:
+    """The pandapower net: one load per bus, one source, and lines of 1 km."""
     net = pp.create_empty_network()
     buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
-    pp.create_ext_grid(net, buses[0], vm_pu=network.v_slack_pu)
+    pp.create_ext_grid(net, buses[reference], vm_pu=network.v_slack_pu)
     # The rating only serves pandapower's loading figure, which is not used.
     pp.create_lines_from_parameters(
         net, from_buses=network.parent, to_buses=np.arange(1, network.n_buses), length_km=1.0,

@@ -46,6 +46,7 @@ class ControllerDefaults:
 
     kind: str = "mpc"
     horizon_h: float = 5.0
+    mode: str = "paper"
 
 
 @dataclass(frozen=True, eq=False)

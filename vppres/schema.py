@@ -20,6 +20,7 @@ from vppres.scenario import ControllerDefaults, ObjectiveWeights
 
 Unit = dict[str, Any]
 ControllerKind = Literal["mpc", "full-horizon"]
+ModeName = Literal["paper", "physical"]
 
 KW: Unit = {"unit": "kW"}
 KVA: Unit = {"unit": "kVA"}
@@ -108,6 +109,9 @@ class BatteryRow(Row):
     t_initial_c: float | None = Field(
         default=None, ge=-50, le=100, description="temperature at the start (empty: the ambient "
         "temperature of the first step)", json_schema_extra=CELSIUS)
+    grid_forming: Literal["yes", "no"] = Field(
+        default="no", description="whether the battery forms the grid of an island in physical "
+        "mode (nobody named: the largest inverter does)")
 
 
 class LoadSeries(Row):
@@ -215,6 +219,9 @@ class ControllerSection(Section):
         default=ControllerDefaults.horizon_h, ge=0, le=24 * MAX_GRID_DAYS,
         description="look-ahead of the controller; 0 is one step",
         json_schema_extra={"unit": "h"})
+    mode: ModeName = Field(
+        default=cast(ModeName, ControllerDefaults.mode),
+        description="the paper's island, or one that batteries hold")
 
 
 class FilesSection(Section):

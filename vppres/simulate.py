@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from vppres.controllers.base import Controller, Decision, Observation
+from vppres.controllers.converged import DEFAULT_HEADROOM, DEFAULT_PASSES, ConvergedPlanner
 from vppres.controllers.full_horizon import PV_CHECKS, FullHorizonController, PVCheck
 from vppres.controllers.mpc import MPCController
 from vppres.errors import InputError, Problem, VerificationError
 from vppres.forecast import Forecaster, ForecastErrors
+from vppres.island import IslandPlant, Settled
 from vppres.model.data import Site
 from vppres.model.linearise import CENTRES, Centre, OperatingPoint
 from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
@@ -25,6 +27,8 @@ from vppres.thermal import ThermalScheme
 from vppres.trajectory import Recorder, StepRecord, Trajectory
 
 CONTROLLERS = ("mpc", "full-horizon")
+Mode = Literal["paper", "physical"]
+MODES: tuple[Mode, ...] = ("paper", "physical")
 Progress = Callable[[int, int], None]
 
 
@@ -54,6 +58,13 @@ class RunOptions:
         Linearisation centre of the voltages.
     pv_check : {"absorbing", "literal"}
         Reading of the full horizon's PV check.
+    mode : {"paper", "physical"}
+        The paper's island, or one that grid-forming batteries hold, planned with losses.
+    headroom : float
+        Physical mode: share of a grid-forming battery's inverter that plans leave free in an
+        island.
+    passes : int
+        Physical mode: largest number of linearisations of a window.
     """
 
     controller: str = "mpc"
@@ -67,16 +78,26 @@ class RunOptions:
     polygon_sides: int = POLYGON_SIDES
     centre: Centre = "lossless"
     pv_check: PVCheck = "absorbing"
+    mode: Mode = "paper"
+    headroom: float = DEFAULT_HEADROOM
+    passes: int = DEFAULT_PASSES
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[str, ...]] = {"controller": CONTROLLERS, "centre": CENTRES,
-                                               "pv_check": PV_CHECKS}
+                                               "pv_check": PV_CHECKS, "mode": MODES}
         problems = [Problem("options", "is not known", f"Use one of: {', '.join(allowed)}.",
                             field=name, value=getattr(self, name))
                     for name, allowed in choices.items() if getattr(self, name) not in allowed]
         if not (np.isfinite(self.horizon_h) and self.horizon_h >= 0):
             problems.append(Problem("options", "must be zero or positive", "Give hours.",
                                     field="horizon_h", value=self.horizon_h))
+        if not 0 <= self.headroom < 1:
+            problems.append(Problem("options", "must be a share from 0 to below 1",
+                                    "Give a share of the inverter's rating, for example 0.1.",
+                                    field="headroom", value=self.headroom))
+        if self.passes < 0:
+            problems.append(Problem("options", "must not be negative", "Give a whole number from "
+                                    "zero.", field="passes", value=self.passes))
         if problems:
             raise InputError(problems)
 
@@ -90,9 +111,11 @@ def make_controller(scenario: Scenario,
     """The controller that the options name, with problems that are yet to be compiled."""
     solver = WindowSolver(Site.of(scenario), options.method, options.solver, options.limits,
                           options.polygon_sides)
+    planner = (ConvergedPlanner(solver, options.headroom, options.passes)
+               if options.mode == "physical" else None)
     if options.controller == "mpc":
-        return MPCController(solver, scenario.grid, options.horizon_h, options.centre)
-    return FullHorizonController(solver, scenario.grid, options.pv_check, options.centre)
+        return MPCController(solver, scenario.grid, options.horizon_h, options.centre, planner)
+    return FullHorizonController(solver, scenario.grid, options.pv_check, options.centre, planner)
 
 
 def run_day(scenario: Scenario, options: RunOptions | None = None,
@@ -146,6 +169,7 @@ class Day:
         self.state = self.plant.initial_state()
         self.forecaster = Forecaster(scenario, options.errors, options.seed)
         self.ac = shared_power_flow(scenario.network)
+        self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
 
@@ -162,13 +186,22 @@ class Day:
     def play(self, controller: Controller, t: int) -> StepRecord:
         """One step without its record's place in the run: what was decided and what came of it."""
         decision = controller.decide(self.observe(controller, t))
-        realised = self.plant.apply(t, decision, self.state)
-        result = self.verify(t, realised)
-        record = _record(self.scenario, t, decision, self.state, realised, result)
-        self.operating_point = OperatingPoint(result.v_pu, result.p_from_kw, result.q_from_kvar,
-                                              realised.p_injection_kw, realised.q_injection_kvar)
+        done = self.carry_out(t, decision)
+        realised, result = done.realised, done.ac
+        record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
+        self.operating_point = None if done.dark else OperatingPoint(
+            result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
+            realised.q_injection_kvar)
         self.state = self.plant.advance(t, self.state, realised)
         return record
+
+    def carry_out(self, t: int, decision: Decision) -> Settled:
+        """What the day makes of a decision; physical mode's islands hold themselves."""
+        realised = self.plant.apply(t, decision, self.state)
+        if self.options.mode == "physical" and self.scenario.outage[t]:
+            return self.island.settle(t, realised, self.state)
+        none = np.zeros(len(self.scenario.batteries))
+        return Settled(realised, self.verify(t, realised), none, np.zeros_like(realised.served))
 
     def verify(self, t: int, realised: Realised) -> ACResult:
         """AC power flow of what happened."""
@@ -180,9 +213,10 @@ class Day:
 
 
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
-            realised: Realised, ac: ACResult) -> StepRecord:
+            done: Settled, mode: Mode) -> StepRecord:
     """Everything that is known of the step."""
     plan, row, info = decision.dispatch, decision.row, decision.info
+    realised, ac, island = done.realised, done.ac, mode == "physical" and scenario.outage[t]
     clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
     return StepRecord(
         t=t, served=realised.served, load_kw=scenario.load_kw[t], load_kvar=scenario.load_kvar[t],
@@ -194,10 +228,21 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
         eta_discharge=state.eta_discharge, temperature_c=state.t_cell_c,
         v_model_pu=plan.v_pu[row], v_ac_pu=ac.v_pu, p_model_kw=plan.p_flow_kw[row],
         q_model_kvar=plan.q_flow_kvar[row], p_ac_kw=ac.p_from_kw, q_ac_kvar=ac.q_from_kvar,
-        p_grid_kw=ac.p_slack_kw, q_grid_kvar=ac.q_slack_kvar, losses_kw=ac.losses_kw,
+        p_grid_kw=0.0 if island else ac.p_slack_kw, q_grid_kvar=0.0 if island else ac.q_slack_kvar,
+        losses_kw=ac.losses_kw, mismatch_kw=done.mismatch_kw, shed=done.shed,
         objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
         solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
         notes={"gap_abs": info.gap_abs, "gap_service": info.gap_service,
                "gap_cost_gbp": info.gap_cost_gbp,
                "solver_s": info.solver_s, "stages": info.stages,
-               "compilations": float(info.compilations), "clipped_kw": clipped})
+               "compilations": float(info.compilations), "clipped_kw": clipped,
+               "mode": mode, "passes": float(info.passes), **_island_notes(scenario, t, done)})
+
+
+def _island_notes(scenario: Scenario, t: int, done: Settled) -> dict[str, float | str]:
+    """What the record says of an island's step; the figures are 0 where nothing was cut."""
+    net, v = scenario.network, done.ac.v_pu
+    within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
+    return {"dark": float(done.dark), "dark_reason": done.dark_reason,
+            "island_mismatch_kw": float(done.mismatch_kw.sum()),
+            "shed_kw": float(scenario.load_kw[t] @ done.shed), "v_within_ac": float(within)}

@@ -34,6 +34,7 @@ OPTION_FIELDS: dict[str, tuple[str, type]] = {
     "pv-bias": ("errors.pv_bias", float),
     "pv-error": ("errors.pv_alpha_per_h", float),
     "thermal": ("thermal", str),
+    "mode": ("mode", str),
     "seed": ("seed", int),
     "time-limit": ("limits.time_s", float),
     "gap": ("limits.gap_rel", float),
@@ -90,7 +91,8 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
 def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
     """What can be changed in a scenario, by name."""
     limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    battery = [f.name for f in fields(Batteries) if f.name not in ("id", "bus")]
+    battery = [f.name for f in fields(Batteries)
+               if f.name not in ("id", "bus", "grid_forming")]
     return {
         "outage.hours": _with_outage_hours,
         "scale.load": lambda day, factor: replace(day, load_kw=day.load_kw * factor),

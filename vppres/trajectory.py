@@ -32,12 +32,14 @@ OPTIONS_FILE = "options.json"
 _STEPS = {name: name for name in (
     "p_grid_kw", "q_grid_kvar", "losses_kw", "v_min_ac_pu", "v_max_ac_pu", "v_error_pu",
     "objective", "bound", "gap", "status", "solve_s", "corrected", "correction_reason")}
-_CUSTOMERS = {"p_load_kw": "load_kw", "q_load_kvar": "load_kvar", "served": "served"}
+_CUSTOMERS = {"p_load_kw": "load_kw", "q_load_kvar": "load_kvar", "served": "served",
+              "shed": "shed"}
 _PV = {"available_kw": "pv_available_kw", "self_kw": "pv_self_kw", "export_kw": "pv_export_kw",
        "curtailed_kw": "pv_curtailed_kw", "q_kvar": "pv_q_kvar"}
 _BATTERIES = {"charge_kw": "charge_kw", "discharge_kw": "discharge_kw", "q_kvar": "batt_q_kvar",
               "soc_start": "soc_start", "soc_end": "soc_end", "eta_charge": "eta_charge",
-              "eta_discharge": "eta_discharge", "temperature_c": "temperature_c"}
+              "eta_discharge": "eta_discharge", "temperature_c": "temperature_c",
+              "mismatch_kw": "mismatch_kw"}
 _BUSES = {"v_model_pu": "v_model_pu", "v_ac_pu": "v_ac_pu"}
 _LINES = {name: name for name in ("p_model_kw", "q_model_kvar", "p_ac_kw", "q_ac_kvar")}
 
@@ -80,6 +82,10 @@ class StepRecord:
         Which check failed; empty if none.
     notes : mapping of str to float or str
         Further columns of the steps table.
+    mismatch_kw : array, shape (B,), optional
+        What each grid-forming battery of an island gave beyond its set-point; zeros if not given.
+    shed : array of bool, shape (C,), optional
+        Who was to be served and was cut off in an island; nobody if not given.
     """
 
     t: int
@@ -116,6 +122,14 @@ class StepRecord:
     corrected: bool = False
     correction_reason: str = ""
     notes: Mapping[str, float | str] = field(default_factory=dict)
+    mismatch_kw: Floats | None = None
+    shed: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        if self.mismatch_kw is None:
+            object.__setattr__(self, "mismatch_kw", np.zeros(len(self.charge_kw)))
+        if self.shed is None:
+            object.__setattr__(self, "shed", np.zeros(len(self.served), dtype=bool))
 
     @property
     def v_min_ac_pu(self) -> float:

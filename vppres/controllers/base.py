@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vppres.forecast import Forecast
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.linearise import Centre, OperatingPoint, delta_offset
+from vppres.solve.methods import WindowSolver
 from vppres.solve.result import WindowSolution
 
 Floats = NDArray[np.float64]
@@ -63,13 +64,15 @@ class SolveInfo:
     solver_s: float = 0.0
     compilations: int = 0
     stages: str = ""
+    passes: int = 1
 
     @classmethod
     def of(cls, solution: WindowSolution, compilations: int) -> SolveInfo:
         """Record of a window's solution."""
         return cls(solution.objective, solution.bound, solution.gap, solution.gap_abs,
                    solution.service_gap, solution.cost_gap_gbp, str(solution.status),
-                   solution.solve_s, solution.solver_s, compilations, " ".join(solution.stages))
+                   solution.solve_s, solution.solver_s, compilations, " ".join(solution.stages),
+                   solution.passes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,34 @@ class Decision:
     info: SolveInfo = field(default_factory=SolveInfo)
     corrected: bool = False
     reason: str = ""
+
+
+class Planner(Protocol):
+    """Turns an observation into the solution of its window."""
+
+    def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
+        """Solution of the observed window, or of its first steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnePass:
+    """The paper's mode: one solve, linearised at the last AC point.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the windows.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    """
+
+    solver: WindowSolver
+    centre: Centre = "lossless"
+
+    def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
+        """Solution of the observed window, or of its first steps."""
+        data = observation.window(self.solver.site, self.centre)
+        return self.solver.solve(data if n_steps is None else data.first(n_steps))
 
 
 class Controller(Protocol):

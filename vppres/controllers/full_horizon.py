@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.controllers.base import Decision, Observation, SolveInfo
+from vppres.controllers.base import Decision, Observation, OnePass, Planner, SolveInfo
 from vppres.model.data import Dispatch, Site
 from vppres.model.linearise import Centre
 from vppres.solve.methods import WindowSolver
@@ -54,11 +54,14 @@ class FullHorizonController:
         PV power; only batteries, inverters and the grid balance can be violated.
     centre : {"lossless", "literal", "none"}
         Linearisation centre of the corrections.
+    planner : Planner, optional
+        Plans the windows; one solve at the centre if not given.
     """
 
     def __init__(self, solver: WindowSolver, grid: TimeGrid, pv_check: PVCheck = "absorbing",
-                 centre: Centre = "lossless") -> None:
+                 centre: Centre = "lossless", planner: Planner | None = None) -> None:
         self.solver, self.grid, self.centre = solver, grid, centre
+        self.planner = planner or OnePass(solver, centre)
         self.literal = pv_check == "literal"
         self.plan: Dispatch | None = None
 
@@ -70,7 +73,7 @@ class FullHorizonController:
         """Follow the plan if it passes the checks, otherwise correct the step."""
         info = SolveInfo(status="planned")
         if self.plan is None:
-            solution = self.solver.solve(observation.window(self.solver.site, self.centre))
+            solution = self.planner.plan(observation)
             self.plan = solution.dispatch
             info = SolveInfo.of(solution, self.solver.cache.compilations)
         f = observation.forecast
@@ -83,8 +86,7 @@ class FullHorizonController:
 
     def _correct(self, observation: Observation, reason: str) -> Decision:
         """Optimise the step alone (H = 0) with actual values."""
-        window = observation.window(self.solver.site, self.centre).first(1)
-        solution = self.solver.solve(window)
+        solution = self.planner.plan(observation, 1)
         return Decision(solution.dispatch, 0,
                         SolveInfo.of(solution, self.solver.cache.compilations), True, reason)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vppres.controllers.base import Decision, Observation, SolveInfo
+from vppres.controllers.base import Decision, Observation, OnePass, Planner, SolveInfo
 from vppres.model.linearise import Centre
 from vppres.solve.methods import WindowSolver
 from vppres.timegrid import TimeGrid
@@ -21,11 +21,14 @@ class MPCController:
         Prediction horizon H in h; 0 looks at the current step only.
     centre : {"lossless", "literal", "none"}
         Linearisation centre of the voltages.
+    planner : Planner, optional
+        Plans the windows; one solve at the centre if not given.
     """
 
     def __init__(self, solver: WindowSolver, grid: TimeGrid, horizon_h: float,
-                 centre: Centre = "lossless") -> None:
+                 centre: Centre = "lossless", planner: Planner | None = None) -> None:
         self.solver, self.grid, self.horizon_h, self.centre = solver, grid, horizon_h, centre
+        self.planner = planner or OnePass(solver, centre)
 
     def horizon_steps(self, t0: int) -> range:
         """Steps of the window at ``t0``."""
@@ -33,6 +36,6 @@ class MPCController:
 
     def decide(self, observation: Observation) -> Decision:
         """Solve the observed window and take its first step."""
-        solution = self.solver.solve(observation.window(self.solver.site, self.centre))
+        solution = self.planner.plan(observation)
         return Decision(solution.dispatch, 0,
                         SolveInfo.of(solution, self.solver.cache.compilations))

@@ -308,6 +308,7 @@ def _batteries(rows: Mapping[int, schema.BatteryRow],
                               for row in rows.values()]
     columns["t_initial_c"] = [np.nan if row.t_initial_c is None else row.t_initial_c
                               for row in rows.values()]
+    columns["grid_forming"] = [row.grid_forming == "yes" for row in rows.values()]
     return Batteries(**columns)
 
 
@@ -327,7 +328,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
                       for f in fields(scenario.objective)},
         "outages": _outages(scenario),
         "controller": {"kind": scenario.controller.kind,
-                       "horizon_h": float(scenario.controller.horizon_h)},
+                       "horizon_h": float(scenario.controller.horizon_h),
+                       "mode": scenario.controller.mode},
     }
     try:
         schema.ScenarioFile.model_validate(document)
@@ -365,7 +367,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
                                for name in schema.LineRow.model_fields}),
         "customers": _frame(customers, schema.CustomerRow),
         "pv": _frame(scenario.pv, schema.PVRow),
-        "batteries": _frame(scenario.batteries, schema.BatteryRow),
+        "batteries": _battery_frame(scenario.batteries),
         "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
         "system": _system_frame(scenario),
@@ -377,6 +379,14 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
 
 def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
     return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
+
+
+def _battery_frame(batteries: Batteries) -> pd.DataFrame:
+    """Who forms the grid is a column only where somebody is named."""
+    frame = _frame(batteries, schema.BatteryRow)
+    if not batteries.grid_forming.any():
+        return frame.drop(columns="grid_forming")
+    return frame.assign(grid_forming=np.where(batteries.grid_forming, "yes", "no"))
 
 
 def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.DataFrame:

@@ -16,6 +16,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.model.data import Floats, Site, WindowData
+from vppres.model.physical import active_room_kw
 from vppres.model.window import objective_scale, require_dpp
 
 
@@ -32,6 +33,8 @@ class AggregateModel:
         Whether service is all or nothing; without it the problems are linear and weaker bounds.
     lumped : bool
         Whether the fleet is one battery.
+    physical : bool
+        Whether losses and headroom are part of it.
 
     Attributes
     ----------
@@ -46,7 +49,7 @@ class AggregateModel:
     """
 
     def __init__(self, site: Site, n_steps: int, integer: bool = True,
-                 lumped: bool = True) -> None:
+                 lumped: bool = True, physical: bool = False) -> None:
         self.site, self.n_steps, self.lumped = site, n_steps, lumped
         W, C, G = n_steps, len(site.customers), 1 if lumped else len(site.batteries)
         self.x = cp.Variable((W, C), name="x_served", boolean=integer)
@@ -58,6 +61,8 @@ class AggregateModel:
             "E_0": (W, G), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W, G), "eta_hi": (W, G),
             "inv_lo": (W, G), "inv_hi": (W, G), "a": (G,), "b": (G,), "a_per_b": (G,),
             "b_per_a": (G,)}.items()}
+        self.room = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
+            "loss": (W,), "E_min": (W, G), "P_room": (W, G)}.items()} if physical else {}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.constraints = self._power() | self._energy()
         self.service_min = cp.Parameter(name="service_min")
@@ -92,6 +97,8 @@ class AggregateModel:
         """Sums of the power balances and limits."""
         v, p, x = self.v, self.p, self.x
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
+        if self.room:
+            load = load + self.room["loss"]
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
         P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
         return {
@@ -112,12 +119,13 @@ class AggregateModel:
         energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
         before = energy - dt * (v["stored"] - v["drawn"])
         return {
-            "lumped_energy_min": energy >= e_min,
+            "lumped_energy_min": energy >= (self.room["E_min"] if self.room else e_min),
             "lumped_energy_max": energy <= e_max,
             "lumped_room": before + dt * v["stored"] <= e_max,
             "lumped_reserve": before - dt * v["drawn"] >= e_min,
-            "lumped_power":
-                v["P_ch"] + v["P_dch"] <= self._fleet(_active_limit_kw(self.site))[None, :],
+            "lumped_power": v["P_ch"] + v["P_dch"] <= (
+                self.room["P_room"] if self.room
+                else self._fleet(_active_limit_kw(self.site))[None, :]),
             "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
             "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
             "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
@@ -164,7 +172,18 @@ class AggregateModel:
         }
         for name, value in values.items():
             self.p[name].value = value
+        if self.room:
+            self._fill_room(data)
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+
+    def _fill_room(self, data: WindowData) -> None:
+        """Write losses, and the batteries' limits less their headroom."""
+        b, physics = self.site.batteries, data.require_physics()
+        e_min = b.energy_kwh * (b.soc_min + physics.soc_reserve)
+        limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
+        self.room["loss"].value = data.loss_kw
+        for name, value in limits.items():
+            self.room[name].value = (value.sum(axis=1, keepdims=True) if self.lumped else value)
 
     def _first_step(self, data: WindowData) -> dict[str, Floats]:
         """Limits of the first step, where the SoC is known, (G,) each.
@@ -173,8 +192,12 @@ class AggregateModel:
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
         b, dt, limit = self.site.batteries, self.site.dt_h, _active_limit_kw(self.site)
+        least = b.soc_min
+        if data.physics is not None:
+            limit = active_room_kw(self.site, data.physics)[0]
+            least = least + data.physics.soc_reserve[0]
         room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
-        held_kwh = np.maximum(data.soc - b.soc_min, 0.0) * b.energy_kwh
+        held_kwh = np.maximum(data.soc - least, 0.0) * b.energy_kwh
         charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
         discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
         both = (charge > 0) & (discharge > 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from vppres.assets import Batteries, Customers, PVSystems
+from vppres.errors import ModelError
 from vppres.frozen import content_key
 from vppres.network import Network
 from vppres.scenario import ObjectiveWeights, Scenario
@@ -69,6 +70,33 @@ class Site:
 
 
 @dataclass(frozen=True, eq=False)
+class Physics:
+    """What physical mode adds to a window of W steps.
+
+    Parameters
+    ----------
+    loss_kw, loss_kvar : array, shape (W, L)
+        Losses of the lines at the AC points the window is linearised at, not negative.
+    reference : array of int, shape (W,)
+        Bus that holds the voltage: 0, the grid's, or a grid-forming battery's.
+    headroom_kw : array, shape (W, B)
+        Power that is kept free in both directions.
+    soc_reserve : array, shape (W, B)
+        State of charge that is kept above ``soc_min`` at the end of each step.
+    """
+
+    loss_kw: Floats
+    loss_kvar: Floats
+    reference: NDArray[np.int64]
+    headroom_kw: Floats
+    soc_reserve: Floats
+
+    def first(self, n_steps: int) -> Physics:
+        """The first steps."""
+        return Physics(*(getattr(self, f.name)[:n_steps] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
 class WindowData:
     """What changes with every solve, for a window of W steps.
 
@@ -88,6 +116,8 @@ class WindowData:
         Efficiencies, held over the window (paper, Section 5.2).
     delta_pu2 : array, shape (W, L)
         Right-hand side of the delta form of LinDistFlow; zero gives plain LinDistFlow.
+    physics : Physics, optional
+        Losses, island and headroom of physical mode; None is the paper's problem.
     """
 
     load_kw: Floats
@@ -98,6 +128,24 @@ class WindowData:
     eta_charge: Floats
     eta_discharge: Floats
     delta_pu2: Floats
+    physics: Physics | None = None
+
+    @property
+    def physical(self) -> bool:
+        """Whether the window's problem is that of physical mode."""
+        return self.physics is not None
+
+    def require_physics(self) -> Physics:
+        """The physics of a window that must have one.
+
+        Raises
+        ------
+        ModelError
+            If it has none.
+        """
+        if self.physics is None:
+            raise ModelError("A physical problem was filled with a window of the paper's mode.")
+        return self.physics
 
     @property
     def n_steps(self) -> int:
@@ -108,7 +156,13 @@ class WindowData:
         """The first steps of the window."""
         cut = {name: getattr(self, name)[:n_steps] for name in
                ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")}
-        return replace(self, **cut)
+        return replace(self, **cut, physics=self.physics and self.physics.first(n_steps))
+
+    @property
+    def loss_kw(self) -> Floats:
+        """Losses of all lines, (W,); zero in the paper's mode."""
+        return (np.zeros(self.n_steps) if self.physics is None
+                else np.asarray(self.physics.loss_kw.sum(axis=1)))
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
@@ -119,13 +173,15 @@ class WindowData:
 
         Nothing can be exported, so no more than all demand and all charging is ever imported.
         """
-        useful = self.load_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+        useful = self.load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
         possible = (self.load_kw @ site.customers.q_per_p
                     + site.batteries.s_max_kva.sum() + site.pv.s_max_kva.sum())
+        if self.physics is not None:
+            possible = possible + self.physics.loss_kvar.sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)
 
 

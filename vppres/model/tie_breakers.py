@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.data import Dispatch, Floats, Site, WindowData
+from vppres.model.physical import PhysicalParameters
 from vppres.model.variables import Parameters, Variables
 from vppres.model.window import disc_sides, require_dpp
 
@@ -29,12 +30,16 @@ class TieBreakerModel:
         Steps W of the window.
     curtailing : bool
         Whether PV power may be curtailed, up to the held sum.
+    physical : bool
+        Whether losses, the island's reference and headroom are part of the problem.
     """
 
-    def __init__(self, site: Site, n_steps: int, curtailing: bool) -> None:
+    def __init__(self, site: Site, n_steps: int, curtailing: bool,
+                 physical: bool = False) -> None:
         self.site, self.n_steps, self.curtailing = site, n_steps, curtailing
         W, P, B = n_steps, len(site.pv), len(site.batteries)
         self.p = Parameters.create(site, W)
+        self.physical = PhysicalParameters.create(site, W) if physical else None
         self.P_batt = cp.Variable((W, B), name="P_batt")
         self.gain = cp.Parameter((W, B), name="gain", nonneg=True)
         self.P_min, self.P_max = (cp.Parameter((W, B), name=n) for n in ("P_min", "P_max"))
@@ -75,7 +80,6 @@ class TieBreakerModel:
             named["pv_export"] = self.v.P_exp >= 0
         else:
             named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
-        named["delta_lindistflow"] = _sharper(named["delta_lindistflow"], 1e2)
         soc, step = self.v.SoC, self.site.dt_h / b.energy_kwh[None, :]
         energy: families.Named = {
             "battery_soc_start": soc[0] == self.p.SoC_0,
@@ -84,7 +88,11 @@ class TieBreakerModel:
             "battery_soc_min": b.soc_min[None, :] <= soc[1:],
             "battery_soc_max": soc[1:] <= b.soc_max[None, :],
         }
-        return named | {name: _sharper(c, 1e4) for name, c in energy.items()} | {
+        named |= energy
+        if self.physical:
+            named = self.physical.amended(named, self.site, self.v)
+        named["delta_lindistflow"] = _sharper(named["delta_lindistflow"], 1e2)
+        return named | {name: _sharper(named[name], 1e4) for name in energy} | {
             "battery_power_min": self.P_batt >= self.P_min,
             "battery_power_max": self.P_batt <= self.P_max,
             "cost_held": terms.f2_cost(*args) <= self.f2_held,
@@ -104,6 +112,8 @@ class TieBreakerModel:
         """Write the window's data and what is held of a dispatch."""
         site, P_max = self.site, self.site.batteries.p_max_kw
         self.p.fill(site, data, dispatch.served)
+        if self.physical:
+            self.physical.fill(site, data)
         self.charging.value = charging.astype(float)
         self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
         self.P_min.value, self.P_max.value = (np.where(charging, 0.0, -P_max),

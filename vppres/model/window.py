@@ -13,6 +13,7 @@ from vppres.errors import ModelError
 from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.data import Dispatch, Site, WindowData
+from vppres.model.physical import PhysicalParameters
 from vppres.model.variables import Mode, Parameters, Variables
 
 Goal = Literal["service", "cost"]
@@ -37,6 +38,8 @@ class Form:
     network : bool
         Whether flows, reactive power and voltages are part of the problem; without them it is a
         relaxation.
+    physical : bool
+        Whether losses, the island's reference and headroom are part of the problem.
     """
 
     goal: Goal = "service"
@@ -45,6 +48,7 @@ class Form:
     polygon_sides: int = 0
     outer: bool = False
     network: bool = True
+    physical: bool = False
 
 
 class WindowModel:
@@ -68,6 +72,7 @@ class WindowModel:
     def __init__(self, site: Site, n_steps: int, form: Form) -> None:
         self.site, self.n_steps, self.form = site, n_steps, form
         self.p = Parameters.create(site, n_steps)
+        self.physical = PhysicalParameters.create(site, n_steps) if form.physical else None
         self.v = Variables.create(site, n_steps, form.service, form.exclusivity)
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
@@ -81,7 +86,8 @@ class WindowModel:
         network = ((inverters, *families.NETWORK_FAMILIES) if form.network
                    else families.LUMPED_NETWORK_FAMILIES)
         chosen = (*families.DEVICE_FAMILIES, *network)
-        return {name: c for family in chosen for name, c in family(*args).items()}
+        named = {name: c for family in chosen for name, c in family(*args).items()}
+        return self.physical.amended(named, self.site, self.v) if self.physical else named
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
         """The objective of the form's goal, scaled to numbers that solvers like."""
@@ -97,6 +103,8 @@ class WindowModel:
     def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
+        if self.physical:
+            self.physical.fill(self.site, data)
 
     def dispatch(self, served: NDArray[np.bool_] | None = None) -> Dispatch:
         """The solution of the last solve."""

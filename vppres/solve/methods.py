@@ -164,6 +164,13 @@ class WindowSolver:
             self._full(data, search)
         return self._finish(data, search)
 
+    def solve_served(self, data: WindowData, served: Served) -> WindowSolution | None:
+        """Cheapest dispatch of a served set in the network, None if it has none; no bound."""
+        whole = self.site.customers.weight.sum() * self.site.dt_h * data.n_steps
+        search = Search(self.limits, self.limits.absolute(whole))
+        self._recover(data, served, search, network=True)
+        return self._finish(data, search) if search.answered else None
+
     def _decomposed(self, data: WindowData, whole: float, search: Search) -> None:
         """Relaxations of growing size, each with its bound, until bound and dispatch meet.
 
@@ -239,7 +246,7 @@ class WindowSolver:
 
     def _levels(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Service first, on the weights' grid, then the cost of all sets that serve as much."""
-        model = self.cache.aggregate(data.n_steps, lumped=lumped)
+        model = self.cache.aggregate(data, lumped=lumped)
         if not model.grid:
             return
         model.fill(data, all_connected=True)
@@ -287,7 +294,7 @@ class WindowSolver:
     def _least_cost(self, data: WindowData, integer: AggregateModel, service_min: float,
                     search: Search) -> float:
         """Lower bound on the cost of all sets that serve at least ``service_min``, in GBP."""
-        model = self.cache.aggregate(data.n_steps, False, integer.lumped)
+        model = self.cache.aggregate(data, False, integer.lumped)
         model.fill(data)
         model.service_min.value = service_min
         outcome = run(model.cost_problem, self.spec, 0.0, search.left_s)
@@ -296,7 +303,7 @@ class WindowSolver:
 
     def _aggregate(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Served set and bound of the lumped relaxation with all terms as weighted."""
-        model = self.cache.aggregate(data.n_steps, lumped=lumped)
+        model = self.cache.aggregate(data, lumped=lumped)
         model.fill(data)
         outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s,
                       objective_scale(self.site))
@@ -315,7 +322,7 @@ class WindowSolver:
         runs even when time is up.
         """
         form = Form("service", "relaxed", "relaxed", self.sides or POLYGON_SIDES, outer=True)
-        model = self.cache.window(form, data.n_steps)
+        model = self.cache.window(form, data)
         model.fill(data)
         outcome = run_conic(model.problem, max(search.left_s, GRACE_S),
                             objective_scale(self.site))
@@ -335,7 +342,7 @@ class WindowSolver:
 
     def _window(self, form: Form, name: str, data: WindowData, gap: float, search: Search) -> None:
         """Solve a master with every battery, and recover its served set."""
-        model = self.cache.window(form, data.n_steps)
+        model = self.cache.window(form, data)
         model.fill(data)
         outcome = run(model.problem, self.spec, gap, search.left_s, objective_scale(self.site))
         inner = form.network and form.polygon_sides > 0 and not form.outer

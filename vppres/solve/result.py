@@ -107,6 +107,9 @@ class WindowSolution:
         Wall time of the window in seconds, and the part of it inside solvers.
     stages : tuple of str
         What was solved, in order.
+    passes : int
+        Linearisations that the dispatch took; with more than one, objective, bound and gaps are
+        those of the window as it was linearised when the served set was decided.
     """
 
     dispatch: Dispatch
@@ -119,6 +122,7 @@ class WindowSolution:
     solve_s: float
     solver_s: float
     stages: tuple[str, ...] = ()
+    passes: int = 1
 
     @property
     def gap_abs(self) -> float:

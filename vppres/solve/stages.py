@@ -32,32 +32,35 @@ class ModelCache:
 
     site: Site
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
-    lumped: dict[tuple[int, bool, bool], AggregateModel] = field(default_factory=dict)
-    ties: dict[tuple[int, bool], TieBreakerModel] = field(default_factory=dict)
+    lumped: dict[tuple[int, bool, bool, bool], AggregateModel] = field(default_factory=dict)
+    ties: dict[tuple[int, bool, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
     def compilations(self) -> int:
         """Problems compiled so far."""
         return len(self.models) + len(self.lumped) + len(self.ties)
 
-    def window(self, form: Form, n_steps: int) -> WindowModel:
-        """The window problem of a form and length."""
+    def window(self, form: Form, data: WindowData) -> WindowModel:
+        """The window problem of a form, of the window's length and mode."""
+        form, n_steps = replace(form, physical=data.physical), data.n_steps
         if (form, n_steps) not in self.models:
             self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
         return self.models[form, n_steps]
 
-    def aggregate(self, n_steps: int, integer: bool = True, lumped: bool = True) -> AggregateModel:
-        """The relaxation of a length, with a lumped battery or with every battery."""
-        key = n_steps, integer, lumped
+    def aggregate(self, data: WindowData, integer: bool = True,
+                  lumped: bool = True) -> AggregateModel:
+        """The relaxation of the window's length, with a lumped battery or with every battery."""
+        key = data.n_steps, integer, lumped, data.physical
         if key not in self.lumped:
-            self.lumped[key] = AggregateModel(self.site, n_steps, integer, lumped)
+            self.lumped[key] = AggregateModel(self.site, *key)
         return self.lumped[key]
 
-    def tie_breakers(self, n_steps: int, curtailing: bool) -> TieBreakerModel:
-        """The last level's problem of a length."""
-        if (n_steps, curtailing) not in self.ties:
-            self.ties[n_steps, curtailing] = TieBreakerModel(self.site, n_steps, curtailing)
-        return self.ties[n_steps, curtailing]
+    def tie_breakers(self, data: WindowData, curtailing: bool) -> TieBreakerModel:
+        """The last level's problem of the window's length and mode."""
+        key = data.n_steps, curtailing, data.physical
+        if key not in self.ties:
+            self.ties[key] = TieBreakerModel(self.site, *key)
+        return self.ties[key]
 
 
 _CACHES: OrderedDict[str, ModelCache] = OrderedDict()
@@ -114,7 +117,7 @@ def cost_form(polygon_sides: int, network: bool) -> Form:
 
 def _cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
           form: Form, time_s: float) -> Stage:
-    model = cache.window(form, data.n_steps)
+    model = cache.window(form, data)
     model.fill(data, served)
     conic = form.network and form.exclusivity == "relaxed"
     # 1e-4 GBP is far below any price difference that a dispatch could exploit.
@@ -154,7 +157,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: floa
     f2_max = terms.f2 + HELD_REL * abs(terms.f2) + HELD_ABS
     f3_max = terms.f3 + HELD_REL * terms.f3 + HELD_ABS
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
-    model = cache.tie_breakers(data.n_steps, curtailing)
+    model = cache.tie_breakers(data, curtailing)
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
     outcome = run_conic(model.problem, time_s)
     if outcome.status != Status.OPTIMAL:
