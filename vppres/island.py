@@ -31,6 +31,7 @@ CUT_MARGIN_KW = 1e-3
 """What is cut beyond the need, so that the set has something left to settle with."""
 
 _MAX_SHARINGS = 50
+NO_FORMER = "no battery forms the grid"
 NO_ENERGY = "no grid-forming battery has energy left"
 NO_SOLUTION = "the lines cannot carry the power: no AC solution"
 COLLAPSE = f"a voltage fell below {COLLAPSE_PU} pu"
@@ -107,7 +108,8 @@ class IslandPlant:
         _, most_discharge = self.plant.battery_limits_kw(state)
         able = self.formers & (most_discharge > BALANCE_TOLERANCE_KW)
         if not able.any():
-            return self._dark(t, planned, state, NO_ENERGY)
+            reason = NO_ENERGY if self.formers.any() else NO_FORMER
+            return self._dark(t, planned, state, reason)
         set_points = powers = _powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         for _ in range(2 * (len(planned.served) + len(planned.pv_self_kw)) + 20):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +27,7 @@ from vppres.thermal import ThermalScheme
 from vppres.trajectory import Recorder, StepRecord, Trajectory
 
 CONTROLLERS = ("mpc", "full-horizon")
-Mode = Literal["paper", "physical"]
-MODES: tuple[Mode, ...] = ("paper", "physical")
+MODES = ("paper", "physical")
 Progress = Callable[[int, int], None]
 
 
@@ -78,7 +77,7 @@ class RunOptions:
     polygon_sides: int = POLYGON_SIDES
     centre: Centre = "lossless"
     pv_check: PVCheck = "absorbing"
-    mode: Mode = "paper"
+    mode: str = "paper"
     headroom: float = DEFAULT_HEADROOM
     passes: int = DEFAULT_PASSES
 
@@ -213,7 +212,7 @@ class Day:
 
 
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
-            done: Settled, mode: Mode) -> StepRecord:
+            done: Settled, mode: str) -> StepRecord:
     """Everything that is known of the step."""
     plan, row, info = decision.dispatch, decision.row, decision.info
     realised, ac, island = done.realised, done.ac, mode == "physical" and scenario.outage[t]

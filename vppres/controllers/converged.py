@@ -175,7 +175,7 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
         reference[island] = site.network.bus_index[b.bus[largest]]
     room = np.minimum(b.p_max_kw, b.s_max_kva)
     share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, room), 0.0)
-    headroom_kw = island[:, None] * share_kw
+    headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))
     return Physics(zero, zero, reference, headroom_kw,
                    _reserve(site, data, headroom_kw))

@@ -21,7 +21,7 @@ from vppres.io import checks
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import in_order, problems_of
 from vppres.io.series import TIME, check_times, read_values
-from vppres.io.settings import SCENARIO_FILE, Settings, iso, read_settings
+from vppres.io.settings import SCENARIO_FILE, Settings, iso, outage_intervals, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
 from vppres.network import BusId, Network, check_radial
 from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
@@ -327,7 +327,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
         "objective": {f.name: float(getattr(scenario.objective, f.name))
                       for f in fields(scenario.objective)},
-        "outages": _outages(scenario),
+        "outages": outage_intervals(scenario),
         "controller": {"kind": scenario.controller.kind,
                        "horizon_h": float(scenario.controller.horizon_h),
                        "mode": scenario.controller.mode},
@@ -349,15 +349,6 @@ def _tier_weight(customers: Customers, tier: str) -> float:
     weights = customers.weight[customers.tier == tier]
     found, count = np.unique(weights, return_counts=True)
     return float(found[np.argmax(count)]) if len(found) else 1.0
-
-
-def _outages(scenario: Scenario) -> list[dict[str, Any]]:
-    """Runs of outage steps as half-open intervals."""
-    grid = scenario.grid
-    edges = np.diff(np.concatenate([[0], scenario.outage.astype(int), [0]]))
-    times = [*grid.times, grid.end]
-    return [{"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
-            for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)]
 
 
 def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:

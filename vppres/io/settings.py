@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
@@ -16,6 +17,7 @@ from vppres import schema
 from vppres.errors import Problem
 from vppres.io.messages import problems_of
 from vppres.io.tables import read_text
+from vppres.scenario import Scenario
 from vppres.timegrid import TimeGrid
 from vppres.units import minutes_to_h
 
@@ -157,3 +159,12 @@ def _sound_tiers(document: dict[str, Any]) -> dict[str, float] | None:
     """The names of the tiers, if there are any; their weights do not matter any more."""
     tiers = document.get("tiers")
     return dict.fromkeys(tiers, 1.0) if isinstance(tiers, dict) and tiers else None
+
+
+def outage_intervals(scenario: Scenario) -> list[dict[str, Any]]:
+    """Runs of outage steps as half-open intervals."""
+    grid = scenario.grid
+    edges = np.diff(np.concatenate([[0], scenario.outage.astype(int), [0]]))
+    times = [*grid.times, grid.end]
+    return [{"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
+            for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)]
