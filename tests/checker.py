@@ -6,12 +6,14 @@ limits are read from the assets' tables.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vppres.model.data import Dispatch, WindowData
+from vppres.model.switching import SwitchingState
 from vppres.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -39,20 +41,27 @@ class Items(NamedTuple):
     pv_bus: list[int]
 
 
-def check_dispatch(scenario: Scenario, data: WindowData, dispatch: Dispatch) -> Check:
+def check_dispatch(scenario: Scenario, data: WindowData, dispatch: Dispatch,
+                   state: SwitchingState | None = None) -> Check:
     """Violations and objective of a dispatch of W steps.
 
     Powers are scaled by the largest demand of a customer (at least 1 kW), inverters and battery
-    powers by their rating; SoC and squared voltages are near 1 by nature.
+    powers by their rating; SoC and squared voltages are near 1 by nature. With the state that the
+    switching rules start from, the rules are checked too, and demand is what restorations make it.
     """
+    rules: dict[str, float] = {}
+    price = 0.0
+    if state is not None:
+        rules, cold, price = _switching(state, dispatch)
+        data = replace(data, load_kw=data.load_kw * cold)
     scale_kw = max(1.0, float(data.load_kw.max(initial=0.0)))
     items = _items(scenario)
     families = (_signs(dispatch, scale_kw), _batteries(scenario, data, dispatch),
                 _pv(scenario, data, dispatch, items), _grid(data, dispatch, scale_kw),
                 _balances(scenario, data, dispatch, items, scale_kw),
-                _voltages(scenario, data, dispatch))
+                _voltages(scenario, data, dispatch), rules)
     violations = {name: value for family in families for name, value in family.items()}
-    return Check(violations, _objective(scenario, data, dispatch))
+    return Check(violations, _objective(scenario, data, dispatch) - price)
 
 
 def _items(scenario: Scenario) -> Items:
@@ -174,3 +183,31 @@ def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
         total += (dt_h * (service - w.lambda_curt * d.pv_curtailed_kw[t].sum())
                   - w.lambda_grid * cost_gbp - w.lambda_l * flows - w.lambda_q * use)
     return float(total)
+
+
+def _switching(state: SwitchingState, d: Dispatch) -> tuple[dict[str, float], Floats, float]:
+    """Rules that are broken, demand factors (W, C), and price, walking along the window.
+
+    Each count is of customers and steps in which a rule is broken.
+    """
+    rules, dt_h = state.rules, state.dt_h
+    count = {"min served": 0, "min unserved": 0, "stay restored": 0, "actions": 0}
+    cold = np.ones((d.n_steps, len(state.served)))
+    price = 0.0
+    for c in range(len(state.served)):
+        was_on, since_h, actions = bool(state.served[c]), state.since_h[c], state.actions[c]
+        for t in range(d.n_steps):
+            on = bool(d.served[t, c])
+            if on != was_on:
+                late = since_h < (rules.min_served_h if was_on else rules.min_unserved_h) - 1e-9
+                count["min served" if was_on else "min unserved"] += late
+                count["stay restored"] += was_on and rules.stay_restored and np.isfinite(since_h)
+                price += 2 * rules.price_per_action * was_on
+                since_h, actions = 0.0, actions + 1
+                most = rules.max_actions_per_customer
+                count["actions"] += most is not None and actions > most
+            cold_h = max(rules.cold_load_h, dt_h) if rules.cold_load_factor > 1 else 0.0
+            if on and since_h < cold_h - 1e-9:
+                cold[t, c] = rules.cold_load_factor
+            was_on, since_h = on, since_h + dt_h
+    return {name: float(n) for name, n in count.items()}, cold, price

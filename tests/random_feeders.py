@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.model.data import WindowData
+from vppres.model.switching import SwitchingState
 from vppres.network import Network
 from vppres.scenario import Scenario
+from vppres.switching import SwitchingRules
 from vppres.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
@@ -71,6 +73,35 @@ def random_window(seed: int, stressed: bool = False) -> Window:
         eta_charge=b.eta_charge * rng.uniform(0.9, 1.0, len(b)),
         eta_discharge=b.eta_discharge * rng.uniform(0.9, 1.0, len(b)),
         delta_pu2=np.tile(offset, (steps, 1))))
+
+
+def random_rules(seed: int) -> SwitchingRules:
+    """Rules of every kind, each in about every third case; sometimes of all kinds at once."""
+    rng = np.random.default_rng([seed, 2])
+    share = rng.choice([0.35, 1.0], p=[0.9, 0.1])
+
+    def sometimes(value: float) -> float:
+        return float(value) if rng.random() < share else 0.0
+
+    most = int(rng.integers(0, 4)) if rng.random() < share else None
+    cold = sometimes(rng.uniform(0.2, 1.0))
+    return SwitchingRules(
+        min_served_h=sometimes(rng.uniform(0.0, 2.5)),
+        min_unserved_h=sometimes(rng.uniform(0.0, 2.5)),
+        price_per_action=sometimes(rng.choice([0.01, 0.05, rng.uniform(0.0, 0.2)])),
+        max_actions_per_customer=most, stay_restored=bool(rng.random() < share / 3),
+        cold_load_factor=1.0 + cold, cold_load_h=rng.uniform(0.0, 2.0) if cold else 0.0)
+
+
+def random_state(seed: int, scenario: Scenario) -> SwitchingState:
+    """Random rules, and customers with a random past."""
+    rng = np.random.default_rng([seed, 3])
+    count, dt_h = len(scenario.customers), scenario.grid.dt_h
+    served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
+    untouched = served & (rng.random(count) < 0.5)
+    since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
+    actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
+    return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float))
 
 
 def _customers(rng: Generator, n_buses: int) -> Customers:

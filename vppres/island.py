@@ -179,7 +179,7 @@ class IslandPlant:
 
     def _shed(self, t: int, powers: Powers, need_kw: float) -> Powers | None:
         """Customers off until the need is met, those whose service is worth least per kW first."""
-        load_kw = self.plant.scenario.load_kw[t]
+        load_kw = self.plant.load_kw(t, powers.served)
         order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
         if not order:
             return None

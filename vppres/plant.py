@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vppres.cold_load import ColdLoad
 from vppres.controllers.base import Decision
 from vppres.scenario import Scenario
+from vppres.switching import SwitchingRules
 from vppres.thermal import Power, ThermalScheme, advance, initial_state
 
 Floats = NDArray[np.float64]
@@ -49,7 +51,10 @@ class Powers:
 
 @dataclass(frozen=True, eq=False)
 class Realised:
-    """One step as it happened; powers in kW and kvar, injections (N,) positive as generation."""
+    """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
+
+    ``load_kw`` (C,) is the demand, served or not.
+    """
 
     served: NDArray[np.bool_]
     pv_self_kw: Floats
@@ -63,6 +68,7 @@ class Realised:
     p_injection_kw: Floats
     q_injection_kvar: Floats
     clipped_kw: float
+    load_kw: Floats
 
 
 class Plant:
@@ -74,10 +80,15 @@ class Plant:
         The actual series and the assets.
     thermal : ThermalScheme
         How the batteries' temperature and efficiencies evolve.
+    rules : SwitchingRules, optional
+        How demand behaves after a restoration; nothing else of them matters here.
     """
 
-    def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off") -> None:
+    def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off",
+                 rules: SwitchingRules | None = None) -> None:
         self.scenario, self.thermal = scenario, thermal
+        self._cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
+                                   len(scenario.customers))
         index = scenario.network.bus_index
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
@@ -92,6 +103,7 @@ class Plant:
 
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
+        self._cold_load.advance(realised.served)
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(self.scenario.batteries, self.thermal, state, power,
                           float(self.scenario.temperature_c[t]), self.scenario.grid.dt_h)
@@ -102,7 +114,8 @@ class Plant:
         """Carry out a decision at step ``t``."""
         plan, row = decision.dispatch, decision.row
         served = np.asarray(plan.served[row], dtype=bool)
-        own, export, curtailed = self._split_pv(t, served, plan.pv_curtailed_kw[row])
+        demand_kw = self.load_kw(t, served) * served
+        own, export, curtailed = self._split_pv(t, demand_kw, plan.pv_curtailed_kw[row])
         charge, discharge = self._battery_power(plan.charge_kw[row], plan.discharge_kw[row], state)
         pv, b = self.scenario.pv, self.scenario.batteries
         pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
@@ -113,14 +126,18 @@ class Plant:
         powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
         return self.realise(t, powers, state, float(clipped))
 
+    def load_kw(self, t: int, served: NDArray[np.bool_]) -> Floats:
+        """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
+        return np.asarray(self.scenario.load_kw[t] * self._cold_load.factors(served))
+
     def realise(self, t: int, powers: Powers, state: BatteryState,
                 clipped_kw: float = 0.0) -> Realised:
         """What powers that are within all limits do to the buses and the batteries."""
-        b = self.scenario.batteries
+        b, load_kw = self.scenario.batteries, self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)
         discharge = np.maximum(-powers.battery_kw, 0.0)
         stored = state.eta_charge * charge - discharge / state.eta_discharge
-        p, q = self._injections(t, powers.served, powers.pv_self_kw, powers.pv_export_kw,
+        p, q = self._injections(load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw,
                                 powers.battery_kw)
         np.add.at(q, self._customer_bus[self.owner], powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
@@ -128,13 +145,14 @@ class Plant:
                           b.soc_max)
         return Realised(powers.served, powers.pv_self_kw, powers.pv_export_kw,
                         powers.pv_curtailed_kw, powers.pv_q_kvar, charge, discharge,
-                        powers.batt_q_kvar, soc_end, p, q, clipped_kw)
+                        powers.batt_q_kvar, soc_end, p, q, clipped_kw, load_kw)
 
-    def _split_pv(self, t: int, served: NDArray[np.bool_],
+
+    def _split_pv(self, t: int, demand_kw: Floats,
                   curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
-        demand = self.scenario.load_kw[t, self.owner] * served[self.owner]
+        demand = demand_kw[self.owner]
         rating = self.scenario.pv.s_max_kva
         own = np.minimum(np.minimum(available, demand), rating)
         # The inverter cannot pass more than its rating, whatever was asked for.
@@ -158,13 +176,13 @@ class Plant:
         return (np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
                 np.minimum(rating, held_kwh * state.eta_discharge / dt_h))
 
-    def _injections(self, t: int, served: NDArray[np.bool_], own: Floats, export: Floats,
+    def _injections(self, demand_kw: Floats, own: Floats, export: Floats,
                     battery_kw: Floats) -> tuple[Floats, Floats]:
         """Net injection of every bus: generation less served demand; kvar of the demand only."""
         p = np.zeros(self.scenario.network.n_buses)
         q = np.zeros_like(p)
-        np.add.at(p, self._customer_bus, -self.scenario.load_kw[t] * served)
-        np.add.at(q, self._customer_bus, -self.scenario.load_kvar[t] * served)
+        np.add.at(p, self._customer_bus, -demand_kw)
+        np.add.at(q, self._customer_bus, -demand_kw * self.scenario.customers.q_per_p)
         np.add.at(p, self._customer_bus[self.owner], own + export)
         np.add.at(p, self.battery_bus, -battery_kw)
         return p, q

@@ -17,12 +17,14 @@ from vppres.forecast import Forecaster, ForecastErrors
 from vppres.island import IslandPlant, Settled
 from vppres.model.data import Site
 from vppres.model.linearise import CENTRES, Centre, OperatingPoint
+from vppres.model.switching import SwitchingState
 from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.powerflow import ACResult, shared_power_flow
 from vppres.scenario import Scenario
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import SolveLimits
 from vppres.solve.stages import POLYGON_SIDES
+from vppres.switching import SwitchingRules
 from vppres.thermal import ThermalScheme
 from vppres.trajectory import Recorder, StepRecord, Trajectory
 
@@ -64,6 +66,8 @@ class RunOptions:
         island.
     passes : int
         Physical mode: largest number of linearisations of a window.
+    switching : SwitchingRules
+        Rules on switching customers; none by default.
     """
 
     controller: str = "mpc"
@@ -80,6 +84,7 @@ class RunOptions:
     mode: str = "paper"
     headroom: float = DEFAULT_HEADROOM
     passes: int = DEFAULT_PASSES
+    switching: SwitchingRules = field(default_factory=SwitchingRules)
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[str, ...]] = {"controller": CONTROLLERS, "centre": CENTRES,
@@ -164,7 +169,10 @@ class Day:
 
     def __init__(self, scenario: Scenario, options: RunOptions) -> None:
         self.scenario, self.options = scenario, options
-        self.plant = Plant(scenario, options.thermal)
+        self.plant = Plant(scenario, options.thermal, options.switching)
+        self.switching = (SwitchingState.start(options.switching, scenario.grid.dt_h,
+                                               len(scenario.customers))
+                          if options.switching.active else None)
         self.state = self.plant.initial_state()
         self.forecaster = Forecaster(scenario, options.errors, options.seed)
         self.ac = shared_power_flow(scenario.network)
@@ -176,7 +184,8 @@ class Day:
         """What the controller may know at step ``t``."""
         forecast = self.forecaster.at(t, controller.horizon_steps(t))
         s = self.state
-        return Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point)
+        return Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
+                           self.switching)
 
     def step(self, controller: Controller, t: int) -> None:
         """Observe, decide, actuate, verify, record."""
@@ -192,6 +201,8 @@ class Day:
             result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
             realised.q_injection_kvar)
         self.state = self.plant.advance(t, self.state, realised)
+        if self.switching is not None:
+            self.switching = self.switching.advance(realised.served)
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
@@ -218,7 +229,8 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
     realised, ac, island = done.realised, done.ac, mode == "physical" and scenario.outage[t]
     clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
     return StepRecord(
-        t=t, served=realised.served, load_kw=scenario.load_kw[t], load_kvar=scenario.load_kvar[t],
+        t=t, served=realised.served, load_kw=realised.load_kw,
+        load_kvar=realised.load_kw * scenario.customers.q_per_p,
         pv_available_kw=scenario.pv_kw[t], pv_self_kw=realised.pv_self_kw,
         pv_export_kw=realised.pv_export_kw, pv_curtailed_kw=realised.pv_curtailed_kw,
         pv_q_kvar=realised.pv_q_kvar, charge_kw=realised.charge_kw,
@@ -235,6 +247,7 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
                "gap_cost_gbp": info.gap_cost_gbp,
                "solver_s": info.solver_s, "stages": info.stages,
                "compilations": float(info.compilations), "clipped_kw": clipped,
+               "switching_relaxed": info.switching_relaxed,
                "mode": mode, "passes": float(info.passes), **_island_notes(scenario, t, done)})
 
 
@@ -244,4 +257,4 @@ def _island_notes(scenario: Scenario, t: int, done: Settled) -> dict[str, float 
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
     return {"dark": float(done.dark), "dark_reason": done.dark_reason,
             "island_mismatch_kw": float(done.mismatch_kw.sum()),
-            "shed_kw": float(scenario.load_kw[t] @ done.shed), "v_within_ac": float(within)}
+            "shed_kw": float(done.realised.load_kw @ done.shed), "v_within_ac": float(within)}

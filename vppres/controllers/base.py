@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vppres.forecast import Forecast
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.linearise import Centre, OperatingPoint, delta_offset
+from vppres.model.switching import SwitchingState
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import WindowSolution
 
@@ -31,6 +32,8 @@ class Observation:
         Measured state of charge and efficiencies.
     operating_point : OperatingPoint or None
         Last AC operating point, None before the first.
+    switching : SwitchingState, optional
+        Switching rules and what was really served so far; None without rules.
     """
 
     t0: int
@@ -39,14 +42,17 @@ class Observation:
     eta_charge: Floats
     eta_discharge: Floats
     operating_point: OperatingPoint | None = None
+    switching: SwitchingState | None = None
 
     def window(self, site: Site, centre: Centre) -> WindowData:
         """The data of the window's problem."""
         f = self.forecast
+        W = len(f.price_gbp_per_kwh)
+        rules = None if self.switching is None else self.switching.window(W)
         offset = delta_offset(site.network, self.operating_point, centre)
         return WindowData(f.load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw, self.soc,
                           self.eta_charge, self.eta_discharge,
-                          np.tile(offset, (len(f.price_gbp_per_kwh), 1)))
+                          np.tile(offset, (W, 1)), rules)
 
 
 @dataclass(frozen=True)
@@ -65,14 +71,16 @@ class SolveInfo:
     compilations: int = 0
     stages: str = ""
     passes: int = 1
+    switching_relaxed: bool = False
 
     @classmethod
-    def of(cls, solution: WindowSolution, compilations: int) -> SolveInfo:
+    def of(cls, solution: WindowSolution, compilations: int,
+           switching_relaxed: bool = False) -> SolveInfo:
         """Record of a window's solution."""
         return cls(solution.objective, solution.bound, solution.gap, solution.gap_abs,
                    solution.service_gap, solution.cost_gap_gbp, str(solution.status),
                    solution.solve_s, solution.solver_s, compilations, " ".join(solution.stages),
-                   solution.passes)
+                   solution.passes, switching_relaxed)
 
 
 @dataclass(frozen=True, eq=False)

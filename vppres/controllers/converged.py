@@ -118,7 +118,7 @@ class ConvergedPlanner:
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""
         physics, network = data.require_physics(), self.solver.site.network
-        p, q = injections(self.solver.site, data, dispatch)
+        p, q = injections(self.solver.site, data.for_service(dispatch.served), dispatch)
         found = None
         for bus in np.unique(physics.reference):
             sweeps = self._sweeps.setdefault(int(bus), Sweeps(network, int(bus)))
@@ -221,7 +221,8 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
 def without_power(data: WindowData, dark: Flags) -> WindowData:
     """The window with nothing to serve and no sun in its dark steps."""
     lit = ~dark[:, None]
-    return replace(data, load_kw=data.load_kw * lit, pv_kw=data.pv_kw * lit)
+    return replace(data, load_kw=data.load_kw * lit, pv_kw=data.pv_kw * lit,
+                   switching=data.switching and data.switching.in_the_dark(dark))
 
 
 def in_the_dark(site: Site, whole: WindowData, dark: Flags,
@@ -233,7 +234,7 @@ def in_the_dark(site: Site, whole: WindowData, dark: Flags,
     dispatch = replace(plan, served=plan.served & ~dark[:, None], pv_curtailed_kw=np.where(
         dark[:, None], whole.pv_kw, plan.pv_curtailed_kw))
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h
-    lost = (site.customers.weight.sum() * site.dt_h * dark.sum()
+    lost = ((plan.served[dark] @ site.customers.weight).sum() * site.dt_h
             + site.weights.lambda_curt * curtailed_kwh)
     return replace(solution, dispatch=dispatch, terms=evaluate(site, whole, dispatch),
                    objective=solution.objective - lost, bound=solution.bound - lost)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vppres.controllers.base import Decision, Observation, OnePass, Planner, SolveInfo
-from vppres.model.data import Dispatch, Site
+from vppres.controllers.switching import plan_with_rules
+from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.linearise import Centre
 from vppres.solve.methods import WindowSolver
 from vppres.timegrid import TimeGrid
@@ -33,6 +34,7 @@ class _Actual:
     pv_kw: Floats
     grid_limit_kw: float
     observation: Observation
+    window: WindowData
 
     @property
     def battery_kw(self) -> Floats:
@@ -72,13 +74,15 @@ class FullHorizonController:
     def decide(self, observation: Observation) -> Decision:
         """Follow the plan if it passes the checks, otherwise correct the step."""
         info = SolveInfo(status="planned")
+        window = observation.window(self.solver.site, self.centre)
         if self.plan is None:
             solution = self.planner.plan(observation)
             self.plan = solution.dispatch
             info = SolveInfo.of(solution, self.solver.cache.compilations)
-        f = observation.forecast
-        actual = _Actual(self.plan, observation.t0, f.load_kw[0], f.pv_kw[0],
-                         float(f.grid_limit_kw[0]), observation)
+        f, t = observation.forecast, observation.t0
+        now = window.first(1).for_service(self.plan.served[t:t + 1])
+        actual = _Actual(self.plan, t, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
+                         observation, now)
         reasons = self.violations(actual)
         if not reasons:
             return Decision(self.plan, observation.t0, info)
@@ -86,15 +90,15 @@ class FullHorizonController:
 
     def _correct(self, observation: Observation, reason: str) -> Decision:
         """Optimise the step alone (H = 0) with actual values."""
-        solution = self.planner.plan(observation, 1)
-        return Decision(solution.dispatch, 0,
-                        SolveInfo.of(solution, self.solver.cache.compilations), True, reason)
+        solution, relaxed = plan_with_rules(self.planner, observation, 1)
+        info = SolveInfo.of(solution, self.solver.cache.compilations, relaxed)
+        return Decision(solution.dispatch, 0, info, True, reason)
 
     def violations(self, actual: _Actual) -> list[str]:
         """Names of the checks that the planned step fails, with the worst item of each."""
         site = self.solver.site
         checks = (_check_battery(site, actual), self._check_pv(site, actual),
-                  _check_grid(site, actual))
+                  _check_grid(site, actual), _check_switching(site, actual))
         return [text for text in checks if text]
 
     def _check_pv(self, site: Site, actual: _Actual) -> str:
@@ -143,6 +147,18 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     if needed < -BALANCE_TOLERANCE_KW:
         return f"grid import: {-needed:.1f} kW surplus that cannot be exported"
     return ""
+
+
+def _check_switching(site: Site, actual: _Actual) -> str:
+    """Whether the planned service obeys the switching rules after what was really served."""
+    rules = actual.window.switching
+    if rules is None:
+        return ""
+    broken = rules.broken(actual.plan.served[actual.t:actual.t + 1])
+    if not broken.any():
+        return ""
+    first = site.customers.id[np.argmax(broken)]
+    return f"switching rules: {broken.sum()} customers may not be switched as planned ({first})"
 
 
 def _worst(check: str, names: NDArray[np.object_], excess: Floats, tolerance: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from vppres.controllers.base import Decision, Observation, OnePass, Planner, SolveInfo
+from vppres.controllers.switching import plan_with_rules
 from vppres.model.linearise import Centre
 from vppres.solve.methods import WindowSolver
 from vppres.timegrid import TimeGrid
@@ -36,6 +37,6 @@ class MPCController:
 
     def decide(self, observation: Observation) -> Decision:
         """Solve the observed window and take its first step."""
-        solution = self.planner.plan(observation)
+        solution, relaxed = plan_with_rules(self.planner, observation)
         return Decision(solution.dispatch, 0,
-                        SolveInfo.of(solution, self.solver.cache.compilations))
+                        SolveInfo.of(solution, self.solver.cache.compilations, relaxed))

@@ -17,6 +17,8 @@ import numpy as np
 
 from vppres.model.data import Floats, Site, WindowData
 from vppres.model.physical import active_room_kw
+from vppres.model.switching import RuleSteps
+from vppres.model.switching_rules import SwitchingModel, added_demand
 from vppres.model.window import objective_scale, require_dpp
 
 
@@ -35,6 +37,8 @@ class AggregateModel:
         Whether the fleet is one battery.
     physical : bool
         Whether losses and headroom are part of it.
+    switching : RuleSteps, optional
+        Shape of the switching rules; None has none.
 
     Attributes
     ----------
@@ -49,7 +53,8 @@ class AggregateModel:
     """
 
     def __init__(self, site: Site, n_steps: int, integer: bool = True,
-                 lumped: bool = True, physical: bool = False) -> None:
+                 lumped: bool = True, physical: bool = False,
+                 switching: RuleSteps | None = None) -> None:
         self.site, self.n_steps, self.lumped = site, n_steps, lumped
         W, C, G = n_steps, len(site.customers), 1 if lumped else len(site.batteries)
         self.x = cp.Variable((W, C), name="x_served", boolean=integer)
@@ -64,17 +69,20 @@ class AggregateModel:
         self.room = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
             "loss": (W,), "E_min": (W, G), "P_room": (W, G)}.items()} if physical else {}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
-        self.constraints = self._power() | self._energy()
+        self.switching = SwitchingModel(site, self.x, switching) if switching else None
+        self.constraints = self._power() | self._energy() | (
+            self.switching.constraints if self.switching else {})
         self.service_min = cp.Parameter(name="service_min")
         self.grid = weight_grid(site.customers.weight * site.dt_h)
         cost = self.rho_dt @ self.v["P_grid"]
         f1 = site.dt_h * cp.sum(self.x @ site.customers.weight)
         curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
+        service = f1 - curtailment - (self.switching.f6_switching if self.switching else 0.0)
         limits = list(self.constraints.values())
         self.problem = cp.Problem(
             cp.Maximize(objective_scale(site)
-                        * (f1 - curtailment - site.weights.lambda_grid * cost)), limits)
-        served_enough = (f1 - curtailment - self.service_min) / (self.grid or 1.0) >= 0
+                        * (service - site.weights.lambda_grid * cost)), limits)
+        served_enough = (service - self.service_min) / (self.grid or 1.0) >= 0
         self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, served_enough])
         self.grid_problem = self._on_grid(curtailment, limits)
         for problem in (self.problem, self.cost_problem, self.grid_problem):
@@ -90,7 +98,9 @@ class AggregateModel:
             return self.problem
         units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
         penalty = cp.Variable(name="penalty", integer=True, nonneg=True)
-        return cp.Problem(cp.Maximize(cp.sum(self.x @ units) - penalty),
+        # A whole number too, or the problem is not used: see whole_price.
+        actions = self.switching.f6_switching / self.grid if self.switching else 0.0
+        return cp.Problem(cp.Maximize(cp.sum(self.x @ units) - penalty - actions),
                           [*limits, penalty >= curtailment / self.grid - 1])
 
     def _power(self) -> dict[str, cp.Constraint]:
@@ -100,6 +110,10 @@ class AggregateModel:
         if self.room:
             load = load + self.room["loss"]
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
+        cold = added_demand(self.switching)
+        if cold is not None:
+            load = load + cp.sum(cp.multiply(cold.P_cold, cold.z), axis=1)
+            own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)
         P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
         return {
             "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
@@ -162,12 +176,14 @@ class AggregateModel:
         blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
         x_max = np.where(blocked, 0.0, 1.0)
         unlimited = all_connected & np.isinf(data.grid_limit_kw)
+        connected = (unlimited[:, None] if data.switching is None
+                     else data.switching.connected(unlimited))
         values = {
             "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
             "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
             "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
             "E_0": np.tile(self._fleet(b.energy_kwh * data.soc), (self.n_steps, 1)),
-            "x_max": x_max, "x_min": x_max * unlimited[:, None], "eta_lo": eta_lo,
+            "x_max": x_max, "x_min": x_max * connected, "eta_lo": eta_lo,
             "eta_hi": eta_hi, "inv_lo": inv_lo, "inv_hi": inv_hi, **self._first_step(data),
         }
         for name, value in values.items():
@@ -175,6 +191,14 @@ class AggregateModel:
         if self.room:
             self._fill_room(data)
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+        if self.switching:
+            self.switching.fill(data)
+
+    def whole_price(self, data: WindowData) -> bool:
+        """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
+        pair = 0.0 if data.switching is None else 2.0 * data.switching.price_per_action
+        return pair == 0.0 or (self.grid > 0 and abs(pair / self.grid
+                                                     - round(pair / self.grid)) < 1e-9)
 
     def _fill_room(self, data: WindowData) -> None:
         """Write losses, and the batteries' limits less their headroom."""

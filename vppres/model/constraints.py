@@ -49,10 +49,12 @@ def circular_charging(site: Site, v: Variables, p: Parameters) -> Named:
 
 def pv_split(site: Site, v: Variables, p: Parameters) -> Named:
     """Self-consumption, export and curtailment; self-consumption follows the owner's service."""
-    x_owner = v.x_served[:, site.owner]
+    P_self = cp.multiply(p.P_self_max, v.x_served[:, site.owner])
+    if v.cold is not None:
+        P_self = P_self + cp.multiply(v.cold.P_self_cold, v.cold.z[:, site.owner])
     return {
         "pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv,
-        "pv_self_consumption": v.P_self == cp.multiply(p.P_self_max, x_owner),
+        "pv_self_consumption": v.P_self == P_self,
     }
 
 
@@ -61,9 +63,10 @@ def power_balance(site: Site, v: Variables, p: Parameters) -> Named:
     A, at_bus = site.network.incidence, site.customer_bus
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
     P_inj = v.P_exp @ site.pv_bus.T - v.P_batt @ site.battery_bus.T
-    P_load = (cp.multiply(p.P_load, v.x_served) @ at_bus.T - v.P_self @ site.pv_bus.T)
+    P_demand, Q_demand = _demand(v, p)
+    P_load = P_demand @ at_bus.T - v.P_self @ site.pv_bus.T
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
-    Q_load = cp.multiply(p.Q_load, v.x_served) @ at_bus.T
+    Q_load = Q_demand @ at_bus.T
     P_grid = cp.reshape(v.P_grid, (v.P_grid.size, 1), order="C") @ slack.T
     Q_grid = cp.reshape(v.Q_grid, (v.Q_grid.size, 1), order="C") @ slack.T
     return {
@@ -153,7 +156,7 @@ def inverter_active(site: Site, v: Variables, p: Parameters) -> Named:
 
 def total_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Sum of the active balances over all buses: lossless lines cancel."""
-    load = cp.sum(cp.multiply(p.P_load, v.x_served), axis=1) - cp.sum(v.P_self, axis=1)
+    load = cp.sum(_demand(v, p)[0], axis=1) - cp.sum(v.P_self, axis=1)
     return {"total_power_balance": v.P_grid + cp.sum(v.P_exp, axis=1)
             == load + cp.sum(v.P_batt, axis=1)}
 
@@ -172,6 +175,14 @@ def battery_headroom(site: Site, v: Variables, p: Parameters) -> Named:
         "battery_room": v.SoC[:-1] + stored <= b.soc_max[None, :],
         "battery_reserve": v.SoC[:-1] - drawn >= b.soc_min[None, :],
     }
+
+
+def _demand(v: Variables, p: Parameters) -> tuple[cp.Expression, cp.Expression]:
+    """Active and reactive demand of those served, higher after a restoration, (W, C) each."""
+    P, Q = cp.multiply(p.P_load, v.x_served), cp.multiply(p.Q_load, v.x_served)
+    if v.cold is None:
+        return P, Q
+    return (P + cp.multiply(v.cold.P_cold, v.cold.z), Q + cp.multiply(v.cold.Q_cold, v.cold.z))
 
 
 def _disc(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray) -> cp.Constraint:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import ModelError
 from vppres.frozen import content_key
+from vppres.model.switching import SwitchingData
 from vppres.network import Network
 from vppres.scenario import ObjectiveWeights, Scenario
 
@@ -118,6 +119,8 @@ class WindowData:
         Right-hand side of the delta form of LinDistFlow; zero gives plain LinDistFlow.
     physics : Physics, optional
         Losses, island and headroom of physical mode; None is the paper's problem.
+    switching : SwitchingData, optional
+        Rules on switching customers; None is the paper.
     """
 
     load_kw: Floats
@@ -129,6 +132,7 @@ class WindowData:
     eta_discharge: Floats
     delta_pu2: Floats
     physics: Physics | None = None
+    switching: SwitchingData | None = None
 
     @property
     def physical(self) -> bool:
@@ -156,13 +160,26 @@ class WindowData:
         """The first steps of the window."""
         cut = {name: getattr(self, name)[:n_steps] for name in
                ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")}
-        return replace(self, **cut, physics=self.physics and self.physics.first(n_steps))
+        return replace(self, **cut, physics=self.physics and self.physics.first(n_steps),
+                       switching=self.switching and self.switching.first(n_steps))
 
     @property
     def loss_kw(self) -> Floats:
         """Losses of all lines, (W,); zero in the paper's mode."""
         return (np.zeros(self.n_steps) if self.physics is None
                 else np.asarray(self.physics.loss_kw.sum(axis=1)))
+
+    def for_service(self, served: NDArray[np.bool_]) -> WindowData:
+        """The window with the demand that a service brings about: higher after a restoration."""
+        if self.switching is None or not self.switching.steps.cold:
+            return self
+        return replace(self, load_kw=self.load_kw * self.switching.demand_factor(served))
+
+    def all_cold(self) -> WindowData:
+        """The window with the largest demand that any service can bring about."""
+        if self.switching is None or not self.switching.steps.cold:
+            return self
+        return replace(self, load_kw=self.load_kw * self.switching.cold_factor)
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
@@ -173,12 +190,13 @@ class WindowData:
 
         Nothing can be exported, so no more than all demand and all charging is ever imported.
         """
-        useful = self.load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
+        useful = (self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+                  + self.loss_kw)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
-        possible = (self.load_kw @ site.customers.q_per_p
+        possible = (self.all_cold().load_kw @ site.customers.q_per_p
                     + site.batteries.s_max_kva.sum() + site.pv.s_max_kva.sum())
         if self.physics is not None:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
@@ -216,13 +234,17 @@ class Dispatch:
 
 @dataclass(frozen=True)
 class Terms:
-    """The five terms of the objective (paper, Section 3.3), summed over a window."""
+    """The terms of the objective (paper, Section 3.3), summed over a window.
+
+    ``f6`` is the price of switching actions in weighted customer hours, which the paper has not.
+    """
 
     f1: float
     f2: float
     f3: float
     f4: float
     f5: float
+    f6: float = 0.0
 
     def total(self, weights: ObjectiveWeights) -> float:
         """The objective F."""
@@ -231,7 +253,8 @@ class Terms:
 
     def upper_levels(self, weights: ObjectiveWeights) -> float:
         """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
-        return self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
+        return (self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
+                - self.f6)
 
 
 def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
@@ -245,4 +268,5 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
         f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
         f4=float((flow2 @ site.network.r_ohm).sum()),
         f5=float(use),
+        f6=data.switching.price(dispatch.served) if data.switching else 0.0,
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vppres.model.data import Dispatch, Floats, Site, WindowData
+from vppres.model.switching_rules import ColdLoad
 
 Mode = Literal["integer", "relaxed", "fixed"]
 
@@ -71,6 +72,7 @@ class Variables:
     the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served
     demand.
     :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
+    ``cold`` is None unless restorations add to the demand.
     """
 
     x_served: cp.Expression
@@ -89,6 +91,7 @@ class Variables:
     u: cp.Variable
     P_flow: cp.Variable
     Q_flow: cp.Variable
+    cold: ColdLoad | None = None
 
     @classmethod
     def create(cls, site: Site, W: int, service: Mode, exclusivity: Mode) -> Variables:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cvxpy as cp
@@ -14,6 +14,8 @@ from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.physical import PhysicalParameters
+from vppres.model.switching import RuleSteps
+from vppres.model.switching_rules import SwitchingModel, added_demand
 from vppres.model.variables import Mode, Parameters, Variables
 
 Goal = Literal["service", "cost"]
@@ -40,6 +42,8 @@ class Form:
         relaxation.
     physical : bool
         Whether losses, the island's reference and headroom are part of the problem.
+    switching : RuleSteps or None
+        Shape of the switching rules; None has none. A fixed service obeys them or does not.
     """
 
     goal: Goal = "service"
@@ -49,6 +53,7 @@ class Form:
     outer: bool = False
     network: bool = True
     physical: bool = False
+    switching: RuleSteps | None = None
 
 
 class WindowModel:
@@ -74,6 +79,9 @@ class WindowModel:
         self.p = Parameters.create(site, n_steps)
         self.physical = PhysicalParameters.create(site, n_steps) if form.physical else None
         self.v = Variables.create(site, n_steps, form.service, form.exclusivity)
+        self.switching = (SwitchingModel(site, self.v.x_served, form.switching)
+                          if form.switching else None)
+        self.v = replace(self.v, cold=added_demand(self.switching))
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -87,6 +95,7 @@ class WindowModel:
                    else families.LUMPED_NETWORK_FAMILIES)
         chosen = (*families.DEVICE_FAMILIES, *network)
         named = {name: c for family in chosen for name, c in family(*args).items()}
+        named |= self.switching.constraints if self.switching else {}
         return self.physical.amended(named, self.site, self.v) if self.physical else named
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
@@ -97,14 +106,18 @@ class WindowModel:
                 + spending * w.lambda_curt * terms.f3_curtailment(*args))
         if self.form.goal == "cost":
             return cp.Minimize(cost)
-        return cp.Maximize(objective_scale(self.site)
-                           * (terms.f1_service(*args) - cost / spending))
+        service = terms.f1_service(*args)
+        if self.switching:
+            service = service - self.switching.f6_switching
+        return cp.Maximize(objective_scale(self.site) * (service - cost / spending))
 
     def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
         if self.physical:
             self.physical.fill(self.site, data)
+        if self.switching:
+            self.switching.fill(data)
 
     def dispatch(self, served: NDArray[np.bool_] | None = None) -> Dispatch:
         """The solution of the last solve."""

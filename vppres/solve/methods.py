@@ -209,6 +209,8 @@ class WindowSolver:
 
     def _polished(self, data: WindowData, found: Candidate, search: Search) -> Candidate | None:
         """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
+        # What a restoration adds to the demand is known with the service.
+        data = data.for_service(found.dispatch.served)
         stage = polish(self.cache, data, found.dispatch, max(search.left_s, GRACE_S))
         search.note("tie_breakers", stage.outcome)
         if stage.dispatch is None:
@@ -222,6 +224,7 @@ class WindowSolver:
         # A started answer is always finished: recovery gets a moment even when time is up. In a
         # large network it may need long to find that there is none, so it may not take it all.
         time_s = max(search.left_s / 3.0 if form.network else search.left_s, GRACE_S)
+        data = data.for_service(served)
         stage = solve_cost(self.cache, data, served, self.spec, form, time_s)
         search.note(name, stage.outcome)
         if stage.dispatch is None:
@@ -247,7 +250,7 @@ class WindowSolver:
     def _levels(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Service first, on the weights' grid, then the cost of all sets that serve as much."""
         model = self.cache.aggregate(data, lumped=lumped)
-        if not model.grid:
+        if not model.grid or not model.whole_price(data):
             return
         model.fill(data, all_connected=True)
         outcome = run(model.grid_problem, self.spec, 0.99, search.left_s)
@@ -362,7 +365,12 @@ class WindowSolver:
 
     def _recover(self, data: WindowData, served: Served, search: Search,
                  network: bool = False) -> None:
-        """Cheapest dispatch of a served set; kept if it is the best so far."""
+        """Cheapest dispatch of a served set; kept if it is the best so far.
+
+        A relaxation without binaries may serve what the switching rules forbid: nothing to find.
+        """
+        if data.switching is not None and data.switching.broken(served).any():
+            return
         found = self._cheapest("cost", data, served, cost_form(0, network=False), search)
         if network and found is not None:
             found = self._polished(data, found, search) or self._in_network(data, served, search)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
+from vppres.model.switching import RuleSteps
+from vppres.model.switching_rules import rule_steps
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
 from vppres.model.window import Form, WindowModel, disc_sides
 from vppres.solve.result import Outcome, Status
@@ -32,7 +34,8 @@ class ModelCache:
 
     site: Site
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
-    lumped: dict[tuple[int, bool, bool, bool], AggregateModel] = field(default_factory=dict)
+    lumped: dict[tuple[int, bool, bool, bool, RuleSteps | None], AggregateModel] = field(
+        default_factory=dict)
     ties: dict[tuple[int, bool, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
@@ -41,8 +44,9 @@ class ModelCache:
         return len(self.models) + len(self.lumped) + len(self.ties)
 
     def window(self, form: Form, data: WindowData) -> WindowModel:
-        """The window problem of a form, of the window's length and mode."""
-        form, n_steps = replace(form, physical=data.physical), data.n_steps
+        """The window problem of a form, of the window's length, mode and switching rules."""
+        rules = None if form.service == "fixed" else rule_steps(data)
+        form, n_steps = replace(form, physical=data.physical, switching=rules), data.n_steps
         if (form, n_steps) not in self.models:
             self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
         return self.models[form, n_steps]
@@ -50,7 +54,7 @@ class ModelCache:
     def aggregate(self, data: WindowData, integer: bool = True,
                   lumped: bool = True) -> AggregateModel:
         """The relaxation of the window's length, with a lumped battery or with every battery."""
-        key = data.n_steps, integer, lumped, data.physical
+        key = data.n_steps, integer, lumped, data.physical, rule_steps(data)
         if key not in self.lumped:
             self.lumped[key] = AggregateModel(self.site, *key)
         return self.lumped[key]

@@ -1,0 +1,300 @@
+"""Switching rules: hand-solved windows, methods against each other, the state, real days."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from checker import check_dispatch
+from numpy.typing import NDArray
+from random_feeders import random_state, random_window
+from test_windows import CHECKER_TOLERANCE, DARK, OPEN, battery, two_buses, window
+
+from vppres.cold_load import ColdLoad
+from vppres.controllers.switching import solve_with_rules
+from vppres.errors import InfeasibleError, InputError
+from vppres.forecast import ForecastErrors
+from vppres.io import find_scenario, read_scenario
+from vppres.model import switching_rules
+from vppres.model.data import Site
+from vppres.model.switching import RuleSteps, SwitchingState
+from vppres.model.window import Form, WindowModel
+from vppres.scenario import Scenario
+from vppres.simulate import RunOptions, run_day
+from vppres.solve.methods import METHODS, WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.switching import SwitchingRules
+from vppres.trajectory import Trajectory
+
+Flags = NDArray[np.bool_]
+
+PAGE = Path(__file__).parents[1] / "docs" / "switching.md"
+RANDOM = [(seed, stressed) for stressed, count in ((False, 30), (True, 20))
+          for seed in range(count)]
+
+
+def state_of(rules: SwitchingRules, served: Sequence[bool], since_h: Sequence[float],
+             actions: Sequence[int] | None = None) -> SwitchingState:
+    """A state in hourly steps."""
+    return SwitchingState(rules, 1.0, np.array(served), np.array(since_h, dtype=float),
+                          np.array(actions or [0] * len(served), dtype=float))
+
+
+def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
+    """All steps of a scenario as one window with rules."""
+    data = window(day)
+    data = replace(data, switching=state.window(data.n_steps))
+    answer = WindowSolver(Site.of(day), method).solve(data)
+    check = check_dispatch(day, data, answer.dispatch, state)
+    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    return answer
+
+
+def island(load_kw: Sequence[Sequence[float]], weights: Sequence[float],
+           energy_kwh: float) -> Scenario:
+    """A dark feeder whose battery can give this much energy at its terminals, and any power."""
+    return replace(two_buses(load_kw, weights, [DARK] * len(load_kw)),
+                   batteries=battery(energy_kwh=energy_kwh / 0.7 / 0.95, p_max_kw=1e3,
+                                     s_max_kva=1e3, soc=0.85))
+
+
+NEVER = float("inf")
+
+
+# Hand-solved windows.
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("hours", "expected"), [
+    (0.0, [True, False, True]), (2.0, [True, False, False])])
+def test_minimum_time_off_keeps_a_customer_off(method: str, hours: float,
+                                               expected: list[bool]) -> None:
+    # 21 kWh: the dear hour in the middle (100 kW) is left out, the third hour only if it may be.
+    day = island([[10.0], [100.0], [10.0]], [1.0], 21.0)
+    answer = solved(day, state_of(SwitchingRules(min_unserved_h=hours), [True], [NEVER]), method)
+    assert answer.dispatch.served[:, 0].tolist() == expected
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("rules", "expected"), [
+    (SwitchingRules(), [True, False, True]),
+    (SwitchingRules(min_served_h=2.0), [False, False, True]),
+    (SwitchingRules(stay_restored=True), [False, False, True]),
+    (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
+    (SwitchingRules(max_actions_per_customer=3), [True, False, True])])
+def test_restored_customer_is_not_dropped_at_once(method: str, rules: SwitchingRules,
+                                                  expected: list[bool]) -> None:
+    # Off before the window. There is energy for the first and the last hour, but not for the
+    # middle: who may not be dropped in the middle is restored in the last hour only.
+    day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
+    answer = solved(day, state_of(rules, [False], [5.0], [0]), method)
+    assert answer.dispatch.served[:, 0].tolist() == expected
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("price", "actions"), [(0.0, 4), (0.04, 4), (0.06, 2)])
+def test_price_refuses_what_gains_less_than_it_costs(method: str, price: float,
+                                                     actions: int) -> None:
+    # Serving the customer for one more hour gains 0.1; it takes another off/on pair.
+    day = island([[10.0], [100.0], [10.0], [100.0], [10.0]], [0.1], 31.0)
+    day = replace(day, grid_limit_kw=np.array([DARK] * 4 + [OPEN]))
+    answer = solved(day, state_of(SwitchingRules(price_per_action=price), [True], [NEVER]),
+                    method)
+    on_off = np.abs(np.diff([1, *answer.dispatch.served[:, 0]])).sum()
+    assert (on_off, answer.terms.f6) == (actions, pytest.approx(actions * price))
+    assert answer.dispatch.served[:, 0].sum() == (3 if actions == 4 else 2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_price_leaves_nobody_in_the_dark(method: str) -> None:
+    # The one hour gains 0.02 and the restoration was paid for with the interruption.
+    day = two_buses([[10.0]], [0.02], [OPEN])
+    answer = solved(day, state_of(SwitchingRules(price_per_action=1.0), [False], [3.0]), method)
+    assert (answer.dispatch.served.all(), answer.terms.f6) == (True, 0.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("factor", "served"), [(1.0, True), (1.6, True), (1.7, False)])
+def test_cold_load_needs_more_energy(method: str, factor: float, served: bool) -> None:
+    # 41 kWh for a customer of 25 kW: enough for 1.64 times as much.
+    day = island([[25.0]], [1.0], 41.0)
+    state = state_of(SwitchingRules(cold_load_factor=factor, cold_load_h=1.0), [False], [1.0])
+    answer = solved(day, state, method)
+    assert answer.dispatch.served[0, 0] == served
+    assert answer.dispatch.discharge_kw.sum() == pytest.approx(25.0 * factor * served, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_cold_load_of_an_earlier_restoration_lasts(method: str) -> None:
+    rules = SwitchingRules(cold_load_factor=2.0, cold_load_h=3.0)
+    day = island([[10.0]] * 4, [1.0], 100.0)
+    answer = solved(day, state_of(rules, [True], [1.0]), method)
+    assert answer.dispatch.discharge_kw.sum(axis=1) == pytest.approx([20, 20, 10, 10], abs=1e-3)
+
+
+def test_interruption_that_cannot_be_ended_is_not_shortened() -> None:
+    # The grid is back, but the customer was switched off an hour ago and has two hours to go.
+    day = two_buses([[10.0]] * 3, [1.0], [OPEN] * 3)
+    answer = solved(day, state_of(SwitchingRules(min_unserved_h=3.0), [False], [1.0]),
+                    "decomposed")
+    assert answer.dispatch.served[:, 0].tolist() == [False, False, True]
+
+
+def test_minimum_times_count_in_steps_of_any_length() -> None:
+    state = SwitchingState(SwitchingRules(min_served_h=0.6, min_unserved_h=0.25), 0.25,
+                           np.array([True]), np.array([0.25]), np.zeros(1))
+    data = state.window(4)
+    assert data.steps == RuleSteps(served=3, unserved=1, cold=0)
+    # One of the three quarters of an hour is over.
+    assert data.served_min[:, 0].tolist() == [True, True, False, False]
+
+
+# Duties that cannot be met.
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_duty_that_cannot_be_met_is_let_go_and_said(method: str) -> None:
+    day = island([[30.0, 10.0]], [0.1, 1.0], 15.0)
+    state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
+    data = replace(window(day), switching=state.window(1))
+    solver = WindowSolver(Site.of(day), method)
+    with pytest.raises(InfeasibleError):
+        solver.solve(data)
+    answer, relaxed = solve_with_rules(solver, data)
+    assert relaxed and answer.dispatch.served[0].tolist() == [False, True]
+
+
+def test_duty_that_can_be_met_is_not_let_go() -> None:
+    # The duty costs the critical customer: 30 of 35 kWh go to the one that was just restored.
+    day = island([[30.0, 10.0]], [0.1, 1.0], 35.0)
+    state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
+    data = replace(window(day), switching=state.window(1))
+    answer, relaxed = solve_with_rules(WindowSolver(Site.of(day)), data)
+    assert not relaxed and answer.dispatch.served[0].tolist() == [True, False]
+
+
+# Methods against each other and against the checker.
+
+
+@pytest.mark.parametrize(("seed", "stressed"), RANDOM)
+def test_decomposed_equals_monolithic_with_rules(seed: int, stressed: bool) -> None:
+    case = random_window(seed, stressed)
+    state = random_state(seed, case.scenario)
+    data = replace(case.data, switching=state.window(case.data.n_steps))
+    answers = []
+    for method in METHODS:
+        try:
+            answers.append(WindowSolver(Site.of(case.scenario), method).solve(data))
+        except InfeasibleError:
+            continue
+    assert len(answers) in (0, 2)
+    weight = case.scenario.customers.weight.sum() * case.scenario.grid.dt_h * data.n_steps
+    best = max((answer.objective for answer in answers), default=0.0)
+    for answer in answers:
+        check = check_dispatch(case.scenario, data, answer.dispatch, state)
+        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+        assert answer.objective >= best - SolveLimits().absolute(weight)
+        assert answer.bound >= best - 1e-6
+        assert answer.status == "optimal"
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rules_are_judged_as_the_checker_judges_them(seed: int) -> None:
+    """Random service, most of it against some rule: the package's own check finds the same."""
+    case = random_window(seed)
+    state, rng = random_state(seed, case.scenario), np.random.default_rng(seed)
+    answer = WindowSolver(Site.of(case.scenario)).solve(case.data).dispatch
+    data = state.window(answer.n_steps)
+    for _ in range(5):
+        served = rng.random(answer.served.shape) < 0.6
+        found = check_dispatch(case.scenario, case.data, replace(answer, served=served), state)
+        kinds = ("min served", "min unserved", "stay restored", "actions")
+        assert data.broken(served).any() == any(found.violations[kind] > 0 for kind in kinds)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_plant_and_model_know_the_same_cold_load(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rules = SwitchingRules(cold_load_factor=1.5, cold_load_h=float(rng.uniform(0.0, 2.0)))
+    state, plant = SwitchingState.start(rules, 0.5, 6), ColdLoad(rules, 0.5, 6)
+    ahead = rng.random((12, 6)) < 0.7
+    for t, served in enumerate(ahead):
+        model = state.window(12 - t).demand_factor(ahead[t:])
+        assert model[0].tolist() == plant.factors(served).tolist()
+        state = state.advance(served)
+        plant.advance(served)
+
+
+# Real days.
+
+
+def broken_rules(run: Trajectory, rules: SwitchingRules) -> int:
+    """Actions of a day that break a rule, counted along the record."""
+    x = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    dt_h, count = run.scenario.grid.dt_h, 0
+    for c in range(x.shape[1]):
+        at = np.flatnonzero(np.diff(np.concatenate([[True], x[:, c]]).astype(int)))
+        lengths_h = np.diff(at) * dt_h
+        least = np.where(x[at[:-1], c], rules.min_served_h, rules.min_unserved_h)
+        count += int((lengths_h < least - 1e-9).sum())
+        count += int(rules.stay_restored) * int(len(at) > 2)
+    return count
+
+
+@pytest.fixture(scope="module")
+def packaged() -> Scenario:
+    return read_scenario(find_scenario("uk-heatwave-2022"))
+
+
+@pytest.mark.parametrize(("controller", "rules"), [
+    ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
+    ("full-horizon", SwitchingRules(stay_restored=True))])
+def test_real_day_obeys_the_rules(packaged: Scenario, controller: str,
+                                  rules: SwitchingRules) -> None:
+    options = RunOptions(controller, switching=rules, errors=ForecastErrors(pv_bias=0.3))
+    run = run_day(packaged, options)
+    assert not run.steps["switching_relaxed"].any()
+    assert broken_rules(run, rules) == 0
+    free = run_day(packaged, replace(options, switching=SwitchingRules()))
+    assert broken_rules(free, rules) > 0
+
+
+def test_recorded_demand_is_higher_after_a_restoration(tiny: Scenario) -> None:
+    rules = SwitchingRules(cold_load_factor=1.5, cold_load_h=1.0)
+    run = run_day(tiny, RunOptions(horizon_h=2.0, switching=rules))
+    x = run.customers["served"].to_numpy(bool).reshape(6, 3)
+    load = run.customers["p_load_kw"].to_numpy().reshape(6, 3)
+    before = np.vstack([np.ones(3, bool), x[:-1]])
+    assert (x & ~before).any()
+    assert load == pytest.approx(tiny.load_kw * np.where(x & ~before, 1.5, 1.0))
+
+
+# The rules themselves.
+
+
+def test_values_out_of_range_are_named() -> None:
+    with pytest.raises(InputError) as error:
+        SwitchingRules(min_served_h=-1.0, cold_load_factor=0.5, max_actions_per_customer=-1)
+    assert str(error.value).splitlines() == [
+        "switching rules, min_served_h = -1.0: must be zero or positive. Give hours, for example "
+        "2.",
+        "switching rules, cold_load_factor = 0.5: must be at least 1. Give a factor, for example "
+        "1.5.",
+        "switching rules, max_actions_per_customer = -1: must not be negative. Give a whole "
+        "number, for example 2."]
+
+
+def test_equations_are_those_of_the_page(tiny: Scenario) -> None:
+    rows = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)` \| `([\w]+)` \|", PAGE.read_text("utf-8"), re.M)
+    site, steps = Site.of(tiny), RuleSteps(2, 2, 1)
+    ruled = WindowModel(site, 3, Form(switching=steps))
+    added = set(ruled.constraints) - set(WindowModel(site, 3, Form()).constraints)
+    assert {name for _, name in rows} == added
+    for function, name in rows:
+        assert name in getattr(switching_rules, function)(ruled.switching)
