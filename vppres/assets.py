@@ -16,13 +16,15 @@ from vppres.frozen import freeze_fields
 Floats = NDArray[np.float64]
 Names = NDArray[np.object_]
 Flags = NDArray[np.bool_]
+Wholes = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Customers:
     """Customers, shape (C,) each.
 
-    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging.
+    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging;
+    ``shed_steps`` are the equal parts that may be switched apart, 1 (all or nothing) if not given.
     """
 
     id: Names
@@ -30,9 +32,13 @@ class Customers:
     tier: Names
     weight: Floats
     power_factor: Floats
+    shed_steps: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
 
     def __post_init__(self) -> None:
-        freeze_fields(self, id=object, bus=object, tier=object, weight=float, power_factor=float)
+        if len(self.shed_steps) == 0:
+            object.__setattr__(self, "shed_steps", np.ones(len(self.id), dtype=int))
+        freeze_fields(self, id=object, bus=object, tier=object, weight=float, power_factor=float,
+                      shed_steps=int)
 
     def __len__(self) -> int:
         return len(self.id)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,7 +29,7 @@ def _complete_scenario(start: str) -> list[str]:
     return [name for name in packaged_scenarios() if name.startswith(start)]
 
 
-FORECAST, SOLVER = "Forecast errors", "Solver"  # headings of the help
+FORECAST, SOLVER, SWITCHING = "Forecast errors", "Solver", "Switching"  # headings of the help
 
 ScenarioName = Annotated[str, typer.Argument(
     metavar="SCENARIO", help="A packaged scenario's name, or a folder.",
@@ -71,6 +72,36 @@ Gap = Annotated[float, typer.Option(
     rich_help_panel=SOLVER)]
 
 
+MinServed = Annotated[float | None, typer.Option(
+    "--min-served-h", metavar="HOURS", help="Shortest time served after a restoration; for this "
+    "and the other rules of switching the scenario's if not given.", rich_help_panel=SWITCHING)]
+MinUnserved = Annotated[float | None, typer.Option(
+    "--min-unserved-h", metavar="HOURS", help="Shortest time switched off.",
+    rich_help_panel=SWITCHING)]
+SwitchingPrice = Annotated[float | None, typer.Option(
+    help="Price of switching a customer off or on, in weighted customer hours.",
+    rich_help_panel=SWITCHING)]
+MaxActions = Annotated[int | None, typer.Option(
+    help="Most actions of a customer in a day; an off/on pair is two.",
+    rich_help_panel=SWITCHING)]
+StayRestored = Annotated[bool | None, typer.Option(
+    help="Never switch a restored customer off again.", rich_help_panel=SWITCHING)]
+ColdLoadFactor = Annotated[float | None, typer.Option(
+    help="Demand after a restoration as a multiple of the usual one.",
+    rich_help_panel=SWITCHING)]
+ColdLoadH = Annotated[float | None, typer.Option(
+    "--cold-load-h", metavar="HOURS", help="How long that lasts, at least one step.",
+    rich_help_panel=SWITCHING)]
+MoveWeight = Annotated[float | None, typer.Option(
+    help="Line losses in kW that moving a battery by its rated power away from the previous plan "
+    "is worth.", rich_help_panel=SWITCHING)]
+RULE_OF = {"min_served_h": "min_served_h", "min_unserved_h": "min_unserved_h",
+           "switching_price": "price_per_action", "max_actions": "max_actions_per_customer",
+           "stay_restored": "stay_restored", "cold_load_factor": "cold_load_factor",
+           "cold_load_h": "cold_load_h", "move_weight": "move_weight"}
+"""Option to field of the switching rules."""
+
+
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
     """The options of a run from those of the command line; the scenario has the defaults."""
     from vppres.forecast import ForecastErrors
@@ -78,6 +109,7 @@ def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
     from vppres.solve.result import SolveLimits
 
     horizon_h = given["horizon"]
+    rules = {field: given[name] for name, field in RULE_OF.items() if given[name] is not None}
     return RunOptions(
         controller=given["controller"] or day.controller.kind,
         horizon_h=day.controller.horizon_h if horizon_h is None else horizon_h,
@@ -86,4 +118,5 @@ def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
         seed=given["seed"],
         errors=ForecastErrors(given["load_bias"], given["load_error"], given["pv_bias"],
                               given["pv_error"]),
-        limits=SolveLimits(gap_rel=given["gap"], time_s=given["time_limit"]))
+        limits=SolveLimits(gap_rel=given["gap"], time_s=given["time_limit"]),
+        switching=replace(day.switching, **rules))

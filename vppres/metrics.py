@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vppres.io.digest import scenario_digest
+from vppres.switching_figures import switching_figures
 from vppres.trajectory import OPTIONS, Trajectory, json_safe
 from vppres.units import kva_to_a
 
@@ -44,6 +45,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **voltage_figures(trajectory),
         **line_figures(trajectory),
         **island_figures(trajectory),
+        **switching_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),

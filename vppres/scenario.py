@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from vppres.assets import Batteries, Customers, PVSystems
 from vppres.frozen import freeze_fields
 from vppres.network import Network
 from vppres.notebook import facts_html
+from vppres.switching import SwitchingRules
 from vppres.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
@@ -73,6 +74,8 @@ class Scenario:
         Ambient temperature.
     grid_limit_kw : array, shape (T,)
         Largest import; 0 in an outage, infinite without limit.
+    switching : SwitchingRules
+        What ``vppres run`` uses where its options say nothing.
     """
 
     name: str
@@ -90,6 +93,7 @@ class Scenario:
     tiers: tuple[str, ...] = ("critical", "high", "low")
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
+    switching: SwitchingRules = field(default_factory=SwitchingRules)
 
     def __post_init__(self) -> None:
         freeze_fields(self, load_kw=float, pv_kw=float, price_gbp_per_kwh=float,

@@ -17,6 +17,7 @@ from pydantic.json_schema import JsonSchemaValue, models_json_schema
 
 from vppres.network import Network
 from vppres.scenario import ControllerDefaults, ObjectiveWeights
+from vppres.switching import SwitchingRules
 
 Unit = dict[str, Any]
 ControllerKind = Literal["mpc", "full-horizon"]
@@ -32,6 +33,7 @@ PER_C2: Unit = {"unit": "1/°C²"}
 GBP_PER_KWH: Unit = {"unit": "GBP/kWh"}
 
 MAX_GRID_DAYS = 366
+MAX_SHED_STEPS = 20
 _FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
 
 
@@ -54,7 +56,7 @@ class LineRow(Row):
 
 
 class CustomerRow(Row):
-    """A customer that is either served or switched off."""
+    """A customer that is either served or switched off, or in equal parts."""
 
     id: str = Field(description="identifier of the customer")
     bus: str = Field(description="bus of the customer")
@@ -62,6 +64,9 @@ class CustomerRow(Row):
     power_factor: float = Field(gt=0, le=1, description="lagging power factor of the load")
     weight: float | None = Field(
         default=None, gt=0, description="priority weight (empty: the weight of the tier)")
+    shed_steps: int = Field(
+        default=1, ge=1, le=MAX_SHED_STEPS, description="number of equal parts of the customer "
+        "that may be switched off one by one; 1 is all or nothing")
 
 
 class PVRow(Row):
@@ -227,6 +232,35 @@ class ControllerSection(Section):
         description="the paper's island, or one that batteries hold")
 
 
+class SwitchingSection(Section):
+    """Rules on switching customers; a run without options of its own uses them."""
+
+    min_served_h: float = Field(
+        default=SwitchingRules.min_served_h, ge=0, description="shortest time served after a "
+        "restoration", json_schema_extra={"unit": "h"})
+    min_unserved_h: float = Field(
+        default=SwitchingRules.min_unserved_h, ge=0, description="shortest time switched off",
+        json_schema_extra={"unit": "h"})
+    price_per_action: float = Field(
+        default=SwitchingRules.price_per_action, ge=0, description="price of switching a customer "
+        "off or on", json_schema_extra={"unit": "weighted customer hours"})
+    max_actions_per_customer: int | None = Field(
+        default=None, ge=0, description="most actions of a customer in a day (no such key: no "
+        "limit)")
+    stay_restored: bool = Field(
+        default=SwitchingRules.stay_restored, description="whether a restored customer is never "
+        "switched off again")
+    cold_load_factor: float = Field(
+        default=SwitchingRules.cold_load_factor, ge=1, description="demand after a restoration as "
+        "a multiple of the usual one")
+    cold_load_h: float = Field(
+        default=SwitchingRules.cold_load_h, ge=0, description="how long that lasts, at least one "
+        "step", json_schema_extra={"unit": "h"})
+    move_weight: float = Field(
+        default=SwitchingRules.move_weight, ge=0, description="line losses that moving a battery "
+        "by its rated power away from the previous plan is worth", json_schema_extra=KW)
+
+
 class FilesSection(Section):
     """File names inside the folder; the suffix chooses CSV or Parquet."""
 
@@ -260,6 +294,8 @@ class ScenarioFile(Section):
     outages: list[OutageSection] = Field(default=[], description="list of tables [[outages]]")
     controller: ControllerSection = Field(
         default=ControllerSection(), description="table [controller]")
+    switching: SwitchingSection = Field(
+        default=SwitchingSection(), description="table [switching]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
 
@@ -270,6 +306,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [objective]": ObjectiveSection,
     "scenario.toml, [[outages]]": OutageSection,
     "scenario.toml, [controller]": ControllerSection,
+    "scenario.toml, [switching]": SwitchingSection,
     "scenario.toml, [files]": FilesSection,
     "lines.csv": LineRow,
     "customers.csv": CustomerRow,
@@ -352,7 +389,7 @@ def _table_markdown(title: str, model: type[BaseModel]) -> str:
 def _kind(field: FieldInfo) -> str:
     """Type of a field in plain words."""
     words: dict[Any, str] = {str: "text", float: "number", int: "whole number",
-                             AwareDatetime: "date and time"}
+                             bool: "true or false", AwareDatetime: "date and time"}
     kind, choices = field.annotation, get_args(field.annotation)
     if get_origin(kind) is Literal:
         return "text"
@@ -373,5 +410,7 @@ def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.default
+    if isinstance(value, bool):
+        return str(value).lower()
     simple = isinstance(value, (int, float, str)) and value != ""
     return f"{value:g}" if isinstance(value, float) else str(value) if simple else ""

@@ -21,6 +21,7 @@ from vppres.model.switching import SwitchingState
 from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.powerflow import ACResult, shared_power_flow
 from vppres.scenario import Scenario
+from vppres.sheddable import parts_record, split_sheddable
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import SolveLimits
 from vppres.solve.stages import POLYGON_SIDES
@@ -149,6 +150,8 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
         If an AC power flow does not converge.
     """
     options = options or RunOptions()
+    parts = parts_record(scenario)
+    scenario = split_sheddable(scenario)
     controller = make_controller(scenario, options)
     day = Day(scenario, options)
     for t in range(scenario.grid.n_steps):
@@ -161,7 +164,7 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
         "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
         "p_grid_kw": plan.p_grid_kw.tolist(),
     }
-    return day.recorder.finish(options.as_record(), planned)
+    return day.recorder.finish(options.as_record() | parts, planned)
 
 
 class Day:

@@ -38,6 +38,13 @@ OPTION_FIELDS: dict[str, tuple[str, type]] = {
     "seed": ("seed", int),
     "time-limit": ("limits.time_s", float),
     "gap": ("limits.gap_rel", float),
+    "min-served-h": ("switching.min_served_h", float),
+    "min-unserved-h": ("switching.min_unserved_h", float),
+    "switching-price": ("switching.price_per_action", float),
+    "max-actions": ("switching.max_actions_per_customer", int),
+    "cold-load-factor": ("switching.cold_load_factor", float),
+    "cold-load-h": ("switching.cold_load_h", float),
+    "move-weight": ("switching.move_weight", float),
     "centre": ("centre", str),
     "pv-check": ("pv_check", str),
 }

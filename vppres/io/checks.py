@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,23 @@ def check_known(table: Table, field: str, known: Collection[str], message: str) 
     return [Problem(table.file, message, did_you_mean(text, known, f"Correct the {field}."),
                     row=row, field=field, value=text)
             for row, text in table.column(field).items() if text not in known]
+
+
+def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> list[Problem]:
+    """Identifiers that the parts of customers in several parts, or of their PV systems, will have.
+
+    The parts of ``C7`` are ``C7/1``, ``C7/2`` and so on.
+    """
+    most = max((row.shed_steps for row in customers.values()), default=1)
+    known = set(table.column("id").values())
+    problems = []
+    for row, text in table.column("id").items():
+        whole, _, part = text.rpartition("/")
+        if whole in known and part.isdecimal() and 1 <= int(part) <= most:
+            problems.append(Problem(
+                table.file, f"is reserved for a part of {whole} while customers have several "
+                "shed_steps", "Choose another identifier.", row=row, field="id", value=text))
+    return problems
 
 
 def check_one_pv_each(pv: Table) -> list[Problem]:

@@ -34,7 +34,7 @@ def _canonical(value: Any) -> Any:
         return value.tz_convert("UTC").isoformat()
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
-    return value if isinstance(value, str) else float(value)
+    return value if value is None or isinstance(value, str) else float(value)
 
 
 def _canonical_network(network: Network) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from vppres.io.settings import SCENARIO_FILE, Settings, iso, outage_intervals, r
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
 from vppres.network import BusId, Network, check_radial
 from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.switching import SwitchingRules
 
 Floats = NDArray[np.float64]
 
@@ -161,6 +162,9 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     if customers and pv:
         problems += checks.check_known(pv, "customer", customers.column("id").values(),
                                        f"is not a customer of {customers.file}")
+    for table in (customers, pv):
+        if customers and table:
+            problems += checks.check_parts(table, rows.customers)
     if pv:
         problems += checks.check_one_pv_each(pv) + checks.check_pv_ratings(pv.file, rows.pv)
     if batteries:
@@ -274,7 +278,8 @@ def _assemble(settings: Settings, rows: _Rows, series: _Series,
         price_gbp_per_kwh=series.price_gbp_per_kwh, temperature_c=series.temperature_c,
         tiers=tuple(file.tiers),
         objective=ObjectiveWeights(**file.objective.model_dump()),
-        controller=ControllerDefaults(**file.controller.model_dump()))
+        controller=ControllerDefaults(**file.controller.model_dump()),
+        switching=SwitchingRules(**file.switching.model_dump()))
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:
@@ -332,6 +337,9 @@ def _document(scenario: Scenario) -> dict[str, Any]:
                        "horizon_h": float(scenario.controller.horizon_h),
                        "mode": scenario.controller.mode},
     }
+    if scenario.switching != SwitchingRules():
+        document["switching"] = {name: value for name, value in asdict(scenario.switching).items()
+                                 if value is not None}
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
@@ -369,6 +377,8 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
+    if (customers.shed_steps == 1).all():
+        frames["customers"] = frames["customers"].drop(columns="shed_steps")
     return frames
 
 
