@@ -131,6 +131,23 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "scenario.toml", "horizon_h = 5.0", "horizon_h = -1",
         ["scenario.toml, controller.horizon_h = -1: must be at least 0. "
          "Give the look-ahead of the controller; 0 is one step in h."]),
+    "negative minimum time": (
+        "scenario.toml", "[controller]", "[switching]\nmin_served_h = -1\n[controller]",
+        ["scenario.toml, switching.min_served_h = -1: must be at least 0. "
+         "Give the shortest time served after a restoration in h."]),
+    "cold load below the usual": (
+        "scenario.toml", "[controller]", "[switching]\ncold_load_factor = 0.5\n[controller]",
+        ["scenario.toml, switching.cold_load_factor = 0.5: must be at least 1. "
+         "Give the demand after a restoration as a multiple of the usual one."]),
+    "half an action": (
+        "scenario.toml", "[controller]",
+        "[switching]\nmax_actions_per_customer = 1.5\n[controller]",
+        ["scenario.toml, switching.max_actions_per_customer = 1.5: is not a whole number. "
+         "Give the most actions of a customer in a day (no such key: no limit)."]),
+    "yes in the place of true": (
+        "scenario.toml", "[controller]", '[switching]\nstay_restored = "yes"\n[controller]',
+        ["scenario.toml, switching.stay_restored = yes: is not true or false. "
+         "Write true or false, without quotes."]),
     "file elsewhere": (
         "scenario.toml", "[controller]", '[files]\nsystem = "../system.csv"\n[controller]',
         [f"scenario.toml, files.system = ../system.csv: is not allowed. {NAME_CURE}"]),
@@ -253,6 +270,15 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "power_factor,weight\nhospital,2,critical,0.95,\nshop,3,high,0.9,0\nhomes,4,low,0.98,2",
         ["customers.csv, row 3, weight = 0: must be greater than 0. "
          "Give the priority weight (empty: the weight of the tier)."]),
+    "no part at all": (
+        "customers.csv",
+        "power_factor\nhospital,2,critical,0.95\nshop,3,high,0.9\nhomes,4,low,0.98",
+        "power_factor,shed_steps\nhospital,2,critical,0.95,\nshop,3,high,0.9,0\n"
+        "homes,4,low,0.98,2.5",
+        ["customers.csv, row 3, shed_steps = 0: must be at least 1. Give the number of equal parts "
+         "of the customer that may be switched off one by one; 1 is all or nothing.",
+         "customers.csv, row 4, shed_steps = 2.5: is not a whole number. Give the number of equal "
+         "parts of the customer that may be switched off one by one; 1 is all or nothing."]),
     "reserved identifier": (
         "customers.csv", "shop,", "time,",
         ["customers.csv, row 3, id = time: is reserved for the time column. "

@@ -12,12 +12,21 @@ import pytest
 from checker import check_dispatch
 from numpy.typing import NDArray
 from random_feeders import random_state, random_window
-from test_windows import CHECKER_TOLERANCE, DARK, OPEN, battery, two_buses, window
+from test_windows import (
+    CHECKER_TOLERANCE,
+    DARK,
+    OPEN,
+    battery,
+    replace_slack,
+    two_buses,
+    window,
+)
 
 from vppres.cold_load import ColdLoad
-from vppres.controllers.switching import solve_with_rules
+from vppres.controllers.base import Observation, OnePass
+from vppres.controllers.switching import plan_with_rules
 from vppres.errors import InfeasibleError, InputError
-from vppres.forecast import ForecastErrors
+from vppres.forecast import Forecast, ForecastErrors
 from vppres.io import find_scenario, read_scenario
 from vppres.model import switching_rules
 from vppres.model.data import Site
@@ -157,25 +166,42 @@ def test_minimum_times_count_in_steps_of_any_length() -> None:
 # Duties that cannot be met.
 
 
+def seen(day: Scenario, state: SwitchingState) -> Observation:
+    """All steps of a scenario, as a controller sees them."""
+    b = day.batteries
+    forecast = Forecast(day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw,
+                        day.temperature_c)
+    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge,
+                       switching=state)
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_duty_that_cannot_be_met_is_let_go_and_said(method: str) -> None:
-    day = island([[30.0, 10.0]], [0.1, 1.0], 15.0)
+@pytest.mark.parametrize(("energy_kwh", "served", "let_go"), [
+    (15.0, [False, True], True), (35.0, [True, False], False)])
+def test_duty_is_let_go_only_where_it_cannot_be_met(
+        method: str, energy_kwh: float, served: list[bool], let_go: bool) -> None:
+    # With 35 kWh the duty costs the critical customer: 30 go to the one that was just restored.
+    day = island([[30.0, 10.0]], [0.1, 1.0], energy_kwh)
     state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
-    data = replace(window(day), switching=state.window(1))
-    solver = WindowSolver(Site.of(day), method)
-    with pytest.raises(InfeasibleError):
-        solver.solve(data)
-    answer, relaxed = solve_with_rules(solver, data)
-    assert relaxed and answer.dispatch.served[0].tolist() == [False, True]
+    planner = OnePass(WindowSolver(Site.of(day), method))
+    answer, relaxed = plan_with_rules(planner, seen(day, state))
+    assert (relaxed, answer.dispatch.served[0].tolist()) == (let_go, served)
 
 
-def test_duty_that_can_be_met_is_not_let_go() -> None:
-    # The duty costs the critical customer: 30 of 35 kWh go to the one that was just restored.
-    day = island([[30.0, 10.0]], [0.1, 1.0], 35.0)
-    state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
-    data = replace(window(day), switching=state.window(1))
-    answer, relaxed = solve_with_rules(WindowSolver(Site.of(day)), data)
-    assert not relaxed and answer.dispatch.served[0].tolist() == [True, False]
+def test_infeasible_window_without_rules_stays_so() -> None:
+    day = two_buses([[10.0]], [1.0], [OPEN])
+    day = replace(day, network=replace_slack(day.network, 0.94))
+    observation = replace(seen(day, state_of(SwitchingRules(), [True], [NEVER])), switching=None)
+    with pytest.raises(InfeasibleError, match="no feasible dispatch"):
+        plan_with_rules(OnePass(WindowSolver(Site.of(day))), observation)
+
+
+def test_nobody_has_a_duty_in_the_dark() -> None:
+    state = state_of(SwitchingRules(min_served_h=3.0), [True], [1.0])
+    data = state.window(3)
+    assert data.served_min[:, 0].tolist() == [True, True, False]
+    dark = data.in_the_dark(np.array([True, False, False]))
+    assert (dark.served_min.any(), dark.served_max[:, 0].tolist()) == (False, [False, True, True])
 
 
 # Methods against each other and against the checker.

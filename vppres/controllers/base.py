@@ -52,7 +52,7 @@ class Observation:
         offset = delta_offset(site.network, self.operating_point, centre)
         return WindowData(f.load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw, self.soc,
                           self.eta_charge, self.eta_discharge,
-                          np.tile(offset, (W, 1)), rules)
+                          np.tile(offset, (W, 1)), switching=rules)
 
 
 @dataclass(frozen=True)

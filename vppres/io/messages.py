@@ -26,6 +26,8 @@ _MESSAGES = {
     "float_parsing": "is not a number",
     "finite_number": "is not a finite number",
     "int_type": "is not a whole number",
+    "int_parsing": "is not a whole number",
+    "bool_type": "is not true or false",
     "string_type": "is not text",
     "string_too_short": "is empty",
     "string_pattern_mismatch": "is not allowed",
@@ -40,6 +42,7 @@ _MESSAGES = {
 _CURES = {
     "datetime_type": "Write it with offset and without quotes, for example 2022-07-19T12:00:00Z.",
     "timezone_aware": "Write it with an offset, for example 2022-07-19T12:00:00Z.",
+    "bool_type": "Write true or false, without quotes.",
     "list_type": "Write [[outages]] with start and end for each outage.",
 }
 _FILE_CURE = "Give a file name in the scenario folder that ends in .csv or .parquet."
