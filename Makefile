@@ -49,8 +49,9 @@ reproduce: $(STAMP)  ## run all experiments of the paper and write results/repor
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks
 
-scenario: $(STAMP)  ## rebuild the packaged data of uk-heatwave-2022
+scenario: $(STAMP)  ## rebuild the packaged scenarios
 	$(BIN)/python -m data.uk_heatwave_2022.build
+	$(BIN)/python -m data.two_outages_cigre_mv.build
 
 lock: $(STAMP)  ## write requirements.lock anew, keeping pins that still fit (fetches uv)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv

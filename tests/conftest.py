@@ -15,6 +15,12 @@ from vppres.scenario import Scenario
 from vppres.timegrid import TimeGrid
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """How many random mutations of a scenario folder are read (tests/test_bad_input.py)."""
+    parser.addoption("--fuzz", type=int, default=1000, metavar="N",
+                     help="random mutations of a valid scenario folder (default: 1000)")
+
+
 def tiny_scenario() -> Scenario:
     """Bus 1 feeds 2, which feeds 3 and 4; steps 3 and 4 (13:00 to 15:00) are an outage."""
     return Scenario(

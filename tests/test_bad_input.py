@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import tiny_scenario
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vppres.errors import InputError
@@ -586,20 +586,51 @@ def valid_texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {file: (folder / file).read_text(encoding="utf-8") for file in FILES}
 
 
-@settings(max_examples=300, deadline=None, derandomize=True,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(edits=st.lists(st.tuples(st.sampled_from(FILES), st.floats(0, 1), st.integers(0, 12),
-                                SNIPPETS | st.text(max_size=6)), min_size=1, max_size=3))
+EDIT = st.tuples(st.sampled_from(FILES), st.floats(0, 1), st.integers(0, 12),
+                 SNIPPETS | st.text(max_size=6))
+# Whole rows: one is dropped, repeated, or put in another one's place.
+ROW_EDIT = st.tuples(st.sampled_from(FILES), st.floats(0, 1), st.floats(0, 1),
+                     st.sampled_from(["drop", "repeat", "exchange"]))
+
+
+def edited(text: str, place: float, cut: int, snippet: str) -> str:
+    """A text with some characters replaced."""
+    at = int(place * len(text))
+    return text[:at] + snippet + text[at + cut:]
+
+
+def rows_edited(text: str, place: float, other: float, kind: str) -> str:
+    """A text with a row dropped, repeated or exchanged with another."""
+    rows = text.splitlines(keepends=True)
+    if not rows:
+        return text
+    i, j = (min(int(p * len(rows)), len(rows) - 1) for p in (place, other))
+    if kind == "exchange":
+        rows[i], rows[j] = rows[j], rows[i]
+    else:
+        rows[i:i + 1] = [] if kind == "drop" else [rows[i]] * 2
+    return "".join(rows)
+
+
 def test_any_mutation_is_read_or_refused_with_reasons(
-        valid_texts: dict[str, str], tmp_path_factory: pytest.TempPathFactory,
-        edits: list[tuple[str, float, int, str]]) -> None:
-    folder = tmp_path_factory.mktemp("fuzz")
-    texts = dict(valid_texts)
-    for file, place, cut, snippet in edits:
-        at = int(place * len(texts[file]))
-        texts[file] = texts[file][:at] + snippet + texts[file][at + cut:]
-    for file, text in texts.items():
-        (folder / file).write_text(text, encoding="utf-8", errors="surrogateescape", newline="")
+        valid_texts: dict[str, str], tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    @settings(max_examples=pytestconfig.getoption("fuzz"), deadline=None, derandomize=True)
+    @given(edits=st.lists(EDIT | ROW_EDIT, min_size=1, max_size=3))
+    def read_mutated(edits: list[tuple[str, float, float | int, str]]) -> None:
+        texts = dict(valid_texts)
+        for file, place, extent, what in edits:
+            edit = edited if isinstance(extent, int) else rows_edited
+            texts[file] = edit(texts[file], place, extent, what)
+        for file, text in texts.items():
+            (tmp_path / file).write_text(text, encoding="utf-8", errors="surrogateescape",
+                                         newline="")
+        check_reading(tmp_path)
+
+    read_mutated()
+
+
+def check_reading(folder: Path) -> None:
+    """A folder is read, or refused with places and cures; anything else is an error."""
     try:
         scenario = read_scenario(folder)
     except InputError as error:

@@ -224,7 +224,48 @@ def test_debug_shows_the_traceback_and_keeps_the_status(tiny_folder: Path) -> No
     assert "InputError" in result.stderr
 
 
+def test_errors_stand_in_a_panel_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    result = call("run", "[bold]nowhere")
+    assert result.exit_code == 2
+    text = re.sub(r"\x1b\[[0-9;]*m", "", result.stderr)
+    assert text.startswith("╭─ Error ─")
+    # What the user wrote is shown as it is, not taken as markup.
+    assert "[bold]nowhere" in text
+    assert "Traceback" not in text
+
+
 COMMANDS = typer.main.get_command(cli.app).commands
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_help_of_every_command_has_an_example(command: str) -> None:
+    result = call(command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: vppres {command}" in " ".join(result.stdout.split())
+
+
+def test_help_is_quick() -> None:
+    # Processor time: a busy machine must not fail it.
+    code = ("import time\nfrom vppres.cli import app\napp(['--help'], standalone_mode=False)\n"
+            "print(time.process_time())")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout.splitlines()[-1]) < 0.5
+
+
+def test_validate_of_the_packaged_scenario_is_quick() -> None:
+    code = ("import time\nfrom vppres.cli import app\n"
+            "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
+            "print(time.process_time())")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout.splitlines()[-1]) < 2.0
+
+
+def test_schema_is_printed() -> None:
+    result = call("schema")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert json.loads(result.stdout)["required"] == ["name", "time", "network", "tiers"]
 
 
 def option_names(command: str) -> list[str]:

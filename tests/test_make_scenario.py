@@ -203,6 +203,8 @@ def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path
     notes = write_new_scenario(tagged, options, tmp_path / "mine")
     day = read_scenario(tmp_path / "mine")
     assert scenario_digest(day) == scenario_digest(new_scenario(tagged, options))
+    assert (tmp_path / "mine" / "scenario.toml").read_text(encoding="utf-8").startswith(
+        "#:schema ./scenario.schema.json\n")
     text = (tmp_path / "mine" / "notes.md").read_text(encoding="utf-8")
     assert all(f"- {note}\n" in text for note in notes)
     trajectory = run_day(day, RunOptions(horizon_h=4.0))

@@ -50,6 +50,7 @@ from vppres.cli_options import (
 from vppres.cli_tables import (
     comparison_table,
     content_of,
+    error_panel,
     figures_table,
     problem_record,
     sweep_table,
@@ -331,7 +332,16 @@ def new(
         typer.echo(f"Written to {folder}")
 
 
-@app.command()
+@app.command(epilog="Example: vppres schema > my-feeder/scenario.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of scenario.toml, for editors that complete it."""
+    with _plain_errors(debug=False):
+        from vppres.io.editor import schema_text
+
+        typer.echo(schema_text(), nl=False)
+
+
+@app.command(epilog="Example: vppres scenarios --json")
 def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with the package."""
     with _plain_errors(debug=False):
@@ -361,7 +371,11 @@ def _plain_errors(debug: bool) -> Iterator[None]:
 
 def _fail(message: str, status: int, debug: bool) -> NoReturn:
     """End the command; with ``debug`` the traceback takes the place of the bare message."""
-    typer.echo(traceback.format_exc() if debug else message, err=True)
+    console = Console(stderr=True)
+    if console.is_terminal and not debug:
+        console.print(error_panel(message))
+    else:
+        typer.echo(traceback.format_exc() if debug else message, err=True)
     raise typer.Exit(status)
 
 

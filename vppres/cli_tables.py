@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from rich.panel import Panel
 from rich.table import Table
+from rich.text import Text
 
 from vppres.errors import Problem
 
@@ -44,6 +46,11 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
     return {"file": problem.where, "row": problem.row, "field": problem.field,
             "value": None if problem.value is None else str(problem.value),
             "message": problem.message, "cure": problem.cure}
+
+
+def error_panel(message: str) -> Panel:
+    """An error for a terminal, in the style of those of wrong usage."""
+    return Panel(Text(message), title="Error", title_align="left", border_style="red")
 
 
 def figures_table(summary: dict[str, Any], title: str) -> Table:

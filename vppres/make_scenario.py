@@ -19,6 +19,7 @@ from vppres import schema
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import InputError, Problem
 from vppres.io import atomic_write_text, write_scenario
+from vppres.io.editor import add_editor_schema
 from vppres.network import Network
 from vppres.networks.feeder import ImportedFeeder
 from vppres.new_options import NewScenarioOptions, PriceRule, check_options, outages_of
@@ -96,6 +97,8 @@ def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
                        folder: str | Path) -> list[str]:
     """Write a new scenario's folder, with ``notes.md`` on what was simplified and chosen.
 
+    ``scenario.schema.json`` lets an editor complete and check ``scenario.toml``.
+
     Returns
     -------
     list of str
@@ -109,6 +112,7 @@ def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
     scenario = new_scenario(feeder, options)
     notes = assumptions(feeder, scenario, options)
     write_scenario(scenario, folder)
+    add_editor_schema(Path(folder))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     atomic_write_text(Path(folder) / NOTES_FILE, text)
     return notes

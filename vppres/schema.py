@@ -176,7 +176,8 @@ class NetworkSection(Section):
     # Buses may be numbers or names: both are compared as text until lines.csv has been read.
     slack_bus: str = Field(
         min_length=1, strict=False, coerce_numbers_to_str=True,
-        description="bus of the grid connection")
+        description="bus of the grid connection",
+        json_schema_extra={"type": ["string", "integer"]})
     v_slack_pu: float = Field(
         default=Network.v_slack_pu, gt=0, le=2, description="voltage of the slack bus",
         json_schema_extra=PU)
@@ -337,7 +338,7 @@ def unit(field: FieldInfo) -> str:
     'kW'
     """
     extra = field.json_schema_extra
-    return str(extra["unit"]) if isinstance(extra, dict) else ""
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
 def limits(field: FieldInfo) -> tuple[float, float]:
