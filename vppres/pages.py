@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,14 @@ from vppres.plots import SVG_HASH_SALT
 
 def page(template: str, content: Mapping[str, Any]) -> str:
     """A template of the package, filled; a name that the content lacks is an error."""
-    environment = Environment(loader=PackageLoader("vppres"), autoescape=True, trim_blocks=True,
-                              lstrip_blocks=True, undefined=StrictUndefined)
-    return environment.get_template(template).render(content)
+    return _environment().get_template(template).render(content)
+
+
+@cache
+def _environment() -> Environment:
+    """The templates of the package; each is compiled once."""
+    return Environment(loader=PackageLoader("vppres"), autoescape=True, trim_blocks=True,
+                       lstrip_blocks=True, undefined=StrictUndefined)
 
 
 def embedded(figure: Figure) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from vppres.io.atomic import atomic_folder
 from vppres.io.scenario_folder import write_scenario
 from vppres.metrics import summarise
@@ -21,7 +23,7 @@ REPORT_FILE = "report.html"
 TEMPLATE = "run_report.html.j2"
 
 
-def write_run(trajectory: Trajectory, folder: Path) -> dict[str, Any]:
+def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True) -> dict[str, Any]:
     """Write a run folder, whole or not at all.
 
     Parameters
@@ -30,6 +32,8 @@ def write_run(trajectory: Trajectory, folder: Path) -> dict[str, Any]:
         A finished run.
     folder : Path
         The folder to make; an older run in its place is replaced.
+    interactive : bool
+        Whether the report also has the charts that scripts draw, some 5 MB.
 
     Returns
     -------
@@ -46,7 +50,8 @@ def write_run(trajectory: Trajectory, folder: Path) -> dict[str, Any]:
         write_tables(trajectory, aside)
         write_scenario(trajectory.scenario, aside / "scenario")
         save_figures(trajectory, aside / "figures")
-        _write(aside / REPORT_FILE, render_report(trajectory, summary, aside / "figures"))
+        report = render_report(trajectory, summary, aside / "figures", interactive)
+        _write(aside / REPORT_FILE, report)
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 
@@ -70,20 +75,15 @@ def render_report(trajectory: Trajectory, summary: Mapping[str, Any], figures: P
     made = [make(run) for make in SECTIONS]
     return page(TEMPLATE, {
         "title": trajectory.scenario.title, "summary": summary,
-        "options": _option_words(summary["options"]),
-        "sections": [section for section in made if section is not None]})
+        "sections": [section for section in made if section is not None],
+        "plotly": Markup(_plotly()) if interactive else ""})
 
 
-def _option_words(options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Options in words with their values, those of nested groups one by one."""
-    words = []
-    for name, value in options.items():
-        if isinstance(value, Mapping):
-            words += _option_words(value)
-        else:
-            words.append((name.replace("_", " "), f"{value:g}" if isinstance(value, float)
-                          else str(value)))
-    return words
+def _plotly() -> str:
+    """The library that draws the charts; a static report does without it."""
+    from vppres.charts import plotly_script
+
+    return plotly_script()
 
 
 def _write(file: Path, text: str) -> None:

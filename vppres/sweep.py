@@ -110,7 +110,8 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
 def run_case(position: int, case: Case, folder: Path) -> tuple[int, Outcome]:
     """Run one case and write its run folder below ``folder``."""
     try:
-        summary = write_run(run_day(case.scenario, case.options), folder / case.folder)
+        summary = write_run(run_day(case.scenario, case.options), folder / case.folder,
+                            interactive=False)  # many reports: leave out 5 MB of scripts each
     except (SolveError, VerificationError) as error:
         return position, Outcome(case.value, case.folder, None, str(error))
     return position, Outcome(case.value, case.folder, summary, None)

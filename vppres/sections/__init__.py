@@ -7,13 +7,17 @@ a function in a module of its own with a template in ``templates/sections``, and
 
 from __future__ import annotations
 
+from vppres.sections.assumptions import assumptions_section
 from vppres.sections.base import SectionMaker
-from vppres.sections.figures import figures_section
+from vppres.sections.energy import energy_section
+from vppres.sections.feeder import feeder_section
+from vppres.sections.network import network_section
 from vppres.sections.overview import overview_section
-from vppres.sections.provenance import provenance_section
 from vppres.sections.service import service_section
 from vppres.sections.solver import solver_section
+from vppres.sections.timeline import timeline_section
 
 SECTIONS: tuple[SectionMaker, ...] = (
-    overview_section, service_section, figures_section, solver_section, provenance_section)
+    overview_section, timeline_section, service_section, feeder_section, energy_section,
+    network_section, solver_section, assumptions_section)
 """Makers of the sections."""

@@ -9,7 +9,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from vppres.pages import page
+from vppres.pages import embedded_svg, page
+from vppres.plots import FIGURE_TEXTS
 from vppres.trajectory import Trajectory
 
 
@@ -33,6 +34,18 @@ class Run:
     summary: Mapping[str, Any]
     figures: Path
     interactive: bool
+
+    def figure(self, name: str) -> tuple[str, str]:
+        """What a figure shows, and the figure as a data URI."""
+        return FIGURE_TEXTS[name], embedded_svg(self.figures / f"{name}.svg")
+
+    def chart(self, name: str) -> tuple[str, Markup] | None:
+        """Name and JSON of a chart of :mod:`vppres.charts`; None in a static report."""
+        if not self.interactive:
+            return None
+        from vppres.charts import chart_json  # a static report does without plotly
+
+        return name, Markup(chart_json(self.trajectory, name))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ def service_section(run: Run) -> Section:
     return section("service", "Who was served when", {
         "summary": run.summary, "tiers": run.trajectory.scenario.tiers,
         "unserved": unserved[unserved["unserved_h"] > 0].to_dict("records"),
-        "n_customers": len(unserved), "service": _service_rows(run.trajectory), "number": number})
+        "n_customers": len(unserved), "service": _service_rows(run.trajectory), "number": number,
+        "chart": run.chart("service"), "figures": [run.figure("service_by_tier")]})
 
 
 def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:

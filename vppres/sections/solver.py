@@ -11,8 +11,9 @@ from vppres.trajectory import Trajectory
 
 def solver_section(run: Run) -> Section:
     """Times of the decisions and the table of the steps."""
-    return section("solver", "Solver", {"summary": run.summary, "steps": _rows(run.trajectory),
-                                        "number": number})
+    return section("solver", "How each decision was found", {
+        "summary": run.summary, "steps": _rows(run.trajectory), "number": number,
+        "figure": run.figure("solve_times")})
 
 
 def _rows(trajectory: Trajectory) -> list[dict[str, Any]]:

@@ -1,0 +1,49 @@
+"""Figures of one run, or of several runs of the same day side by side.
+
+Quantities that hold over a step are drawn as steps, states at an instant as points joined by
+lines. Runs differ in colour, line style and marker, so that the figures survive a grey print and
+colour-blind eyes.
+"""
+
+from __future__ import annotations
+
+from vppres.plots.base import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RUN_STYLES,
+    SERVED,
+    SKY,
+    SVG_HASH_SALT,
+    TIER_STYLES,
+    UNSERVED,
+    VERMILLION,
+    Runs,
+    save_figure,
+)
+from vppres.plots.energy import energy_and_price, import_load_pv, voltages
+from vppres.plots.feeder import feeder_maps, line_loadings, solve_times
+from vppres.plots.files import FIGURE_TEXTS, FIGURES, RUN_FIGURES, save_figures
+from vppres.plots.series import (
+    battery_power_kw,
+    demand_kw,
+    edges_of,
+    outage_spans,
+    pv_available_kw,
+    served_kw,
+    stored_energy_kwh,
+)
+from vppres.plots.service import MAX_NAMED_CUSTOMERS, service_by_tier
+from vppres.plots.timeline import timeline
+
+__all__ = [
+    "BLACK", "BLUE", "FIGURES", "FIGURE_TEXTS", "GREEN", "GREY", "MAX_NAMED_CUSTOMERS", "ORANGE",
+    "PURPLE", "RUN_FIGURES", "RUN_STYLES", "SERVED", "SKY", "SVG_HASH_SALT", "TIER_STYLES",
+    "UNSERVED", "VERMILLION", "Runs", "battery_power_kw", "demand_kw", "edges_of",
+    "energy_and_price", "feeder_maps", "import_load_pv", "line_loadings", "outage_spans",
+    "pv_available_kw", "save_figure", "save_figures", "served_kw", "service_by_tier",
+    "solve_times", "stored_energy_kwh", "timeline", "voltages",
+]
