@@ -53,7 +53,9 @@ def phases(outage: NDArray[np.bool_], returning: NDArray[np.bool_], n_seen: int)
 def returning_steps(customers: pd.DataFrame, batteries: pd.DataFrame,
                     n_steps: int) -> NDArray[np.bool_]:
     """Steps in which somebody is not served or served again, or the fleet charges, shape (T,)."""
-    everyone = customers["served"].to_numpy(bool).reshape(n_steps, -1).all(axis=1)
+    served = customers["served"].to_numpy(bool)
+    everyone = np.asarray(served.reshape(n_steps, -1).all(axis=1))
     before = np.concatenate([[True], everyone[:-1]])
     net = (batteries["charge_kw"] - batteries["discharge_kw"]).to_numpy(float)
-    return ~everyone | ~before | (net.reshape(n_steps, -1).sum(axis=1) > CHARGING_KW)
+    filling = net.reshape(n_steps, -1).sum(axis=1) > CHARGING_KW
+    return np.asarray(~everyone | ~before | filling)

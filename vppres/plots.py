@@ -81,20 +81,20 @@ def energy_and_price(runs: Runs) -> Figure:
     """Stored energy, net charging power of all batteries, and the import price."""
     named = _named(runs)
     first = next(iter(named.values()))
-    figure, (energy, power, price) = _panels(named, heights=(3, 2, 1.3), height_in=7.2)
+    figure, (energy, power, price) = panels(named, heights=(3, 2, 1.3), height_in=7.2)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
         energy.plot(_edges(run), stored_energy_kwh(run), **style.line(label))
         if run.planned is not None:
             energy.plot(_edges(run), run.planned["energy_kwh"], **style.thin(f"{label}: planned"))
         net_kw = _per_step(run, run.batteries["charge_kw"] - run.batteries["discharge_kw"],
                            run.batteries)
-        _steps(power, run, net_kw, style.line())
+        step_line(power, run, net_kw, style.line())
     capacity = first.scenario.batteries
     _limit(energy, float(capacity.energy_kwh @ capacity.soc_max), "upper SoC limit")
     _limit(energy, float(capacity.energy_kwh @ capacity.soc_min), "lower SoC limit")
     energy.set_ylim(bottom=0.0)
     power.axhline(0.0, color=GREY, linewidth=0.8)
-    _steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
+    step_line(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
     price.set_ylim(bottom=0.0)
     energy.set_ylabel("Stored energy (kWh)")
     power.set_ylabel("Net charging\npower (kW)")
@@ -107,14 +107,14 @@ def import_load_pv(runs: Runs) -> Figure:
     """Grid import, and demand, served demand and available PV power of the feeder."""
     named = _named(runs)
     first = next(iter(named.values()))
-    figure, (imports, load) = _panels(named, heights=(1, 1), height_in=6.4)
+    figure, (imports, load) = panels(named, heights=(1, 1), height_in=6.4)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
-        _steps(imports, run, run.steps["p_grid_kw"].to_numpy(), style.line())
-        _steps(load, run, served_kw(run), style.line(f"{label}: import, and demand served"))
+        step_line(imports, run, run.steps["p_grid_kw"].to_numpy(), style.line())
+        step_line(load, run, served_kw(run), style.line(f"{label}: import, and demand served"))
     demand = _per_step(first, first.customers["p_load_kw"], first.customers)
     available = _per_step(first, first.pv["available_kw"], first.pv)
-    _steps(load, first, demand, {"color": BLACK, "linewidth": 1.0, "label": "demand"})
-    _steps(load, first, available, {"color": ORANGE, "linestyle": (0, (3, 1, 1, 1)),
+    step_line(load, first, demand, {"color": BLACK, "linewidth": 1.0, "label": "demand"})
+    step_line(load, first, available, {"color": ORANGE, "linestyle": (0, (3, 1, 1, 1)),
                                     "label": "PV available"})
     if len(named) == 1:
         _fill_unserved(load, first, served_kw(first), demand)
@@ -129,13 +129,13 @@ def voltages(runs: Runs) -> Figure:
     """Lowest voltage of any bus (AC and optimisation), and the largest difference of the two."""
     named = _named(runs)
     network = next(iter(named.values())).scenario.network
-    figure, (lowest, error) = _panels(named, heights=(3, 1.4), height_in=6.4)
+    figure, (lowest, error) = panels(named, heights=(3, 1.4), height_in=6.4)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
         model = run.buses.groupby("time")["v_model_pu"].min().to_numpy()
-        _steps(lowest, run, run.steps["v_min_ac_pu"].to_numpy(),
+        step_line(lowest, run, run.steps["v_min_ac_pu"].to_numpy(),
                style.line(f"{label}: AC power flow"))
-        _steps(lowest, run, model, style.thin(f"{label}: optimisation"))
-        _steps(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), style.line())
+        step_line(lowest, run, model, style.thin(f"{label}: optimisation"))
+        step_line(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), style.line())
     _limit(lowest, network.v_min_pu, f"{network.v_min_pu:g} optimisation limit")
     _limit(lowest, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", linestyle="-")
     lowest.margins(y=0.1)
@@ -276,7 +276,7 @@ def _draw_shares(ax: Axes, run: Trajectory) -> None:
     """Share of each tier's customers that are served, in per cent."""
     shares = share_by_tier(run)
     for (tier, share), style in zip(shares.items(), itertools.cycle(TIER_STYLES), strict=False):
-        _steps(ax, run, 100.0 * share.to_numpy(), style.line(str(tier)))
+        step_line(ax, run, 100.0 * share.to_numpy(), style.line(str(tier)))
     ax.set_ylim(-4.0, 104.0)
     ax.set_yticks([0, 50, 100])
     ax.set_ylabel("Customers\nserved (%)")
@@ -297,7 +297,7 @@ def _named(runs: Runs) -> dict[str, Trajectory]:
     return {"full horizon" if horizon is None else f"MPC, H = {horizon:g} h": runs}
 
 
-def _panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
+def panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
             height_in: float) -> tuple[Figure, list[Axes]]:
     """Panels above each other over one time axis, with the outage shaded."""
     run = next(iter(runs.values()))
@@ -331,7 +331,7 @@ def _closed(values: Floats) -> Floats:
     return np.append(values, values[-1])
 
 
-def _steps(ax: Axes, run: Trajectory, values: Floats, line: Mapping[str, Any]) -> None:
+def step_line(ax: Axes, run: Trajectory, values: Floats, line: Mapping[str, Any]) -> None:
     """A quantity that holds over each step."""
     ax.plot(_edges(run), _closed(values), drawstyle="steps-post", **line)
 

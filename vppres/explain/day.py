@@ -1,4 +1,4 @@
-"""A finished day, explained: a reason for every action, and what one more unit would have bought."""
+"""A finished day, explained: a reason for every action, and the worth of one more unit."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ from vppres.trajectory import Trajectory
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
 SHADOW_PRICES = ("time", "constraint", "item", "unit", "weighted_h", "gbp")
+
+NEAR = 0.01
+"""Share by which power must be worth more at a bus than at the slack bus to be named there."""
 
 Row = dict[str, Any]
 
@@ -62,12 +65,12 @@ def _actions(step: Step) -> list[Row]:
     site, t = step.site, step.t
     rows = [_row("step", "", step.phase, why_step(step))]
     rows += [_row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
-             for c in np.flatnonzero(~step.served)]
+             for c in np.flatnonzero(~step.served).tolist()]
     rows += [_row("battery", site.batteries.id[b],
                   "charge" if step.battery_kw[b] > 0 else "discharge", why_battery_moved(step, b))
-             for b in np.flatnonzero(np.abs(step.battery_kw) > MOVE_KW)]
+             for b in np.flatnonzero(np.abs(step.battery_kw) > MOVE_KW).tolist()]
     rows += [_row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
-             for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW)]
+             for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()]
     return rows
 
 
@@ -105,7 +108,8 @@ def _level(prices: ShadowPrices | None, name: str, count: int) -> Floats:
     """Values of a family at one level, NaN where the level was not solved."""
     if prices is None:
         return np.full(count, np.nan)
-    return np.atleast_1d(np.asarray(getattr(prices, name), float))
+    values = np.atleast_1d(np.asarray(getattr(prices, name), float))
+    return np.where(np.abs(values) > WORTH, values, 0.0)
 
 
 def _shown(name: str, service: Floats, cost: Floats) -> list[int]:
@@ -114,6 +118,9 @@ def _shown(name: str, service: Floats, cost: Floats) -> list[int]:
     if name == "stored_energy":
         return list(range(len(service)))
     if name in ("active", "reactive"):
-        best = int(np.argmax(np.nan_to_num(cost if np.isnan(service).all() else service)))
+        values = service if np.nan_to_num(service).any() else cost
+        best = int(np.argmax(values))
+        # Where the network does not matter the slack bus stands for all.
+        best = best if values[best] - values[0] > NEAR * abs(values[best]) else 0
         return [best] if worth[best] else []
     return np.flatnonzero(worth).tolist()

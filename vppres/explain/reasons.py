@@ -9,12 +9,14 @@ import numpy as np
 
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.step import Binding, Driver, Reason, Step
-from vppres.explain.words import SCARCE, figure, one_more, stored_worth_gbp
+from vppres.explain.step import Binding, Reason, Scarce, Step
+from vppres.explain.words import SCARCE, figure, money, one_more, stored_worth_gbp
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the import price before a voltage
 limit, not the price, is what drove a battery there."""
+
+UNEXPLAINED = Reason("unexplained", "", "Not served: neither shadow prices nor the record say why.")
 
 
 def why_not_served(step: Step, customer: int) -> Reason:
@@ -41,7 +43,7 @@ def why_not_served(step: Step, customer: int) -> Reason:
         one_more(step, binding)))
 
 
-def _outranked(step: Step, customer: int, binding: Binding, gain: float) -> Reason:
+def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
     """A customer whose supply is worth more to others, in this step or kept for later ones."""
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
     compare = (f"its supply is worth {figure(weight - gain)} weighted customer hours to others, "
@@ -73,21 +75,21 @@ def _nothing_scarce(step: Step) -> Reason:
     if step.recorded.note(step.t, "status") == "planned":
         return Reason("plan", "", "Not served: the plan of the day, made with the forecast of its "
                       "beginning, leaves it out, and no check of the plan failed.")
-    return _from_the_record(step)
+    return _from_the_record(step) if step.outage else UNEXPLAINED
 
 
 def _from_the_record(step: Step) -> Reason:
     """Without shadow prices: what the record itself shows to be at its limit."""
     limits = step.limits
-    found: tuple[tuple[bool, Binding], ...] = (
+    found: tuple[tuple[bool, Scarce], ...] = (
         (len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
         (bool(limits.at_power.any()), "power"), (bool(limits.at_inverter.any()), "inverter"),
         (bool(limits.low_voltage.any()), "voltage"))
     for reached, binding in found:
         if reached:
             return Reason(binding, binding, f"Not served: {SCARCE[binding]} was used up, as the "
-                          "record shows; there are no shadow prices for this step.")
-    return Reason("unexplained", "", "Not served: neither shadow prices nor the record say why.")
+                          "record shows; the shadow prices of this step do not tell.")
+    return UNEXPLAINED
 
 
 def why_battery_moved(step: Step, battery: int) -> Reason:
@@ -102,7 +104,8 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
         return Reason("mismatch", "", f"{verb}: it takes up losses and forecast errors of the "
                       f"island, {figure(abs(mismatch))} kW, as a battery that holds the voltage.")
     if step.outage:
-        return _charge_in_island(step, battery) if power > 0 else _discharge_in_island(step, battery)
+        in_island = _charge_in_island if power > 0 else _discharge_in_island
+        return in_island(step, battery)
     return _move_with_grid(step, battery, verb)
 
 
@@ -136,8 +139,8 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
         return Reason("surplus", limit, "Charges: PV gives more than the demand, and nothing can "
                       "be exported.")
     worth = stored_worth_gbp(step, battery)
-    saves = "" if worth is None else f"; a kWh in store is worth {figure(worth)} GBP later"
-    at_price = f"at {figure(step.price_gbp_per_kwh)} GBP/kWh"
+    saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
+    at_price = f"at {money(step.price_gbp_per_kwh)} GBP/kWh"
     if charges and step.phase == "preparation":
         return Reason("preparation", limit, f"Charges for the outage {at_price}{saves}.")
     return Reason("price", limit, f"{verb} {at_price}{saves}.")
@@ -190,8 +193,8 @@ def _overruled(step: Step, what: str) -> Reason | None:
     if step.dark:
         return Reason("dark", "", f"{what}: the island is dark, nothing holds its voltage.")
     if step.fallback:
-        driver: Driver = "fallback"
-        return Reason(driver, "", f"{what}: the step was decided by a fallback ({step.fallback}).")
+        return Reason("fallback", "",
+                      f"{what}: the step was decided by a fallback ({step.fallback}).")
     return None
 
 

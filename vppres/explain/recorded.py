@@ -49,7 +49,7 @@ class Recorded:
     @property
     def battery_kw(self) -> Floats:
         """Power of each battery, charging positive, shape (T, B)."""
-        return self.charge_kw - self.discharge_kw
+        return np.asarray(self.charge_kw - self.discharge_kw)
 
     @property
     def n_seen(self) -> int:
@@ -84,7 +84,7 @@ class Recorded:
         """A column of numbers of the batteries' table, shape (B,), zeros where there is none."""
         if column not in self.trajectory.batteries.columns:
             return np.zeros(len(self.site.batteries))
-        return np.nan_to_num(self._array(self.trajectory.batteries, column)[t])
+        return np.asarray(np.nan_to_num(self._array(self.trajectory.batteries, column)[t]))
 
     def seen(self, t: int) -> WindowData:
         """The window that the controller saw at step ``t``, from the recorded state.

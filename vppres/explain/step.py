@@ -15,10 +15,10 @@ from vppres.model.data import Floats
 from vppres.phases import Phase
 from vppres.solve.recovery import ShadowPrices
 
-Driver = Literal["energy", "power", "voltage", "inverter", "grid", "priority", "switching_rule",
-                 "price", "preparation", "surplus", "supply", "mismatch", "plan", "fallback", "dark",
-                 "unexplained"]
-Binding = Literal["energy", "power", "voltage", "inverter", "grid", ""]
+Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
+Driver = Scarce | Literal["priority", "switching_rule", "price", "preparation", "surplus", "supply",
+                          "mismatch", "plan", "fallback", "dark", "unexplained"]
+Binding = Scarce | Literal[""]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Step:
         return self.recorded.flag(self.t, "dark")
 
     @cached_property
-    def supply_cost(self) -> Mapping[Binding, Floats]:
+    def supply_cost(self) -> Mapping[Scarce, Floats]:
         """What it would take from others to serve each customer in full, by what is scarce, (C,).
 
         In weighted customer hours. The active power at the slack bus is priced by what limits the
@@ -128,9 +128,9 @@ class Step:
             return {"energy": 0.0, "power": 0.0, "inverter": 0.0, "grid": 1.0}
         b = self.site.batteries
         reach = np.abs(self.battery_kw) / b.s_max_kva
-        worth = {"energy": np.maximum(p.kept_energy, 0.0) / b.eta_discharge * self.site.dt_h,
+        worth = {"energy": p.kept_energy / b.eta_discharge * self.site.dt_h,
                  "power": p.battery_discharging, "inverter": p.battery_inverter * reach}
-        parts = {name: float(np.maximum(values, 0.0) @ b.p_max_kw) for name, values in worth.items()}
+        parts = {name: float(np.maximum(v, 0.0) @ b.p_max_kw) for name, v in worth.items()}
         total = sum(parts.values())
         if total <= WORTH:  # no battery can give more at any price
             return {"energy": 0.0, "power": 1.0, "inverter": 0.0, "grid": 0.0}

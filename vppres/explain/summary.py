@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
-from vppres.explain.words import SCARCE, figure, one_more
+from vppres.explain.words import SCARCE, figure, money, one_more
 
 
 def why_step(step: Step) -> Reason:
@@ -42,8 +43,13 @@ def _worth(step: Step) -> str:
     """What a kWh in store saves, where that is known."""
     if step.cost is None or not len(step.cost.kept_energy):
         return ""
-    return (f"A kWh in store is worth {figure(float(step.cost.kept_energy.max()))} GBP, "
-            f"imported it costs {figure(step.price_gbp_per_kwh)} GBP.")
+    worth = (f"A kWh in store is worth {money(float(step.cost.kept_energy.max()))} GBP, "
+             f"imported it costs {money(step.price_gbp_per_kwh)} GBP.")
+    room = 0.0 if step.service is None else float(step.service.energy_ceiling.max(initial=0.0))
+    if room <= WORTH:
+        return worth
+    return (f"{worth} One more kWh of battery capacity would serve {figure(room)} weighted "
+            "customer hours more in the outage.")
 
 
 def _capital(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vppres.assets import Names
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.model.data import Floats
@@ -25,6 +26,15 @@ def figure(value: float) -> str:
     digits = 2 if abs(value) < 100 else 3
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.10f}".rstrip("0").rstrip(".")
+
+
+def money(value: float) -> str:
+    """An amount per kWh, to a tenth of a penny.
+
+    >>> money(0.4032)
+    '0.403'
+    """
+    return f"{value:.3f}"
 
 
 def one_more(step: Step, binding: Binding) -> str:
@@ -61,7 +71,7 @@ def _most(values: Floats) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
-def _name(names: Floats, values: Floats) -> str:
+def _name(names: Names, values: Floats) -> str:
     return str(names[int(np.argmax(values))]) if len(values) else ""
 
 

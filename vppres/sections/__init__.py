@@ -8,6 +8,7 @@ a function in a module of its own with a template in ``templates/sections``, and
 from __future__ import annotations
 
 from vppres.sections.base import SectionMaker
+from vppres.sections.explain import explain_section
 from vppres.sections.figures import figures_section
 from vppres.sections.overview import overview_section
 from vppres.sections.provenance import provenance_section
@@ -15,5 +16,6 @@ from vppres.sections.service import service_section
 from vppres.sections.solver import solver_section
 
 SECTIONS: tuple[SectionMaker, ...] = (
-    overview_section, service_section, figures_section, solver_section, provenance_section)
+    overview_section, explain_section, service_section, figures_section, solver_section,
+    provenance_section)
 """Makers of the sections."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cvxpy as cp
 import numpy as np
 
-from vppres.model.data import Floats, Site, WindowData
+from vppres.model.data import Floats, WindowData
 from vppres.model.recovery import Goal, Held, RecoveryModel
 from vppres.solve.result import Status
 from vppres.solve.solvers import run_conic
@@ -119,9 +120,9 @@ def solve_recovery(model: RecoveryModel, data: WindowData, held: Held, goal: Goa
         prices=_prices(model), solver_s=outcome.solve_s)
 
 
-def _value(expression: object) -> Floats:
+def _value(expression: cp.Expression) -> Floats:
     """Value of an expression in its own shape, which cvxpy drops where it is empty."""
-    return np.reshape(np.asarray(expression.value, float), expression.shape)  # type: ignore[attr-defined]
+    return np.reshape(np.asarray(expression.value, dtype=float), expression.shape)
 
 
 def _prices(model: RecoveryModel) -> ShadowPrices:
@@ -165,7 +166,7 @@ class _Duals:
     def rows(self, name: str) -> Floats:
         """Dual of a constraint in the constraint's shape."""
         constraint = self.model.constraints[name]
-        return np.reshape(np.asarray(constraint.dual_value, float), constraint.shape)
+        return np.reshape(np.asarray(constraint.dual_value, dtype=float), constraint.shape)
 
     def disc(self, name: str, count: int) -> Floats:
         """Value of one more kVA in the first step, from a cone or from a polygon's sides."""
@@ -175,5 +176,5 @@ class _Duals:
         if sides:
             per_side = self.rows(name).reshape(sides, W, count)
             return np.asarray(per_side[:, 0].sum(axis=0) * np.cos(np.pi / sides))
-        of_rating = np.asarray(self.model.constraints[name].dual_value[0], float)
+        of_rating = np.asarray(self.model.constraints[name].dual_value[0], dtype=float)
         return np.asarray(of_rating.reshape(count, W)[:, 0])
