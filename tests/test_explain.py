@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import tiny_scenario
+from run_factory import batteries, small_run
 
 import vppres
-from tests.conftest import tiny_scenario
-from tests.run_factory import batteries, small_run
 from vppres.assets import Customers, PVSystems
 from vppres.explain.day import explain_day, steps_of
 from vppres.explain.prices import day_prices, step_prices

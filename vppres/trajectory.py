@@ -170,7 +170,7 @@ class Trajectory:
         (T + 1,); and what else is worth keeping.
     explanations, shadow_prices : DataFrame, optional
         A reason for every action, and what one more unit of what was scarce would have bought;
-        :func:`vppres.explain_day` makes them.
+        :func:`vppres.explain.day.explain_day` makes them.
     """
 
     scenario: Scenario
@@ -246,7 +246,7 @@ class Recorder:
         steps = self._steps()
         n_seen = self._scenario.grid.steps_in_horizon(float(options["horizon_h"] or 0.0))
         returning = returning_steps(tables["customers"], tables["batteries"], len(steps))
-        steps.insert(2, "phase", phases(steps["outage"].to_numpy(bool), returning, n_seen))
+        steps["phase"] = phases(steps["outage"].to_numpy(bool), returning, n_seen)
         return Trajectory(scenario=self._scenario, steps=steps, **tables, options=dict(options),
                           planned=planned)
 

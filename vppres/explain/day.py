@@ -41,7 +41,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
     -------
     Trajectory
         The same run with the tables ``explanations`` and ``shadow_prices``, which
-        :func:`vppres.write_run` writes and ``docs/explanations.md`` defines.
+        :func:`vppres.report.write_run` writes and ``docs/explanations.md`` defines.
     """
     explanations: list[Row] = []
     prices: list[Row] = []

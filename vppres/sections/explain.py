@@ -30,7 +30,7 @@ ACTIONS = {"not_served": "customer not served", "charge": "battery charged",
 def explain_section(run: Run) -> Section | None:
     """The day in words, what bound in each step, reasons counted; None without an explanation.
 
-    :func:`vppres.explain_day` makes the tables that are shown here.
+    :func:`vppres.explain.day.explain_day` makes the tables that are shown here.
     """
     trajectory = run.trajectory
     explanations, prices = trajectory.explanations, trajectory.shadow_prices
