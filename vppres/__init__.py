@@ -24,6 +24,7 @@ _HOME_OF = {
     "SetPoints": "vppres.control",
     "Trajectory": "vppres.trajectory",
     "VppresError": "vppres.errors",
+    "explain_day": "vppres.explain.day",
     "find_scenario": "vppres.io.find",
     "import_network": "vppres.networks.sources",
     "load_scenario": "vppres.io.find",

@@ -121,12 +121,15 @@ def run(
     cold_load_factor: ColdLoadFactor = None,
     cold_load_h: ColdLoadH = None,
     move_weight: MoveWeight = None,
+    explain: Annotated[bool, typer.Option(
+        help="Find a reason for every action and the shadow prices after the day.")] = True,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Run a scenario's day and write a run folder."""
     with _plain_errors(debug):
+        from vppres.explain.day import explain_day
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
@@ -136,7 +139,8 @@ def run(
         options = run_options(day, context.params)
         folder = out or RESULTS / f"{day.name}-{options.controller}"
         check_target(folder)  # before the work, not after it
-        summary = write_run(_run_with_bar(day, options, quiet), folder)
+        done = _run_with_bar(day, options, quiet)
+        summary = write_run(explain_day(done) if explain else done, folder)
         if as_json:
             _print_json({"folder": str(folder), "summary": summary})
             return

@@ -56,6 +56,8 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "versions": versions(),
         "input_digest": scenario_digest(trajectory.scenario),
     }
+    if trajectory.explanations is not None:
+        summary |= reason_figures(trajectory.explanations)
     if trajectory.planned is not None:
         summary["resilience_planned"] = resilience_planned(trajectory)
     safe: dict[str, Any] = json_safe(summary)
@@ -191,6 +193,20 @@ def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
     return {"island_import_max_kw": max(0.0, float(island["p_grid_kw"].max())),
             "island_export_max_kw": max(0.0, float(-island["p_grid_kw"].min())),
             "island_reactive_max_kvar": float(island["q_grid_kvar"].abs().max())}
+
+
+def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:
+    """How many actions have a reason, and how often each drove one.
+
+    An action is a customer not served in a step, a battery that moved by more than 1 kW, or a PV
+    system curtailed by more than that. ``explained_share`` is None where there is none.
+    """
+    actions = explanations[explanations["item"] != "step"]
+    explained = actions["driver"] != "unexplained"
+    drivers = {action: rows["driver"].value_counts().sort_index().to_dict()
+               for action, rows in actions.groupby("action")}
+    return {"explained_share": float(explained.mean()) if len(actions) else None,
+            "drivers": drivers}
 
 
 def solve_times(trajectory: Trajectory) -> dict[str, float]:

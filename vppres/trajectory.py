@@ -20,11 +20,13 @@ from vppres.errors import InputError, Problem
 from vppres.io.scenario_folder import read_scenario
 from vppres.network import BusId
 from vppres.notebook import facts_html
+from vppres.phases import phases, returning_steps
 from vppres.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
+EXPLAINING_TABLES = ("explanations", "shadow_prices")
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 OPTIONS_FILE = "options.json"
 
@@ -166,6 +168,9 @@ class Trajectory:
         What a full-horizon plan promised: ``served``, nested lists of bool, shape (T, C);
         ``energy_kwh``, the stored energy at the beginning of each step and at the end, shape
         (T + 1,); and what else is worth keeping.
+    explanations, shadow_prices : DataFrame, optional
+        A reason for every action, and what one more unit of what was scarce would have bought;
+        :func:`vppres.explain.day.explain_day` makes them.
     """
 
     scenario: Scenario
@@ -177,11 +182,14 @@ class Trajectory:
     lines: pd.DataFrame
     options: Mapping[str, Any]
     planned: Mapping[str, Any] | None = None
+    explanations: pd.DataFrame | None = None
+    shadow_prices: pd.DataFrame | None = None
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The six tables by name."""
-        return {name: getattr(self, name) for name in TABLES}
+        """The six tables by name, and those of the explanation if there is one."""
+        found = {name: getattr(self, name) for name in (*TABLES, *EXPLAINING_TABLES)}
+        return {name: table for name, table in found.items() if table is not None}
 
     def _repr_html_(self) -> str:
         """The run in a few figures, for a notebook."""
@@ -191,7 +199,7 @@ class Trajectory:
             "steps": len(steps), "steps without grid": int(steps["outage"].sum()),
             "customers served": f"{self.customers['served'].mean():.1%} of all steps",
             "lowest AC voltage": f"{steps['v_min_ac_pu'].min():.4f} pu",
-            "tables": ", ".join(TABLES)})
+            "tables": ", ".join(self.tables)})
 
 
 class Recorder:
@@ -235,8 +243,12 @@ class Recorder:
                              else "no step was recorded")
         tables = {name: self._table(fixed, columns)
                   for name, (fixed, columns) in _layout(self._scenario).items()}
-        return Trajectory(scenario=self._scenario, steps=self._steps(), **tables,
-                          options=dict(options), planned=planned)
+        steps = self._steps()
+        n_seen = self._scenario.grid.steps_in_horizon(float(options["horizon_h"] or 0.0))
+        returning = returning_steps(tables["customers"], tables["batteries"], len(steps))
+        steps["phase"] = phases(steps["outage"].to_numpy(bool), returning, n_seen)
+        return Trajectory(scenario=self._scenario, steps=steps, **tables, options=dict(options),
+                          planned=planned)
 
     def _check_shapes(self, step: StepRecord) -> None:
         for table, (fixed, columns) in _layout(self._scenario).items():
@@ -293,7 +305,8 @@ def read_run(folder: Path) -> Trajectory:
     if problems:
         raise InputError(problems)
     record = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
-    tables = {name: pd.read_parquet(_table_file(folder, name)) for name in TABLES}
+    explained = [name for name in EXPLAINING_TABLES if _table_file(folder, name).is_file()]
+    tables = {name: pd.read_parquet(_table_file(folder, name)) for name in (*TABLES, *explained)}
     return Trajectory(scenario=read_scenario(folder / "scenario"), **tables,
                       options=record["options"], planned=record["planned"])
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from vppres.sections.assumptions import assumptions_section
 from vppres.sections.base import SectionMaker
 from vppres.sections.energy import energy_section
+from vppres.sections.explain import explain_section
 from vppres.sections.feeder import feeder_section
 from vppres.sections.network import network_section
 from vppres.sections.overview import overview_section
@@ -18,6 +19,6 @@ from vppres.sections.solver import solver_section
 from vppres.sections.timeline import timeline_section
 
 SECTIONS: tuple[SectionMaker, ...] = (
-    overview_section, timeline_section, service_section, feeder_section, energy_section,
-    network_section, solver_section, assumptions_section)
+    overview_section, timeline_section, explain_section, service_section, feeder_section,
+    energy_section, network_section, solver_section, assumptions_section)
 """Makers of the sections."""

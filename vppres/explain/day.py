@@ -1,0 +1,126 @@
+"""A finished day, explained: a reason for every action, and the worth of one more unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.explain.prices import WORTH, WORTH_GBP, day_prices
+from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served
+from vppres.explain.recorded import MOVE_KW, Recorded
+from vppres.explain.step import Reason, Step
+from vppres.explain.summary import why_step
+from vppres.model.data import Floats
+from vppres.solve.recovery import ShadowPrices
+from vppres.trajectory import Trajectory
+
+EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
+SHADOW_PRICES = ("time", "constraint", "item", "unit", "weighted_h", "gbp")
+
+NEAR = 0.01
+"""Share by which power must be worth more at a bus than at the slack bus to be named there."""
+
+Row = dict[str, Any]
+
+
+def explain_day(trajectory: Trajectory) -> Trajectory:
+    """The run with a reason for every action and the shadow prices of every step.
+
+    One recovery problem is solved for each step, two where cost matters after service; nothing of
+    the run changes. A day of 24 steps on 33 buses takes about a second.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A finished run.
+
+    Returns
+    -------
+    Trajectory
+        The same run with the tables ``explanations`` and ``shadow_prices``, which
+        :func:`vppres.report.write_run` writes and ``docs/explanations.md`` defines.
+    """
+    explanations: list[Row] = []
+    prices: list[Row] = []
+    for step in steps_of(trajectory):
+        time = trajectory.steps["time"].iloc[step.t]
+        explanations += [{"time": time, "phase": step.phase, **row} for row in _actions(step)]
+        prices += [{"time": time, **row} for row in _prices(step)]
+    return replace(trajectory, explanations=pd.DataFrame(explanations, columns=list(EXPLANATIONS)),
+                   shadow_prices=pd.DataFrame(prices, columns=list(SHADOW_PRICES)))
+
+
+def steps_of(trajectory: Trajectory) -> list[Step]:
+    """Every step of a run with its phase and its shadow prices."""
+    recorded = Recorded(trajectory)
+    return [Step(recorded, t, phase, prices) for t, (phase, prices) in enumerate(
+        zip(trajectory.steps["phase"], day_prices(recorded), strict=True))]
+
+
+def _actions(step: Step) -> list[Row]:
+    """One row for the step, each customer not served, each battery moved, each PV curtailed."""
+    site, t = step.site, step.t
+    rows = [_row("step", "", step.phase, why_step(step))]
+    rows += [_row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
+             for c in np.flatnonzero(~step.served).tolist()]
+    rows += [_row("battery", site.batteries.id[b],
+                  "charge" if step.battery_kw[b] > 0 else "discharge", why_battery_moved(step, b))
+             for b in np.flatnonzero(np.abs(step.battery_kw) > MOVE_KW).tolist()]
+    rows += [_row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
+             for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()]
+    return rows
+
+
+def _row(item: str, name: object, action: str, reason: Reason) -> Row:
+    return {"item": item, "id": str(name), "action": action, "driver": reason.driver,
+            "binding": reason.binding, "words": reason.words}
+
+
+def _prices(step: Step) -> list[Row]:
+    """Shadow prices of a step that are worth something; those of stored energy always."""
+    rows = []
+    for name, unit, items in _families(step):
+        values = _level(step.service, name, len(items)), _level(step.cost, name, len(items))
+        if not step.levels.solved:
+            continue
+        shown = _shown(name, *values)
+        rows += [{"constraint": name, "item": str(items[i]), "unit": unit,
+                  "weighted_h": values[0][i], "gbp": values[1][i]} for i in shown]
+    return rows
+
+
+def _families(step: Step) -> list[tuple[str, str, Floats]]:
+    """Name, unit and items of each family of shadow prices."""
+    site, buses = step.site, step.scenario.network.buses
+    b, pv = site.batteries.id, site.pv.id
+    return [("stored_energy", "kWh", b), ("energy_floor", "kWh", b), ("energy_ceiling", "kWh", b),
+            ("battery_charging", "kW", b), ("battery_discharging", "kW", b),
+            ("battery_inverter", "kVA", b), ("pv_inverter", "kVA", pv),
+            ("voltage_floor", "0.001 pu", buses), ("voltage_ceiling", "0.001 pu", buses),
+            ("grid", "kW", np.array(["grid"], dtype=object)),
+            ("active", "kW", buses), ("reactive", "kvar", buses)]
+
+
+def _level(prices: ShadowPrices | None, name: str, count: int) -> Floats:
+    """Values of a family at one level, NaN where the level was not solved."""
+    if prices is None:
+        return np.full(count, np.nan)
+    values = np.atleast_1d(np.asarray(getattr(prices, name), float))
+    return np.where(np.abs(values) > WORTH, values, 0.0)
+
+
+def _shown(name: str, service: Floats, cost: Floats) -> list[int]:
+    """Items worth a row; of the powers at buses only the best, which says what could be had."""
+    worth = (np.abs(np.nan_to_num(service)) > WORTH) | (np.abs(np.nan_to_num(cost)) > WORTH_GBP)
+    if name == "stored_energy":
+        return list(range(len(service)))
+    if name in ("active", "reactive"):
+        values = service if np.nan_to_num(service).any() else cost
+        best = int(np.argmax(values))
+        # Where the network does not matter the slack bus stands for all.
+        best = best if values[best] - values[0] > NEAR * abs(values[best]) else 0
+        return [best] if worth[best] else []
+    return np.flatnonzero(worth).tolist()

@@ -1,0 +1,109 @@
+"""Shadow prices of every step of a day, level by level as the objective ranks them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vppres.explain.recorded import Recorded
+from vppres.model.data import WindowData
+from vppres.model.recovery import Goal, Held, RecoveryModel
+from vppres.solve.recovery import Recovery, solve_recovery
+
+WORTH = 1e-6
+"""Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""
+
+WORTH_GBP = 1e-3
+"""The same in GBP."""
+
+CURTAILED_SLACK_KWH = 1e-3
+WHOLE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class StepPrices:
+    """The two levels of a step's recovery problem.
+
+    Parameters
+    ----------
+    window : WindowData
+        What the controller saw.
+    service : Recovery or None
+        Service and curtailment maximised as weighted; None if the level was not needed because
+        everyone could be served, or had no answer.
+    cost : Recovery or None
+        Cost minimised with the service of the first level; None where stored energy decides on
+        service, where there is no grid in the window, or without answer.
+    """
+
+    window: WindowData
+    service: Recovery | None
+    cost: Recovery | None
+
+    @property
+    def solved(self) -> bool:
+        """Whether there are shadow prices at all."""
+        return self.service is not None or self.cost is not None
+
+    @property
+    def solver_s(self) -> float:
+        """Time in the solver in s."""
+        return sum(level.solver_s for level in (self.service, self.cost) if level is not None)
+
+
+def day_prices(recorded: Recorded) -> list[StepPrices]:
+    """Shadow prices of every step of a run; one problem is compiled for all."""
+    model = RecoveryModel(recorded.site, recorded.n_seen)
+    return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
+
+
+def step_prices(recorded: Recorded, model: RecoveryModel, t: int) -> StepPrices:
+    """Shadow prices of one step."""
+    window = recorded.seen(t)
+    held = recorded.held(t, window.n_steps)
+    limited = bool(np.isfinite(window.grid_limit_kw).any())
+    if recorded.served[t].all() and not limited:
+        everyone = np.ones_like(held.service_min)
+        cost = solve_recovery(model, window, replace(held, service_min=everyone), _cost_goal(0.0))
+        if cost is not None:
+            return StepPrices(window, None, cost)
+    service = _service_level(recorded, model, window, held)
+    connected = bool((window.grid_limit_kw > 0).any())
+    if service is None or not connected or np.any(_worth(service) > WORTH):
+        return StepPrices(window, service, None)
+    share = _whole(service.served_share)
+    fixed = replace(held, service_min=share, service_max=share)
+    return StepPrices(window, service,
+                      solve_recovery(model, window, fixed, _cost_goal(service.curtailed_kwh)))
+
+
+def _service_level(recorded: Recorded, model: RecoveryModel, window: WindowData,
+                   held: Held) -> Recovery | None:
+    """Service and curtailment as weighted; if the model cannot carry what was served, without it.
+
+    What the plant did may lie just outside the model: a plan that was followed in spite of forecast
+    errors, or voltages that were allowed to leave the limits.
+    """
+    goal = Goal(1.0, 0.0, recorded.site.weights.lambda_curt)
+    answer = solve_recovery(model, window, held, goal)
+    if answer is not None:
+        return answer
+    free = Held(np.zeros_like(held.service_min), held.service_max,
+                np.zeros_like(held.mode_min), np.ones_like(held.mode_max))
+    return solve_recovery(model, window, free, goal)
+
+
+def _cost_goal(curtailed_kwh: float) -> Goal:
+    """Cost alone, with no more curtailment than the level above has."""
+    return Goal(0.0, 1.0, 0.0, curtailed_kwh + CURTAILED_SLACK_KWH)
+
+
+def _worth(service: Recovery) -> np.ndarray:
+    """Absolute worth of a stored kWh in each battery."""
+    return np.abs(service.prices.stored_energy)
+
+
+def _whole(share: np.ndarray) -> np.ndarray:
+    """Shares without the solver's noise at both ends."""
+    return np.where(share > 1 - WHOLE, 1.0, np.where(share < WHOLE, 0.0, share))

@@ -1,0 +1,174 @@
+"""The record of a run as arrays, and each step's window as the controller saw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vppres.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.model.data import Floats, Site, WindowData
+from vppres.model.linearise import Centre, OperatingPoint, delta_offset
+from vppres.model.recovery import Held
+from vppres.trajectory import Trajectory
+
+MOVE_KW = 1.0
+"""Smallest power of a battery, or of curtailment, that counts as an action."""
+
+FULL_HORIZON = "full-horizon"
+SWITCHING_RULES = ("min_served_h", "min_unserved_h", "price_per_action")
+
+
+class Recorded:
+    """A finished run, step by step.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The run. Columns that only some modes write are used where they are there.
+    """
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory, self.scenario = trajectory, trajectory.scenario
+        self.options = trajectory.options
+        self.site = Site.of(trajectory.scenario)
+        self.n_steps = len(trajectory.steps)
+        self.served = self._array(trajectory.customers, "served") > 0.5
+        self.load_kw = self._array(trajectory.customers, "p_load_kw")
+        self.charge_kw = self._array(trajectory.batteries, "charge_kw")
+        self.discharge_kw = self._array(trajectory.batteries, "discharge_kw")
+        self.batt_q_kvar = self._array(trajectory.batteries, "q_kvar")
+        self.soc_start = self._array(trajectory.batteries, "soc_start")
+        self.soc_end = self._array(trajectory.batteries, "soc_end")
+        self.curtailed_kw = self._array(trajectory.pv, "curtailed_kw")
+        self.v_ac_pu = self._array(trajectory.buses, "v_ac_pu")
+
+    @property
+    def battery_kw(self) -> Floats:
+        """Power of each battery, charging positive, shape (T, B)."""
+        return np.asarray(self.charge_kw - self.discharge_kw)
+
+    @property
+    def n_seen(self) -> int:
+        """Steps of the longest window."""
+        horizon = float(self.options.get("horizon_h") or 0.0)
+        return min(self.scenario.grid.steps_in_horizon(horizon), self.n_steps)
+
+    @property
+    def rules(self) -> bool:
+        """Whether switching rules restrained who is served."""
+        rules = self.options.get("switching") or {}
+        return (rules.get("max_actions_per_customer") is not None
+                or bool(rules.get("stay_restored"))
+                or any(rules.get(name, 0.0) > 0.0 for name in SWITCHING_RULES))
+
+    def imported_kw(self, t: int) -> float:
+        """Import at the slack bus in a step."""
+        return float(self.trajectory.steps["p_grid_kw"].iloc[t])
+
+    def note(self, t: int, column: str) -> str:
+        """A column of text of the steps table, empty where there is none."""
+        if column not in self.trajectory.steps.columns:
+            return ""
+        value = self.trajectory.steps[column].iloc[t]
+        return "" if value is None or pd.isna(value) else str(value)
+
+    def flag(self, t: int, column: str) -> bool:
+        """A column of yes and no of the steps table, no where there is none."""
+        return self.note(t, column) in ("True", "1", "1.0")
+
+    def battery_note(self, t: int, column: str) -> Floats:
+        """A column of numbers of the batteries' table, shape (B,), zeros where there is none."""
+        if column not in self.trajectory.batteries.columns:
+            return np.zeros(len(self.site.batteries))
+        return np.asarray(np.nan_to_num(self._array(self.trajectory.batteries, column)[t]))
+
+    def seen(self, t: int) -> WindowData:
+        """The window that the controller saw at step ``t``, from the recorded state.
+
+        A correction saw its own step alone. The full horizon planned with the forecast of the first
+        step; of that, the window has as many steps as ``horizon_h`` asks for.
+        """
+        length = 1 if self.flag(t, "corrected") else self.n_seen
+        steps = range(t, min(t + length, self.n_steps))
+        f = self._forecast(t, steps)
+        centre: Centre = self.options.get("centre", "lossless")
+        offset = delta_offset(self.scenario.network, self._operating_point(t - 1), centre)
+        load_kw = np.vstack([self.load_kw[t], f.load_kw[1:]])
+        return WindowData(load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw,
+                          self.soc_start[t], self._eta_charge[t], self._eta_discharge[t],
+                          np.tile(offset, (len(steps), 1)))
+
+    def held(self, t: int, n_steps: int) -> Held:
+        """Who was served stays served in the step; batteries that moved keep their mode."""
+        lowest = np.zeros((n_steps, len(self.site.customers)))
+        lowest[0] = self.served[t]
+        power = self.battery_kw[t]
+        return Held(lowest, np.ones(lowest.shape), (power > MOVE_KW).astype(float),
+                    (power >= -MOVE_KW).astype(float))
+
+    @cached_property
+    def _eta_charge(self) -> Floats:
+        return self._array(self.trajectory.batteries, "eta_charge")
+
+    @cached_property
+    def _eta_discharge(self) -> Floats:
+        return self._array(self.trajectory.batteries, "eta_discharge")
+
+    @cached_property
+    def _forecaster(self) -> Forecaster:
+        errors = ForecastErrors(**self.options.get("errors", {}))
+        return Forecaster(self.scenario, errors, int(self.options["seed"]))
+
+    def _forecast(self, t: int, steps: range) -> Forecast:
+        """Forecast of a window; its first step is the actual one."""
+        now = self._forecaster.at(t, steps)
+        if self.options["controller"] != FULL_HORIZON:
+            return now
+        planned = self._forecaster.at(0, steps)
+        return Forecast(np.vstack([now.load_kw[:1], planned.load_kw[1:]]),
+                        np.vstack([now.pv_kw[:1], planned.pv_kw[1:]]),
+                        now.price_gbp_per_kwh, now.grid_limit_kw, now.temperature_c)
+
+    def _operating_point(self, t: int) -> OperatingPoint | None:
+        """The AC solution of a step, None before the first and after one in the dark."""
+        if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
+            return None
+        site, run = self.site, self.trajectory
+        load = self.load_kw[t] * self.served[t]
+        load_q = self._array(run.customers, "q_load_kvar")[t] * self.served[t]
+        pv = self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t]
+        pv_q = self._array(run.pv, "q_kvar")[t]
+        p = site.pv_bus @ pv - site.customer_bus @ load - site.battery_bus @ self.battery_kw[t]
+        q = (site.pv_bus @ pv_q - site.customer_bus @ load_q
+             + site.battery_bus @ self.batt_q_kvar[t])
+        return OperatingPoint(self.v_ac_pu[t], self._array(run.lines, "p_ac_kw")[t],
+                              self._array(run.lines, "q_ac_kvar")[t], p, q)
+
+    def _array(self, table: pd.DataFrame, column: str) -> Floats:
+        """A column as an array of steps by items."""
+        values = table[column].to_numpy(float)
+        return values.reshape(self.n_steps, len(values) // self.n_steps)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What a step's record itself shows to be at its limit; for steps without shadow prices."""
+
+    empty: NDArray[np.bool_]
+    at_power: NDArray[np.bool_]
+    at_inverter: NDArray[np.bool_]
+    low_voltage: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, recorded: Recorded, t: int) -> Limits:
+        """Limits reached in step ``t``, to 0.1 % of each rating, 0.002 pu of the voltage."""
+        b, net = recorded.site.batteries, recorded.scenario.network
+        power = recorded.battery_kw[t]
+        apparent = np.hypot(power, recorded.batt_q_kvar[t])
+        return cls(recorded.soc_end[t] <= b.soc_min + 1e-3,
+                   np.abs(power) >= 0.999 * b.p_max_kw, apparent >= 0.999 * b.s_max_kva,
+                   recorded.v_ac_pu[t] <= net.v_min_pu + 2e-3)

@@ -1,0 +1,137 @@
+"""One step as it is explained: the record, its shadow prices, and what was scarce."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from vppres.explain.prices import WORTH, StepPrices
+from vppres.explain.recorded import Limits, Recorded
+from vppres.model.data import Floats
+from vppres.phases import Phase
+from vppres.solve.recovery import ShadowPrices
+
+Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
+Driver = Scarce | Literal["priority", "switching_rule", "price", "preparation", "surplus", "supply",
+                          "mismatch", "plan", "fallback", "dark", "unexplained"]
+Binding = Scarce | Literal[""]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why an action was taken: what drove it, what was at its limit, and a sentence."""
+
+    driver: Driver
+    binding: Binding
+    words: str
+
+
+class Step:
+    """A step of a run with its shadow prices.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The run.
+    t : int
+        The step.
+    phase : str
+        Its phase.
+    prices : StepPrices
+        Its shadow prices.
+    """
+
+    def __init__(self, recorded: Recorded, t: int, phase: Phase, prices: StepPrices) -> None:
+        self.recorded, self.t, self.phase, self.levels = recorded, t, phase, prices
+        self.site, self.scenario = recorded.site, recorded.scenario
+        self.outage = bool(recorded.scenario.outage[t])
+        self.load_kw = recorded.load_kw[t]
+        self.served = recorded.served[t]
+        self.battery_kw = recorded.battery_kw[t]
+
+    @cached_property
+    def limits(self) -> Limits:
+        """What the record alone shows to be at its limit."""
+        return Limits.of(self.recorded, self.t)
+
+    @property
+    def service(self) -> ShadowPrices | None:
+        """Shadow prices in weighted customer hours."""
+        return None if self.levels.service is None else self.levels.service.prices
+
+    @property
+    def cost(self) -> ShadowPrices | None:
+        """Shadow prices in GBP."""
+        return None if self.levels.cost is None else self.levels.cost.prices
+
+    @property
+    def price_gbp_per_kwh(self) -> float:
+        """Import price."""
+        return float(self.scenario.price_gbp_per_kwh[self.t])
+
+    @property
+    def fallback(self) -> str:
+        """Which fallback decided the step and why, empty if none did."""
+        name = self.recorded.note(self.t, "fallback")
+        why = self.recorded.note(self.t, "fallback_reason")
+        return f"{name}: {why}" if name and why else name
+
+    @property
+    def dark(self) -> bool:
+        """Whether nothing held the island's voltage."""
+        return self.recorded.flag(self.t, "dark")
+
+    @cached_property
+    def supply_cost(self) -> Mapping[Scarce, Floats]:
+        """What it would take from others to serve each customer in full, by what is scarce, (C,).
+
+        In weighted customer hours. The active power at the slack bus is priced by what limits the
+        fleet, each battery counting with its rated power; what the price at the customer's bus has
+        on top is due to voltage; reactive power at the slack bus is due to inverters.
+        """
+        count = len(self.site.customers)
+        if self.service is None:
+            return {name: np.zeros(count) for name in ("energy", "power", "inverter", "grid",
+                                                       "voltage")}
+        p, bus = self.service, self.site.customer_bus
+        load_kvar = self.load_kw * self.site.customers.q_per_p
+        active, reactive = bus.T @ p.active, bus.T @ p.reactive
+        system = max(p.active[0], 0.0) * self.load_kw
+        share = self._fleet_shares(p)
+        voltage = ((active - p.active[0]) * self.load_kw
+                   + (reactive - p.reactive[0]) * load_kvar)
+        inverter = share["inverter"] * system + np.maximum(p.reactive[0] * load_kvar, 0.0)
+        return {"energy": share["energy"] * system, "power": share["power"] * system,
+                "inverter": inverter, "grid": share["grid"] * system,
+                "voltage": np.maximum(voltage, 0.0)}
+
+    def scarce_for(self, customer: int) -> Binding:
+        """What most limits the supply of a customer, empty if nothing does."""
+        cost = {name: float(values[customer]) for name, values in self.supply_cost.items()}
+        name = max(cost, key=lambda key: cost[key])
+        return name if cost[name] > WORTH else ""
+
+    @cached_property
+    def scarce(self) -> Binding:
+        """What most limits service in the step, empty if nothing does."""
+        total = {name: float(values.sum()) for name, values in self.supply_cost.items()}
+        name = max(total, key=lambda key: total[key])
+        return name if total[name] > WORTH else ""
+
+    def _fleet_shares(self, p: ShadowPrices) -> dict[str, float]:
+        """How the price of active power divides into what limits the fleet; the sum is 1."""
+        if not self.outage:
+            return {"energy": 0.0, "power": 0.0, "inverter": 0.0, "grid": 1.0}
+        b = self.site.batteries
+        reach = np.abs(self.battery_kw) / b.s_max_kva
+        worth = {"energy": p.kept_energy / b.eta_discharge * self.site.dt_h,
+                 "power": p.battery_discharging, "inverter": p.battery_inverter * reach}
+        parts = {name: float(np.maximum(v, 0.0) @ b.p_max_kw) for name, v in worth.items()}
+        total = sum(parts.values())
+        if total <= WORTH:  # no battery can give more at any price
+            return {"energy": 0.0, "power": 1.0, "inverter": 0.0, "grid": 0.0}
+        return {"grid": 0.0, **{name: part / total for name, part in parts.items()}}

@@ -1,0 +1,80 @@
+"""Sentences on shadow prices: what one more unit would have bought."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vppres.assets import Names
+from vppres.explain.prices import WORTH, WORTH_GBP
+from vppres.explain.step import Binding, Step
+from vppres.model.data import Floats
+
+SCARCE: dict[Binding, str] = {
+    "energy": "the energy in store", "power": "the batteries' power",
+    "inverter": "the inverters' rating", "voltage": "the voltage limit",
+    "grid": "the grid's limit", "": "nothing"}
+
+
+def figure(value: float) -> str:
+    """A number with two digits that count.
+
+    >>> figure(0.0012217), figure(0.21), figure(1234.5)
+    ('0.0012', '0.21', '1230')
+    """
+    if value == 0 or not np.isfinite(value):
+        return "0"
+    digits = 2 if abs(value) < 100 else 3
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if abs(rounded) >= 100 else f"{rounded:.10f}".rstrip("0").rstrip(".")
+
+
+def money(value: float) -> str:
+    """An amount per kWh, to a tenth of a penny.
+
+    >>> money(0.4032)
+    '0.403'
+    """
+    return f"{value:.3f}"
+
+
+def one_more(step: Step, binding: Binding) -> str:
+    """What one more unit of what binds would have bought, without a full stop; empty if nothing."""
+    p = step.service
+    if p is None:
+        return ""
+    b, buses = step.site.batteries, step.scenario.network.buses
+    offers: dict[Binding, tuple[float, str]] = {
+        "energy": (_most(p.stored_energy), "one more kWh in store"),
+        "power": _first((_most(p.battery_discharging), "one more kW of battery "
+                         f"{_name(b.id, p.battery_discharging)}"),
+                        (_most(p.active), f"one more kW at bus {_name(buses, p.active)}")),
+        "inverter": _first((_most(p.battery_inverter), "one more kVA of battery "
+                            f"{_name(b.id, p.battery_inverter)}"),
+                           (_most(p.reactive), f"one more kvar at bus {_name(buses, p.reactive)}")),
+        "voltage": (_most(p.voltage_floor), "0.001 pu more room below at bus "
+                    f"{_name(buses, p.voltage_floor)}"),
+        "grid": (p.grid, "one more kW from the grid")}
+    value, what = offers.get(binding, (0.0, ""))
+    return f"{what} would serve {figure(value)} weighted customer hours more" if value > WORTH \
+        else ""
+
+
+def stored_worth_gbp(step: Step, battery: int) -> float | None:
+    """What a kWh in a battery saves later, None where that is not known or service decides."""
+    if step.cost is None:
+        return None
+    value = float(step.cost.kept_energy[battery])
+    return value if value > WORTH_GBP else None
+
+
+def _most(values: Floats) -> float:
+    return float(values.max()) if len(values) else 0.0
+
+
+def _name(names: Names, values: Floats) -> str:
+    return str(names[int(np.argmax(values))]) if len(values) else ""
+
+
+def _first(*offers: tuple[float, str]) -> tuple[float, str]:
+    """The first offer that is worth something, otherwise the last."""
+    return next((offer for offer in offers if offer[0] > WORTH), offers[-1])
