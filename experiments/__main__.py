@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.catalogue import EXPERIMENTS
+from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import read_config
 from experiments.report import HTML, MARKDOWN, Effort, write_report
 from experiments.runner import processes_for, run_jobs
@@ -26,7 +26,7 @@ def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Pa
     Parameters
     ----------
     names : list of str
-        Experiments; none means all.
+        Experiments; none means all of the paper.
     folder : Path
         Folder of the report, the figures and the cache.
     quick : bool
@@ -44,14 +44,14 @@ def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Pa
     InputError
         If an experiment is unknown.
     """
-    unknown = [name for name in names if name not in EXPERIMENTS]
+    unknown = [name for name in names if name not in ALL]
     if unknown:
         raise InputError(Problem("experiments", "is not known",
-                                 f"Use one of: {', '.join(EXPERIMENTS)}.", field="only",
+                                 f"Use one of: {', '.join(ALL)}.", field="only",
                                  value=unknown[0]))
     begin = time.perf_counter()
     configs = {name: read_config(name, quick) for name in names or EXPERIMENTS}
-    jobs = [job for name, config in configs.items() for job in EXPERIMENTS[name].jobs(config)]
+    jobs = [job for name, config in configs.items() for job in ALL[name].jobs(config)]
     results, computed = run_jobs(jobs, folder / "cache", processes)
     solve_s = sum(day.summary["solve_s"]["total"] for day in results.values())
     effort = Effort(len(results), computed, time.perf_counter() - begin, solve_s,
@@ -69,7 +69,7 @@ def main(
     results: Annotated[Path, typer.Option(
         metavar="DIR", help="Folder of report, figures and cache.")] = Path("results"),
 ) -> None:
-    """Reproduce the paper's figures and tables."""
+    """Reproduce the paper's figures and tables, or run further experiments by name."""
     try:
         report = reproduce(only or [], results, quick, jobs)
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""All experiments, in the order of the paper."""
+"""All experiments: those of the paper in its order, and further ones."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from experiments import (
     pv_bias,
     pv_error,
     sensitivities,
+    switching,
     voltage,
 )
 from experiments.config import Config
@@ -65,3 +66,10 @@ EXPERIMENTS: dict[str, Experiment] = {
     "sensitivities": sensitivities,
 }
 """By name, which is that of the module, of its configuration and of its figure's files."""
+
+FURTHER: dict[str, Experiment] = {
+    "switching": switching,
+}
+"""Beyond the paper: run only where they are named."""
+
+ALL = EXPERIMENTS | FURTHER

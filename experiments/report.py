@@ -11,7 +11,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from experiments import sensitivities
-from experiments.catalogue import EXPERIMENTS
+from experiments.catalogue import ALL
 from experiments.config import Config
 from experiments.rows import Row, order
 from experiments.runner import Results
@@ -89,7 +89,7 @@ def write_report(configs: Mapping[str, Config], results: Results, effort: Effort
     figures.mkdir(parents=True, exist_ok=True)
     sections, rows = [], []
     for name, config in configs.items():
-        experiment = EXPERIMENTS[name]
+        experiment = ALL[name]
         save_figure(experiment.figure(config, results), figures / name)
         rows += experiment.rows(config, results)
         sections.append(Section(name, experiment.LABEL, experiment.TITLE, experiment.PAPER,

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import experiments.__main__ as command
 from experiments import runner
-from experiments.catalogue import EXPERIMENTS
+from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
 from experiments.forecast_errors import Point
 from experiments.jobs import Day, Job, scenario
@@ -238,7 +238,7 @@ def test_confidence_interval_of_three_values() -> None:
 
 
 def test_every_experiment_has_its_configuration() -> None:
-    assert {file.stem for file in FOLDER.glob("*.toml")} == set(EXPERIMENTS)
+    assert {file.stem for file in FOLDER.glob("*.toml")} == set(ALL)
 
 
 @pytest.mark.parametrize("quantity", ["load", "pv"])
@@ -256,9 +256,9 @@ def test_horizons_go_from_0_to_12() -> None:
     assert read_config("prediction_horizon")["horizons_h"] == list(range(13))
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", ALL)
 def test_quick_is_a_smaller_study(name: str) -> None:
-    few, all_jobs = (set(EXPERIMENTS[name].jobs(read_config(name, quick)))
+    few, all_jobs = (set(ALL[name].jobs(read_config(name, quick)))
                      for quick in (True, False))
     assert 0 < len(few) <= len(all_jobs)
     assert few <= all_jobs

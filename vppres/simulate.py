@@ -119,7 +119,8 @@ def make_controller(scenario: Scenario,
     planner = (ConvergedPlanner(solver, options.headroom, options.passes)
                if options.mode == "physical" else None)
     if options.controller == "mpc":
-        return MPCController(solver, scenario.grid, options.horizon_h, options.centre, planner)
+        return MPCController(solver, scenario.grid, options.horizon_h, options.centre, planner,
+                             options.switching.move_weight)
     return FullHorizonController(solver, scenario.grid, options.pv_check, options.centre, planner)
 
 
@@ -250,7 +251,7 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
                "gap_cost_gbp": info.gap_cost_gbp,
                "solver_s": info.solver_s, "stages": info.stages,
                "compilations": float(info.compilations), "clipped_kw": clipped,
-               "switching_relaxed": info.switching_relaxed,
+               "switching_relaxed": info.switching_relaxed, "moved_kw": info.moved_kw,
                "mode": mode, "passes": float(info.passes), **_island_notes(scenario, t, done)})
 
 

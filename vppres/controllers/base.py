@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vppres.forecast import Forecast
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.linearise import Centre, OperatingPoint, delta_offset
+from vppres.model.moves import Moves
 from vppres.model.switching import SwitchingState
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import WindowSolution
@@ -34,6 +35,8 @@ class Observation:
         Last AC operating point, None before the first.
     switching : SwitchingState, optional
         Switching rules and what was really served so far; None without rules.
+    moves : Moves, optional
+        The plan before, where the controller is to stay near it.
     """
 
     t0: int
@@ -43,6 +46,7 @@ class Observation:
     eta_discharge: Floats
     operating_point: OperatingPoint | None = None
     switching: SwitchingState | None = None
+    moves: Moves | None = None
 
     def window(self, site: Site, centre: Centre) -> WindowData:
         """The data of the window's problem."""
@@ -52,7 +56,8 @@ class Observation:
         offset = delta_offset(site.network, self.operating_point, centre)
         return WindowData(f.load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw, self.soc,
                           self.eta_charge, self.eta_discharge,
-                          np.tile(offset, (W, 1)), switching=rules)
+                          np.tile(offset, (W, 1)), switching=rules,
+                          moves=self.moves)
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ class SolveInfo:
     stages: str = ""
     passes: int = 1
     switching_relaxed: bool = False
+    moved_kw: float = np.nan
 
     @classmethod
     def of(cls, solution: WindowSolution, compilations: int,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import ModelError
 from vppres.frozen import content_key
+from vppres.model.moves import Moves
 from vppres.model.switching import SwitchingData
 from vppres.network import Network
 from vppres.scenario import ObjectiveWeights, Scenario
@@ -121,6 +122,8 @@ class WindowData:
         Losses, island and headroom of physical mode; None is the paper's problem.
     switching : SwitchingData, optional
         Rules on switching customers; None is the paper.
+    moves : Moves, optional
+        The previous plan, where moves away from it are to be few; None is the paper.
     """
 
     load_kw: Floats
@@ -133,6 +136,7 @@ class WindowData:
     delta_pu2: Floats
     physics: Physics | None = None
     switching: SwitchingData | None = None
+    moves: Moves | None = None
 
     @property
     def physical(self) -> bool:
@@ -161,7 +165,8 @@ class WindowData:
         cut = {name: getattr(self, name)[:n_steps] for name in
                ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")}
         return replace(self, **cut, physics=self.physics and self.physics.first(n_steps),
-                       switching=self.switching and self.switching.first(n_steps))
+                       switching=self.switching and self.switching.first(n_steps),
+                       moves=self.moves and self.moves.first(n_steps))
 
     @property
     def loss_kw(self) -> Floats:

@@ -32,10 +32,12 @@ class TieBreakerModel:
         Whether PV power may be curtailed, up to the held sum.
     physical : bool
         Whether losses, the island's reference and headroom are part of the problem.
+    moves : bool
+        Whether batteries are to stay near the previous plan.
     """
 
     def __init__(self, site: Site, n_steps: int, curtailing: bool,
-                 physical: bool = False) -> None:
+                 physical: bool = False, moves: bool = False) -> None:
         self.site, self.n_steps, self.curtailing = site, n_steps, curtailing
         W, P, B = n_steps, len(site.pv), len(site.batteries)
         self.p = Parameters.create(site, W)
@@ -45,6 +47,7 @@ class TieBreakerModel:
         self.P_min, self.P_max = (cp.Parameter((W, B), name=n) for n in ("P_min", "P_max"))
         self.charging = cp.Parameter((W, B), name="charging", nonneg=True)
         self.Q_pv_max = cp.Parameter((W, P), name="Q_pv_max", nonneg=True)
+        self.near = [cp.Parameter((W, B), name=n) for n in ("near_factor", "near_value") if moves]
         self.f2_held, self.f3_held = cp.Parameter(name="f2_held"), cp.Parameter(name="f3_held")
         self.v = self._variables()
         self.constraints = self._constraints()
@@ -100,12 +103,19 @@ class TieBreakerModel:
         }
 
     def _objective(self) -> cp.Minimize:
-        """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
+        """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss.
+
+        Moves away from the previous plan come on top, in the same unit.
+        """
         args, w = (self.site, self.v, self.p), self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
+        moved = 0.0
+        if self.near:
+            factor, value = self.near
+            moved = cp.sum_squares(cp.multiply(factor, self.P_batt) - value)
         return cp.Minimize(scale * w.lambda_l * terms.f4_flows(*args)
-                           + scale * w.lambda_q * terms.f5_reactive(*args))
+                           + scale * w.lambda_q * terms.f5_reactive(*args) + moved)
 
     def fill(self, data: WindowData, dispatch: Dispatch, charging: NDArray[np.bool_],
              f2_held_gbp: float, f3_held_kwh: float) -> None:
@@ -120,6 +130,9 @@ class TieBreakerModel:
                                               np.where(charging, P_max, 0.0))
         self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
         self.f2_held.value, self.f3_held.value = f2_held_gbp, f3_held_kwh
+        if data.moves is not None:
+            for parameter, value in zip(self.near, data.moves.targets(P_max), strict=True):
+                parameter.value = value
 
     def dispatch(self, served: NDArray[np.bool_]) -> Dispatch:
         """The solution of the last solve, exactly in its modes."""

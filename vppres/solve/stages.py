@@ -36,7 +36,7 @@ class ModelCache:
     models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
     lumped: dict[tuple[int, bool, bool, bool, RuleSteps | None], AggregateModel] = field(
         default_factory=dict)
-    ties: dict[tuple[int, bool, bool], TieBreakerModel] = field(default_factory=dict)
+    ties: dict[tuple[int, bool, bool, bool], TieBreakerModel] = field(default_factory=dict)
 
     @property
     def compilations(self) -> int:
@@ -61,7 +61,7 @@ class ModelCache:
 
     def tie_breakers(self, data: WindowData, curtailing: bool) -> TieBreakerModel:
         """The last level's problem of the window's length and mode."""
-        key = data.n_steps, curtailing, data.physical
+        key = data.n_steps, curtailing, data.physical, data.moves is not None
         if key not in self.ties:
             self.ties[key] = TieBreakerModel(self.site, *key)
         return self.ties[key]
