@@ -88,14 +88,17 @@ def _batteries(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     b, dt_h = s.batteries, s.grid.step_minutes / 60.0
     charged_kwh = dt_h * (data.eta_charge * d.charge_kw - d.discharge_kw / data.eta_discharge)
     apparent = np.hypot(d.charge_kw - d.discharge_kw, d.batt_q_kvar)
+    reserve, kept_kva = ((0.0, 0.0) if data.physics is None
+                         else (data.physics.soc_reserve, data.physics.headroom_kw))
     return {
         "charge rating": _most(d.charge_kw / b.p_max_kw - 1.0),
         "discharge rating": _most(d.discharge_kw / b.p_max_kw - 1.0),
         "exclusivity": _most(np.minimum(d.charge_kw, d.discharge_kw) / b.p_max_kw),
         "soc start": _most(np.abs(d.soc[0] - data.soc)),
         "soc dynamics": _most(np.abs(np.diff(d.soc, axis=0) - charged_kwh / b.energy_kwh)),
-        "soc limits": _most(b.soc_min - d.soc[1:], d.soc[1:] - b.soc_max),
-        "battery disc": _most(apparent / b.s_max_kva - 1.0),
+        "soc limits": _most(b.soc_min + reserve - d.soc[1:], d.soc[1:] - b.soc_max),
+        "battery disc": _most((apparent + kept_kva) / b.s_max_kva - 1.0),
+        "headroom": _most((np.abs(d.charge_kw - d.discharge_kw) + kept_kva) / b.p_max_kw - 1.0),
         # The limits once more by energy alone, in case the stored SoC were made up.
         "energy limits": _energy_limits(s, data, np.cumsum(charged_kwh, axis=0)),
     }
@@ -148,6 +151,9 @@ def _balances(s: Scenario, data: WindowData, d: Dispatch, items: Items,
         for left, flow in ((left_p, d.p_flow_kw), (left_q, d.q_flow_kvar)):
             left[:, upstream] -= flow[:, line]
             left[:, line + 1] += flow[:, line]
+        if data.physics is not None:
+            left_p[:, line + 1] -= data.physics.loss_kw[:, line]
+            left_q[:, line + 1] -= data.physics.loss_kvar[:, line]
     return {"active balance": _most(np.abs(left_p) / scale_kw),
             "reactive balance": _most(np.abs(left_q) / scale_kw)}
 
@@ -161,10 +167,14 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
                       + net.x_ohm[line] * d.q_flow_kvar[:, line]) / base
         expected = u[:, upstream] - drop + data.delta_pu2[:, line]
         worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
+    held = [0] * d.n_steps if data.physics is None else list(data.physics.reference)
+    reference = np.array([u[t, n] for t, n in enumerate(held)])
+    alone = u[[n != 0 for n in held]]
     return {
-        "slack voltage": _most(np.abs(u[:, 0] - net.v_slack_pu**2)),
+        "slack voltage": _most(np.abs(reference - net.v_slack_pu**2)),
         "voltage drop": worst,
-        "voltage limits": _most(net.v_min_pu**2 - u[:, 1:], u[:, 1:] - net.v_max_pu**2),
+        "voltage limits": _most(*(excess for part in (u[:, 1:], alone) for excess in (
+            net.v_min_pu**2 - part, part - net.v_max_pu**2))),
     }
 
 

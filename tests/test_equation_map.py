@@ -9,6 +9,7 @@ import pytest
 
 from vppres.model import constraints, objective
 from vppres.model.data import Site
+from vppres.model.physical import PhysicalParameters
 from vppres.model.variables import Parameters, Variables
 from vppres.model.window import Form, WindowModel
 from vppres.scenario import Scenario
@@ -63,3 +64,18 @@ def test_variables_and_parameters_are_those_of_the_page() -> None:
 def test_objective_terms_are_those_of_the_page() -> None:
     for row in table("## Objective"):
         assert hasattr(objective, names(row[2])[0])
+
+
+@pytest.mark.parametrize("polygon_sides", [0, 16])
+def test_physical_mode_differs_by_what_the_page_says(site: Site, polygon_sides: int) -> None:
+    paper = WindowModel(site, 2, Form(polygon_sides=polygon_sides))
+    physical = WindowModel(site, 2, Form(polygon_sides=polygon_sides, physical=True))
+    rows = table("### Physical mode")
+    listed = {names(row[3])[0] for row in rows}
+    assert set(paper.constraints) - set(physical.constraints) == {"voltage_slack"}
+    assert set(physical.constraints) - set(paper.constraints) <= listed
+    known = set(PhysicalParameters.__dataclass_fields__)
+    assert {n for row in rows for n in names(row[2])} == known
+    changed = {name for name, constraint in physical.constraints.items()
+               if known & {p.name() for p in constraint.parameters()}}
+    assert changed == listed

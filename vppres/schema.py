@@ -118,8 +118,8 @@ class BatteryRow(Row):
         default=None, ge=-50, le=100, description="temperature at the start (empty: the ambient "
         "temperature of the first step)", json_schema_extra=CELSIUS)
     grid_forming: Literal["yes", "no"] = Field(
-        default="no", description="whether the battery forms the grid of an island in physical "
-        "mode (nobody named: the largest inverter does)")
+        default="no", description="duty of forming the grid of an island in physical mode (where "
+        "no battery has it, the one with the largest inverter does)")
 
 
 class LoadSeries(Row):
@@ -230,7 +230,7 @@ class ControllerSection(Section):
         json_schema_extra={"unit": "h"})
     mode: ModeName = Field(
         default=cast(ModeName, ControllerDefaults.mode),
-        description="the paper's island, or one that batteries hold")
+        description="way of islands: the paper's, or held by batteries")
 
 
 class SwitchingSection(Section):

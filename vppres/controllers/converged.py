@@ -80,8 +80,8 @@ class ConvergedPlanner:
         if self.passes == 0:
             return in_the_dark(site, whole, dark, self.solver.solve(start))
         data, solution = self._decide(self._guessed(t0, start), start)
-        data, solution = self._converge(data, solution)
-        self._remember(t0, data)
+        reached, solution = self._converge(data, solution)
+        self._remember(t0, reached)
         return in_the_dark(site, whole, dark, solution)
 
     def _decide(self, data: WindowData,
@@ -94,7 +94,7 @@ class ConvergedPlanner:
 
     def _converge(self, data: WindowData,
                   solution: WindowSolution) -> tuple[WindowData, WindowSolution]:
-        """Candidate after candidate until the model meets AC; the data it was found with too."""
+        """The candidate at which model and AC meet, and the window linearised there."""
         decided, decisions, solve_s, solver_s = solution, 1, solution.solve_s, solution.solver_s
         passes = 1
         points = self.ac_points(data, solution.dispatch)
@@ -112,8 +112,10 @@ class ConvergedPlanner:
             data, solution, passes = closer, again, passes + 1
             solve_s, solver_s = solve_s + again.solve_s, solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
-        return data, replace(decided, dispatch=solution.dispatch, terms=solution.terms,
-                             passes=passes, solve_s=solve_s, solver_s=solver_s)
+        reached = linearised(data, self.solver.site.network, points)
+        return reached, replace(decided, dispatch=solution.dispatch, terms=solution.terms,
+                                loss_kw=solution.loss_kw, passes=passes, solve_s=solve_s,
+                                solver_s=solver_s)
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""

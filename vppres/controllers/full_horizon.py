@@ -35,6 +35,7 @@ class _Actual:
     grid_limit_kw: float
     observation: Observation
     window: WindowData
+    loss_kw: float = 0.0
 
     @property
     def battery_kw(self) -> Floats:
@@ -66,6 +67,7 @@ class FullHorizonController:
         self.planner = planner or OnePass(solver, centre)
         self.literal = pv_check == "literal"
         self.plan: Dispatch | None = None
+        self.loss_kw: Floats | None = None
 
     def horizon_steps(self, t0: int) -> range:
         """The whole day at the first step, then the step itself."""
@@ -77,12 +79,13 @@ class FullHorizonController:
         window = observation.window(self.solver.site, self.centre)
         if self.plan is None:
             solution = self.planner.plan(observation)
-            self.plan = solution.dispatch
+            self.plan, self.loss_kw = solution.dispatch, solution.loss_kw
             info = SolveInfo.of(solution, self.solver.cache.compilations)
         f, t = observation.forecast, observation.t0
         now = window.first(1).for_service(self.plan.served[t:t + 1])
         actual = _Actual(self.plan, t, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
-                         observation, now)
+                         observation, now,
+                         0.0 if self.loss_kw is None else float(self.loss_kw[t]))
         reasons = self.violations(actual)
         if not reasons:
             return Decision(self.plan, observation.t0, info)
@@ -133,14 +136,16 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     """Grid import feasibility: what the AC power flow imports, net of its losses.
 
     Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
-    it. A surplus that cannot be exported violates as a shortage does.
+    it; losses count as far as the plan has paid for them. A surplus that cannot be exported
+    violates as a shortage does.
     """
     plan, t = actual.plan, actual.t
     served = plan.served[t]
     # What an owner consumes cannot be curtailed.
     own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
-    needed = actual.load_kw @ served + actual.battery_kw.sum() - (actual.pv_kw - curtailed).sum()
+    needed = (actual.load_kw @ served + actual.loss_kw + actual.battery_kw.sum()
+              - (actual.pv_kw - curtailed).sum())
     limit = actual.grid_limit_kw
     if needed > limit + BALANCE_TOLERANCE_KW:
         return f"grid import: {needed - limit:.1f} kW above what the grid gives"

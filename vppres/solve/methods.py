@@ -394,7 +394,7 @@ class WindowSolver:
             service_gap=max(service_bound - best.service, 0.0),
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,
-            stages=tuple(search.stages))
+            stages=tuple(search.stages), loss_kw=data.loss_kw if data.physical else None)
 
 
 def _spread(values: NDArray[np.float64]) -> float:

@@ -6,9 +6,12 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vppres.errors import InfeasibleError, LimitError, NumericalError, SolveError, UnboundedError
 from vppres.model.data import Dispatch, Terms
+
+Floats = NDArray[np.float64]
 
 
 class Status(enum.StrEnum):
@@ -110,6 +113,8 @@ class WindowSolution:
     passes : int
         Linearisations that the dispatch took; with more than one, objective, bound and gaps are
         those of the window as it was linearised when the served set was decided.
+    loss_kw : array, shape (W,), optional
+        Losses that the dispatch pays for; None in the paper's mode, which has none.
     """
 
     dispatch: Dispatch
@@ -123,6 +128,7 @@ class WindowSolution:
     solver_s: float
     stages: tuple[str, ...] = ()
     passes: int = 1
+    loss_kw: Floats | None = None
 
     @property
     def gap_abs(self) -> float:

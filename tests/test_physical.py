@@ -1,0 +1,292 @@
+"""Physical mode: AC points, windows with losses against the monolith, days that AC agrees with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from checker import check_dispatch
+from numpy.typing import NDArray
+from random_feeders import Window, random_scenario, random_window
+
+from experiments.islands import claims_of, imbalance_kw, random_day
+from vppres.controllers.converged import (
+    LOSS_TOLERANCE_KW,
+    VOLTAGE_TOLERANCE_PU,
+    ConvergedPlanner,
+    agree,
+    dark_steps,
+    physics_of,
+    without_power,
+)
+from vppres.errors import InputError, ModelError
+from vppres.io import find_scenario, read_scenario, write_scenario
+from vppres.metrics import resilience, summarise
+from vppres.model.data import Site, WindowData
+from vppres.model.losses import Sweeps, injections, linearised, lossless
+from vppres.model.window import Form, WindowModel
+from vppres.network import Network
+from vppres.powerflow import ACPowerFlow
+from vppres.scenario import Scenario
+from vppres.simulate import RunOptions, run_day
+from vppres.solve.methods import WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+CHECKER_TOLERANCE = 1e-5
+BOUND_TOLERANCE = 1e-6
+WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
+DAYS = tuple(range(14))
+PAPER_R = 0.9207
+
+
+# AC points.
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sweeps_meet_newtons_method_from_the_grid_and_from_any_bus(seed: int) -> None:
+    day = random_scenario(seed, stressed=seed % 2 == 1, n_steps=3)
+    net, rng = day.network, np.random.default_rng(seed)
+    p = rng.uniform(-60.0, 40.0, (3, net.n_buses))
+    q = rng.uniform(-20.0, 20.0, (3, net.n_buses))
+    newton = ACPowerFlow(net)
+    for reference in (0, 1, net.n_buses - 1):
+        points = Sweeps(net, reference).solve(p, q)
+        assert points.converged.all()
+        for t in range(3):
+            exact = newton.solve(p[t], q[t], reference)
+            assert points.v_pu[t] == pytest.approx(exact.v_pu, abs=1e-8)
+            assert points.p_flow_kw[t] == pytest.approx(exact.p_from_kw, abs=1e-4)
+            assert points.q_flow_kvar[t] == pytest.approx(exact.q_from_kvar, abs=1e-4)
+            assert points.loss_kw[t] == pytest.approx(exact.p_from_kw - exact.p_to_kw, abs=1e-4)
+
+
+def test_sweeps_say_where_there_is_no_solution() -> None:
+    net = Network([1], [2], [100.0], [100.0], slack_bus=1, base_kv=1.0)
+    points = Sweeps(net).solve(np.array([[0.0, -100.0], [0.0, -0.1]]), np.zeros((2, 2)))
+    assert points.converged.tolist() == [False, True]
+
+
+def test_linear_voltages_meet_the_point_they_are_linearised_at(tiny: Scenario) -> None:
+    points = Sweeps(tiny.network, 1).solve(np.array([[0.0, 30.0, -45.0, -20.0]]), np.zeros((1, 4)))
+    net, u = tiny.network, points.v_pu**2
+    drop = 2 * (net.r_pu2_per_kw * points.p_flow_kw + net.x_pu2_per_kvar * points.q_flow_kvar)
+    assert u[:, net.parent] - drop + points.offset_pu2(net) == pytest.approx(u[:, 1:], abs=1e-14)
+
+
+# Windows.
+
+
+def physical_window(seed: int, stressed: bool) -> Window:
+    """A random window with headroom, and losses as at the AC points of its lossless answer."""
+    case = random_window(seed, stressed)
+    site = Site.of(case.scenario)
+    lit = without_power(case.data, dark_steps(site, case.data))
+    start = lossless(lit, physics_of(site, lit, 0.1))
+    planner = ConvergedPlanner(WindowSolver(site))
+    points = planner.ac_points(start, planner.solver.solve(start).dispatch)
+    return Window(case.scenario, linearised(start, site.network, points))
+
+
+@cache
+def physical_answers(seed: int, stressed: bool) -> tuple[Window, list[WindowSolution]]:
+    case = physical_window(seed, stressed)
+    site = Site.of(case.scenario)
+    return case, [WindowSolver(site, method).solve(case.data)
+                  for method in ("decomposed", "monolithic")]
+
+
+@pytest.mark.parametrize(("seed", "stressed"), WINDOWS)
+def test_decomposed_equals_monolithic_with_losses_and_headroom(seed: int, stressed: bool) -> None:
+    case, answers = physical_answers(seed, stressed)
+    whole = case.scenario.customers.weight.sum() * case.scenario.grid.dt_h * case.data.n_steps
+    gap, best = SolveLimits().absolute(whole), max(a.objective for a in answers)
+    for answer in answers:
+        check = check_dispatch(*case, answer.dispatch)
+        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+        assert answer.bound >= best - BOUND_TOLERANCE
+        assert answer.objective >= best - gap
+        assert answer.status == "optimal"
+
+
+def test_windows_have_losses_islands_and_headroom() -> None:
+    windows = [physical_answers(*key)[0].data for key in WINDOWS]
+    physics = [w.require_physics() for w in windows]
+    assert sum(w.loss_kw.max() > 1.0 for w in windows) >= 10
+    assert sum((p.reference > 0).any() for p in physics) >= 10
+    assert sum((p.soc_reserve > 0).any() for p in physics) >= 10
+
+
+def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:
+    case, (answer, _) = next(
+        found for found in (physical_answers(*key) for key in WINDOWS)
+        if (found[0].data.require_physics().soc_reserve > 0).any()
+        and found[0].data.loss_kw.max() > 1.0)
+    paper = check_dispatch(case.scenario, replace(case.data, physics=None), answer.dispatch)
+    assert paper.violations["active balance"] > CHECKER_TOLERANCE
+    physics = case.data.require_physics()
+    greedy = replace(case.data, physics=replace(physics, soc_reserve=physics.soc_reserve + 1.0))
+    assert check_dispatch(case.scenario, greedy, answer.dispatch).violations["soc limits"] > 0.1
+    powerless = replace(case.data, physics=replace(
+        physics, headroom_kw=np.full_like(physics.headroom_kw, 1e4)))
+    assert check_dispatch(case.scenario, powerless, answer.dispatch).violations["headroom"] > 1.0
+
+
+def test_physical_problem_refuses_a_window_of_the_papers_mode(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    model = WindowModel(site, 1, Form(physical=True))
+    data = random_window(0).data
+    with pytest.raises(ModelError, match="filled with a window of the paper's mode"):
+        model.physical.fill(site, replace(data, physics=None))
+
+
+# What the plan keeps free.
+
+
+def island_window(tiny: Scenario, soc: float, first: int, n_steps: int) -> WindowData:
+    rows, b = slice(first, first + n_steps), tiny.batteries
+    return WindowData(tiny.load_kw[rows], tiny.pv_kw[rows], tiny.price_gbp_per_kwh[rows],
+                      tiny.grid_limit_kw[rows], np.full(2, soc), b.eta_charge, b.eta_discharge,
+                      np.zeros((n_steps, 3)))
+
+
+def test_reserve_pays_the_headroom_of_the_island_steps_that_remain(tiny: Scenario) -> None:
+    physics = physics_of(Site.of(tiny), island_window(tiny, 0.85, 2, 4), 0.1)
+    # 6 kW of a 60 kVA inverter for two hours, then one: 12 / 0.95 and 6 / 0.95 of 100 kWh.
+    assert physics.headroom_kw.tolist() == [[0, 0], [6, 0], [6, 0], [0, 0]]
+    assert physics.soc_reserve[:, 0] == pytest.approx([0, 0.12 / 0.95, 0.06 / 0.95, 0])
+    assert physics.reference.tolist() == [0, 1, 1, 0]
+
+
+def test_reserve_asks_for_nothing_that_cannot_be_there(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    inside = physics_of(site, island_window(tiny, 0.15 + 0.05, 3, 2), 0.1)
+    assert inside.soc_reserve[:, 0] == pytest.approx([0.05, 0.05])
+    before = physics_of(site, island_window(tiny, 0.15, 2, 3), 0.1)
+    assert before.soc_reserve[1, 0] == pytest.approx(0.12 / 0.95)
+    slow = replace(tiny, batteries=replace(tiny.batteries, p_max_kw=np.array([8.0, 8.0])))
+    late = physics_of(Site.of(slow), island_window(slow, 0.15, 2, 3), 0.1)
+    assert late.soc_reserve[1, 0] == pytest.approx(0.95 * 8.0 / 100.0)
+
+
+def test_steps_that_nobody_can_hold_are_dark(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    assert dark_steps(site, island_window(tiny, 0.15, 3, 3)).tolist() == [True, True, False]
+    assert dark_steps(site, island_window(tiny, 0.16, 3, 3)).tolist() == [False] * 3
+    # With the grid there first, the battery can be charged.
+    assert dark_steps(site, island_window(tiny, 0.15, 2, 3)).tolist() == [False] * 3
+
+
+# Days.
+
+
+@cache
+def physical_day(seed: int) -> Trajectory:
+    return run_day(*random_day(seed))
+
+
+@pytest.mark.parametrize("seed", DAYS)
+def test_record_keeps_its_claims(seed: int) -> None:
+    run = physical_day(seed)
+    claims = claims_of(run)
+    assert claims.kept, claims
+    assert claims.outside_steps == 0
+
+
+@pytest.mark.parametrize("seed", DAYS)
+def test_plan_and_ac_agree_where_the_passes_sufficed(seed: int) -> None:
+    run = physical_day(seed)
+    steps = run.steps[(run.steps["passes"] < RunOptions().passes) & ~run.steps["corrected"]
+                      & (run.steps["dark"] == 0) & (run.steps["status"] != "planned")]
+    assert not (steps["v_error_pu"] > 2 * VOLTAGE_TOLERANCE_PU).any()
+    mpc = run.options["controller"] == "mpc"
+    assert not mpc or not (steps["island_mismatch_kw"].abs() > LOSS_TOLERANCE_KW).any()
+    assert not mpc or not run.steps["shed_kw"].any()
+
+
+def test_days_have_dark_steps_islands_and_corrections() -> None:
+    runs = [physical_day(seed) for seed in DAYS]
+    assert sum((run.steps["dark"] > 0).any() for run in runs) >= 3
+    assert sum((run.steps["island_mismatch_kw"] != 0).any() for run in runs) >= 5
+    assert any(run.steps["corrected"].any() for run in runs)
+    assert max(run.steps["passes"].max() for run in runs) >= 3
+
+
+def test_claims_are_held_against_the_tables() -> None:
+    run = physical_day(next(s for s in DAYS if physical_day(s).scenario.outage.any()))
+    bought = run.steps.assign(p_grid_kw=run.steps["p_grid_kw"] + 1.0)
+    assert not claims_of(replace(run, steps=bought)).kept
+    assert np.abs(imbalance_kw(replace(run, steps=bought))).max() == pytest.approx(1.0, abs=1e-4)
+    low = replace(run, buses=run.buses.assign(v_ac_pu=run.buses["v_ac_pu"] - 0.2))
+    assert claims_of(low).voltage_steps > 0
+
+
+@pytest.fixture(scope="module")
+def packaged_day() -> Trajectory:
+    return run_day(read_scenario(find_scenario("uk-heatwave-2022")), RunOptions(mode="physical"))
+
+
+def test_packaged_day_costs_the_losses_and_no_more(packaged_day: Trajectory) -> None:
+    found = resilience(packaged_day)
+    assert found is not None and PAPER_R - 0.01 <= found <= PAPER_R
+    figures = summarise(packaged_day)
+    assert figures["island_import_max_kw"] == 0.0
+    net = packaged_day.scenario.network
+    assert figures["v_min_ac_pu"] >= net.v_min_pu - VOLTAGE_TOLERANCE_PU
+    assert figures["v_max_ac_pu"] <= net.v_max_pu + VOLTAGE_TOLERANCE_PU
+    assert figures["v_error_max_pu"] <= VOLTAGE_TOLERANCE_PU
+    assert claims_of(packaged_day).kept
+    assert packaged_day.steps["gap"].max() <= 1e-4
+
+
+def test_agreement_is_of_every_step(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    data = island_window(tiny, 0.85, 0, 3)
+    start = lossless(data, physics_of(site, data, 0.1))
+    planner = ConvergedPlanner(WindowSolver(site))
+    dispatch = planner.solver.solve(start).dispatch
+    points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
+    exact = linearised(start, tiny.network, points)
+    met = replace(dispatch, v_pu=points.v_pu)
+    assert agree(exact, met, points)
+    one_off = met.v_pu.copy()
+    one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
+    assert not agree(exact, replace(met, v_pu=one_off), points)
+
+
+# Options and files.
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"mode": "real"}, "options, mode = real: is not known. Use one of: paper, physical."),
+    ({"headroom": 1.0}, "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
+     "of the inverter's rating, for example 0.1."),
+    ({"passes": -1}, "options, passes = -1: must not be negative. Give a whole number from zero."),
+])
+def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        RunOptions(**options)
+    assert str(error.value) == message
+
+
+def test_named_batteries_and_mode_survive_the_files(tiny: Scenario, tmp_path: Path) -> None:
+    named = replace(
+        tiny, batteries=replace(tiny.batteries, grid_forming=np.array([False, True])),
+        controller=replace(tiny.controller, mode="physical"))
+    write_scenario(named, tmp_path / "named")
+    read = read_scenario(tmp_path / "named")
+    assert read.batteries.grid_forming.tolist() == [False, True]
+    assert read.batteries.formers.tolist() == [False, True]
+    assert read.controller.mode == "physical"
+    write_scenario(tiny, tmp_path / "unnamed")
+    assert "grid_forming" not in (tmp_path / "unnamed" / "batteries.csv").read_text("utf-8")
+    file = tmp_path / "named" / "batteries.csv"
+    file.write_text(file.read_text("utf-8").replace("yes", "maybe"), "utf-8")
+    with pytest.raises(InputError, match=r"batteries\.csv, row 3, grid_forming = maybe: must be"):
+        read_scenario(tmp_path / "named")
