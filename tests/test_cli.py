@@ -131,7 +131,8 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
     (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
     (["--method", "magic"], "method = magic: is not a known method. "
                             "Use one of: decomposed, monolithic."),
-    (["--controller", "pid"], "controller = pid: is not known. Use one of: mpc, full-horizon."),
+    (["--controller", "pid"], "controller = pid: is not known. Use one of: mpc, full-horizon, "
+                              "perfect, idle, reserve."),
     (["--horizon", "-1"], "horizon_h = -1.0: must be zero or positive. Give hours."),
     (["--load-error", "-1"], "load_alpha_per_h = -1.0: must be a number not below 0."),
     (["--seed", "-1"], "seed = -1: must not be negative."),

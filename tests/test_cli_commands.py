@@ -496,7 +496,8 @@ def test_every_option_of_run_is_a_parameter() -> None:
                    "pv_alpha_per_h": 0.5},
         "thermal": "euler", "seed": 3,
         "limits": {**RunOptions().as_record()["limits"], "gap_rel": 0.5, "time_s": 0.5},
-        "polygon_sides": RunOptions().polygon_sides, "centre": "literal", "pv_check": "literal"}
+        "polygon_sides": RunOptions().polygon_sides, "centre": "literal", "pv_check": "literal",
+        "guard": True, "protect_critical": False, "reserve": {"soc": 0.5, "notice_h": 0.5}}
 
 
 def test_scenario_parameters_by_hand() -> None:

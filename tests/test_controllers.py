@@ -209,7 +209,7 @@ def test_plan_that_passes_leaves_the_island_balanced(tiny: Scenario) -> None:
 
 @pytest.mark.parametrize(("options", "text"), [
     ({"controller": "pid"}, "options, controller = pid: is not known. Use one of: mpc, "
-                            "full-horizon."),
+                            "full-horizon, perfect, idle, reserve."),
     ({"pv_check": "lax"}, "options, pv_check = lax: is not known. Use one of: absorbing, literal."),
     ({"centre": "flat"}, "options, centre = flat: is not known. Use one of: lossless, literal, "
                          "none."),

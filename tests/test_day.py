@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from vppres.controllers.base import Decision, Observation
+from vppres.controllers.guard import GuardedController
 from vppres.controllers.mpc import MPCController
 from vppres.io import find_scenario, read_scenario
 from vppres.metrics import resilience
@@ -24,9 +25,9 @@ Floats = NDArray[np.float64]
 
 
 class Listener:
-    """An MPC that keeps what it saw and what it decided."""
+    """A guarded MPC that keeps what it saw and what it decided."""
 
-    def __init__(self, mpc: MPCController) -> None:
+    def __init__(self, mpc: GuardedController) -> None:
         self.mpc = mpc
         self.heard: list[tuple[Observation, Decision]] = []
 
@@ -71,9 +72,10 @@ def packaged_day() -> Scenario:
 @pytest.fixture(scope="session")
 def ideal(packaged_day: Scenario) -> IdealDay:
     options = RunOptions(horizon_h=5.0)
-    mpc = make_controller(packaged_day, options)
-    assert isinstance(mpc, MPCController)
-    listener, day = Listener(mpc), Day(packaged_day, options)
+    guard = make_controller(packaged_day, options)
+    assert isinstance(guard, GuardedController)
+    assert isinstance(guard.inner, MPCController)
+    listener, day = Listener(guard), Day(packaged_day, options)
     for t in range(packaged_day.grid.n_steps):
         day.step(listener, t)
     site = Site.of(packaged_day)

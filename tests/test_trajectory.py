@@ -26,7 +26,8 @@ from vppres.trajectory import Recorder, Trajectory, read_run, write_tables
 CONTRACT = {
     "steps": ["time", "outage", "price_gbp_per_kwh", "p_grid_kw", "q_grid_kvar", "losses_kw",
               "v_min_ac_pu", "v_max_ac_pu", "v_error_pu", "objective", "bound", "gap", "status",
-              "solve_s", "corrected", "correction_reason", "phase"],
+              "solve_s", "corrected", "correction_reason", "fallback", "fallback_reason",
+              "estimated", "ac_failed", "phase"],
     "customers": ["time", "id", "bus", "tier", "weight", "p_load_kw", "q_load_kvar", "served",
                   "shed"],
     "pv": ["time", "id", "customer", "bus", "available_kw", "self_kw", "export_kw", "curtailed_kw",

@@ -30,6 +30,7 @@ def _complete_scenario(start: str) -> list[str]:
 
 
 FORECAST, SOLVER, SWITCHING = "Forecast errors", "Solver", "Switching"  # headings of the help
+GUARD = "Guard and baselines"
 
 ScenarioName = Annotated[str, typer.Argument(
     metavar="SCENARIO", help="A packaged scenario's name, or a folder.",
@@ -41,7 +42,8 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.
 
 # The options that `run` and `sweep` share; run_options reads them.
 Controller = Annotated[str | None, typer.Option(
-    help="mpc or full-horizon; the scenario's if not given.")]
+    help="mpc, full-horizon, perfect (full horizon without forecast errors), idle or reserve; the "
+    "scenario's if not given.")]
 Horizon = Annotated[float | None, typer.Option(
     metavar="HOURS", help="Prediction horizon of the MPC; the scenario's if not given.")]
 Solver = Annotated[str, typer.Option(
@@ -70,6 +72,18 @@ TimeLimit = Annotated[float, typer.Option(
 Gap = Annotated[float, typer.Option(
     callback=_positive, help="Relative optimality gap at which a window is done.",
     rich_help_panel=SOLVER)]
+Guard = Annotated[bool, typer.Option(
+    "--guard/--no-guard", help="Check every decision and fall back where it cannot be carried out.",
+    rich_help_panel=GUARD)]
+ProtectCritical = Annotated[bool, typer.Option(
+    "--protect-critical", help="Serve the first tier in every step that can serve it.",
+    rich_help_panel=GUARD)]
+ReserveSoc = Annotated[float | None, typer.Option(
+    metavar="SHARE", help="State of charge that reserve charges to; the highest if not given.",
+    rich_help_panel=GUARD)]
+Notice = Annotated[float, typer.Option(
+    metavar="HOURS", help="How long before an outage reserve is told of it.",
+    rich_help_panel=GUARD)]
 
 
 MinServed = Annotated[float | None, typer.Option(
@@ -104,6 +118,7 @@ RULE_OF = {"min_served_h": "min_served_h", "min_unserved_h": "min_unserved_h",
 
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
     """The options of a run from those of the command line; the scenario has the defaults."""
+    from vppres.controllers.baselines import ReserveRule
     from vppres.forecast import ForecastErrors
     from vppres.simulate import RunOptions
     from vppres.solve.result import SolveLimits
@@ -119,4 +134,6 @@ def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
         errors=ForecastErrors(given["load_bias"], given["load_error"], given["pv_bias"],
                               given["pv_error"]),
         limits=SolveLimits(gap_rel=given["gap"], time_s=given["time_limit"]),
-        switching=replace(day.switching, **rules))
+        switching=replace(day.switching, **rules),
+        guard=given["guard"], protect_critical=given["protect_critical"],
+        reserve=ReserveRule(given["reserve_soc"], given["notice"]))

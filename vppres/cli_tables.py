@@ -26,6 +26,7 @@ FIGURES = (
     ("v_max_ac_pu", "highest AC voltage", ".4f", "pu"),
     ("v_error_max_pu", "largest voltage error of the model", ".4f", "pu"),
     ("corrections", "corrected steps", "d", ""),
+    ("fallbacks", "steps with a fallback", "d", ""),
     ("gap_max", "largest optimality gap", ".2e", ""),
 )
 

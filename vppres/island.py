@@ -54,6 +54,8 @@ class Settled:
         Who was to be served and was cut off.
     dark_reason : str
         Why the island is dark, empty if it is not.
+    ac_failed : str
+        What was shed because the AC power flow had no solution, and why; empty if it had one.
     """
 
     realised: Realised
@@ -61,6 +63,7 @@ class Settled:
     mismatch_kw: Floats
     shed: Flags
     dark_reason: str = ""
+    ac_failed: str = ""
 
     @property
     def dark(self) -> bool:

@@ -27,6 +27,10 @@ KEY_FIGURES = (
     ("island_reactive_max_kvar", "Largest reactive power of the slack bus in the outage", "kvar",
      ",.1f"),
     ("corrections", "Steps in which the plan was corrected", "", "d"),
+    ("fallbacks", "Steps in which a fallback took the place of the controller's answer", "", "d"),
+    ("estimated_steps", "Steps with measurements that were estimated", "", "d"),
+    ("ac_failures", "Steps in which load was shed because the AC power flow had no solution", "",
+     "d"),
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 

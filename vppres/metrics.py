@@ -16,7 +16,7 @@ from vppres.trajectory import OPTIONS, Trajectory, json_safe
 from vppres.units import kva_to_a
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
-FULL_HORIZON = "full-horizon"
+MPC = "mpc"
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +47,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **island_figures(trajectory),
         **switching_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
+        **operation_figures(trajectory),
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),
         **{name: trajectory.options[name] for name in OPTIONS},
@@ -207,6 +208,14 @@ def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:
                for action, rows in actions.groupby("action")}
     return {"explained_share": float(explained.mean()) if len(actions) else None,
             "drivers": drivers}
+def operation_figures(trajectory: Trajectory) -> dict[str, Any]:
+    """How many steps had a fallback, in all and by kind, an estimate, and no AC solution."""
+    steps = trajectory.steps
+    kinds = steps.loc[steps["fallback"] != "none", "fallback"]
+    return {"fallbacks": len(kinds),
+            "fallbacks_by_kind": {str(kind): int(n) for kind, n in kinds.value_counts().items()},
+            "estimated_steps": int((steps["estimated"] != "").sum()),
+            "ac_failures": int((steps["ac_failed"] != "").sum())}
 
 
 def solve_times(trajectory: Trajectory) -> dict[str, float]:
@@ -217,8 +226,8 @@ def solve_times(trajectory: Trajectory) -> dict[str, float]:
 
 
 def horizon_h(trajectory: Trajectory) -> float | None:
-    """Prediction horizon in h; None for the full horizon, which looks to the end of the day."""
-    if trajectory.options["controller"] == FULL_HORIZON:
+    """Prediction horizon in h; None for controllers other than the MPC, which have none."""
+    if trajectory.options["controller"] != MPC:
         return None
     return float(trajectory.options["horizon_h"])
 

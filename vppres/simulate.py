@@ -7,19 +7,25 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from vppres.collapse import realise
 from vppres.controllers.base import Controller, Decision, Observation
+from vppres.controllers.baselines import IdleController, ReserveController, ReserveRule
 from vppres.controllers.converged import DEFAULT_HEADROOM, DEFAULT_PASSES, ConvergedPlanner
+from vppres.controllers.decision_check import Tolerances
 from vppres.controllers.full_horizon import PV_CHECKS, FullHorizonController, PVCheck
+from vppres.controllers.guard import GuardedController, GuardOptions
 from vppres.controllers.mpc import MPCController
-from vppres.errors import InputError, Problem, VerificationError
+from vppres.errors import InputError, Problem
+from vppres.faults import FaultInjector, FaultPlan, FaultySolver
 from vppres.forecast import Forecaster, ForecastErrors
 from vppres.island import IslandPlant, Settled
-from vppres.model.data import Site
+from vppres.model.data import Dispatch, Site
 from vppres.model.linearise import CENTRES, Centre, OperatingPoint
 from vppres.model.switching import SwitchingState
-from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
-from vppres.powerflow import ACResult, shared_power_flow
+from vppres.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
+from vppres.powerflow import shared_power_flow
 from vppres.scenario import Scenario
 from vppres.sheddable import parts_record, split_sheddable
 from vppres.solve.methods import WindowSolver
@@ -29,7 +35,10 @@ from vppres.switching import SwitchingRules
 from vppres.thermal import ThermalScheme
 from vppres.trajectory import Recorder, StepRecord, Trajectory
 
-CONTROLLERS = ("mpc", "full-horizon")
+CONTROLLERS = ("mpc", "full-horizon", "perfect", "idle", "reserve")
+PERFECT = "perfect"
+PLANNED_LOSSES = 0.1
+"""Share of the power flowing beyond which the losses of a physical plan are no losses."""
 MODES = ("paper", "physical")
 Progress = Callable[[int, int], None]
 
@@ -40,8 +49,9 @@ class RunOptions:
 
     Parameters
     ----------
-    controller : {"mpc", "full-horizon"}
-        Who decides.
+    controller : {"mpc", "full-horizon", "perfect", "idle", "reserve"}
+        Who decides; ``perfect`` is the full horizon without forecast errors, whatever ``errors``
+        says.
     horizon_h : float
         Prediction horizon of the MPC in h.
     solver, method : str
@@ -69,6 +79,12 @@ class RunOptions:
         Physical mode: largest number of linearisations of a window.
     switching : SwitchingRules
         Rules on switching customers; none by default.
+    guard : bool
+        Whether decisions are checked and replaced where they cannot be carried out.
+    protect_critical : bool
+        Whether the guard serves the first tier in every step that can serve it.
+    reserve : ReserveRule
+        When and how far the controller ``reserve`` charges.
     """
 
     controller: str = "mpc"
@@ -86,6 +102,9 @@ class RunOptions:
     headroom: float = DEFAULT_HEADROOM
     passes: int = DEFAULT_PASSES
     switching: SwitchingRules = field(default_factory=SwitchingRules)
+    guard: bool = True
+    protect_critical: bool = False
+    reserve: ReserveRule = field(default_factory=ReserveRule)
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[str, ...]] = {"controller": CONTROLLERS, "centre": CENTRES,
@@ -111,21 +130,58 @@ class RunOptions:
         return asdict(self)
 
 
-def make_controller(scenario: Scenario,
-                    options: RunOptions) -> MPCController | FullHorizonController:
-    """The controller that the options name, with problems that are yet to be compiled."""
-    solver = WindowSolver(Site.of(scenario), options.method, options.solver, options.limits,
-                          options.polygon_sides)
+def make_controller(scenario: Scenario, options: RunOptions,
+                    faults: FaultInjector | None = None) -> Controller:
+    """The controller that the options name, with problems that are yet to be compiled.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its site, steps and tiers; no series of it reaches the controller.
+    options : RunOptions
+        Which controller, and whether it is guarded.
+    faults : FaultInjector, optional
+        What befalls its solvers.
+    """
+    site = Site.of(scenario)
+
+    def solver_of(part: Site) -> WindowSolver:
+        solver = WindowSolver(part, options.method, options.solver, options.limits,
+                              options.polygon_sides)
+        return solver if faults is None else FaultySolver(solver, faults)
+
+    def controller_of(part: Site) -> Controller:
+        return _plain_controller(part, scenario, options, solver_of)
+
+    if not options.guard:
+        return controller_of(site)
+    # A rule does not plan for voltages, and must not be replaced by another rule for them.
+    v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
+    losses = PLANNED_LOSSES if options.mode == "physical" else 0.0
+    guard = GuardOptions(scenario.tiers, options.protect_critical, options.centre,
+                         Tolerances(v_pu=v_pu, loss_share=losses))
+    return GuardedController(controller_of, solver_of, site, guard)
+
+
+def _plain_controller(site: Site, scenario: Scenario, options: RunOptions,
+                      solver_of: Callable[[Site], WindowSolver]) -> Controller:
+    """A controller without guard for the whole fleet or a part of it."""
+    grid, centre = scenario.grid, options.centre
+    if options.controller == "idle":
+        return IdleController(site, scenario.tiers, centre)
+    if options.controller == "reserve":
+        return ReserveController(site, grid, scenario.tiers, options.reserve, centre)
+    solver = solver_of(site)
     planner = (ConvergedPlanner(solver, options.headroom, options.passes)
                if options.mode == "physical" else None)
     if options.controller == "mpc":
-        return MPCController(solver, scenario.grid, options.horizon_h, options.centre, planner,
+        return MPCController(solver, grid, options.horizon_h, centre, planner,
                              options.switching.move_weight)
-    return FullHorizonController(solver, scenario.grid, options.pv_check, options.centre, planner)
+    return FullHorizonController(solver, grid, options.pv_check, centre, planner)
 
 
 def run_day(scenario: Scenario, options: RunOptions | None = None,
-            progress: Progress | None = None) -> Trajectory:
+            progress: Progress | None = None, faults: FaultPlan | None = None) -> Trajectory:
     """Run a scenario from its first step to its last.
 
     Parameters
@@ -136,6 +192,8 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
         Controller, solver, errors; the defaults are the paper's ideal case at H = 5.
     progress : callable, optional
         Called as ``progress(steps done, steps in all)`` after every step.
+    faults : FaultPlan, optional
+        What goes wrong; nothing if not given.
 
     Returns
     -------
@@ -146,21 +204,21 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
     InputError
         If an option is unknown.
     SolveError
-        If a window has no answer.
-    VerificationError
-        If an AC power flow does not converge.
+        If a window has no answer and no guard finds another.
     """
     options = options or RunOptions()
     parts = parts_record(scenario)
     scenario = split_sheddable(scenario)
-    controller = make_controller(scenario, options)
-    day = Day(scenario, options)
+    injector = None if faults is None else FaultInjector(faults, scenario)
+    controller = make_controller(scenario, options, injector)
+    day = Day(scenario, options, injector)
     for t in range(scenario.grid.n_steps):
         day.step(controller, t)
         if progress is not None:
             progress(t + 1, scenario.grid.n_steps)
-    plan = getattr(controller, "plan", None)
-    planned = None if plan is None else {
+    plan: Dispatch | None = getattr(controller, "plan", None)
+    # A plan that had to be made later in the day does not say what was promised for all of it.
+    planned = None if plan is None or plan.n_steps < scenario.grid.n_steps else {
         "served": plan.served.tolist(),
         "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
         "p_grid_kw": plan.p_grid_kw.tolist(),
@@ -171,25 +229,31 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
 class Day:
     """State of a run between two steps."""
 
-    def __init__(self, scenario: Scenario, options: RunOptions) -> None:
-        self.scenario, self.options = scenario, options
+    def __init__(self, scenario: Scenario, options: RunOptions,
+                 faults: FaultInjector | None = None) -> None:
+        self.scenario, self.options, self.faults = scenario, options, faults
         self.plant = Plant(scenario, options.thermal, options.switching)
         self.switching = (SwitchingState.start(options.switching, scenario.grid.dt_h,
                                                len(scenario.customers))
                           if options.switching.active else None)
         self.state = self.plant.initial_state()
-        self.forecaster = Forecaster(scenario, options.errors, options.seed)
+        errors = ForecastErrors() if options.controller == PERFECT else options.errors
+        if faults is not None:
+            errors = faults.plan.forecast_errors(errors)
+        self.forecaster = Forecaster(scenario, errors, options.seed)
         self.ac = shared_power_flow(scenario.network)
         self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
+        self.battery_kw: NDArray[np.float64] | None = None
 
     def observe(self, controller: Controller, t: int) -> Observation:
         """What the controller may know at step ``t``."""
         forecast = self.forecaster.at(t, controller.horizon_steps(t))
         s = self.state
-        return Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
-                           self.switching)
+        seen = Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
+                           self.switching, battery_kw=self.battery_kw)
+        return seen if self.faults is None else self.faults.observe(seen)
 
     def step(self, controller: Controller, t: int) -> None:
         """Observe, decide, actuate, verify, record."""
@@ -198,12 +262,15 @@ class Day:
     def play(self, controller: Controller, t: int) -> StepRecord:
         """One step without its record's place in the run: what was decided and what came of it."""
         decision = controller.decide(self.observe(controller, t))
+        if self.faults is not None:
+            decision = self.faults.actuate(t, decision)
         done = self.carry_out(t, decision)
         realised, result = done.realised, done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
         self.operating_point = None if done.dark else OperatingPoint(
             result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
             realised.q_injection_kvar)
+        self.battery_kw = realised.charge_kw - realised.discharge_kw
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)
@@ -211,19 +278,11 @@ class Day:
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """What the day makes of a decision; physical mode's islands hold themselves."""
-        realised = self.plant.apply(t, decision, self.state)
-        if self.options.mode == "physical" and self.scenario.outage[t]:
-            return self.island.settle(t, realised, self.state)
-        none = np.zeros(len(self.scenario.batteries))
-        return Settled(realised, self.verify(t, realised), none, np.zeros_like(realised.served))
-
-    def verify(self, t: int, realised: Realised) -> ACResult:
-        """AC power flow of what happened."""
-        try:
-            return self.ac.solve(realised.p_injection_kw, realised.q_injection_kvar)
-        except VerificationError as error:
-            time = self.scenario.grid.times[t]
-            raise VerificationError(f"Step {t} ({time:%Y-%m-%d %H:%M}): {error}") from error
+        if not (self.options.mode == "physical" and self.scenario.outage[t]):
+            return realise(self.plant, self.ac, t, decision, self.state)
+        if self.faults is not None:
+            self.island.formers = self.faults.online(t) & self.scenario.batteries.formers
+        return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
 
 
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
@@ -247,6 +306,8 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
         losses_kw=ac.losses_kw, mismatch_kw=done.mismatch_kw, shed=done.shed,
         objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
         solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
+        fallback=decision.fallback, fallback_reason=decision.fallback_reason,
+        estimated=decision.estimated, ac_failed=done.ac_failed,
         notes={"gap_abs": info.gap_abs, "gap_service": info.gap_service,
                "gap_cost_gbp": info.gap_cost_gbp,
                "solver_s": info.solver_s, "stages": info.stages,

@@ -45,6 +45,8 @@ OPTION_FIELDS: dict[str, tuple[str, type]] = {
     "cold-load-factor": ("switching.cold_load_factor", float),
     "cold-load-h": ("switching.cold_load_h", float),
     "move-weight": ("switching.move_weight", float),
+    "reserve-soc": ("reserve.soc", float),
+    "notice": ("reserve.notice_h", float),
     "centre": ("centre", str),
     "pv-check": ("pv_check", str),
 }

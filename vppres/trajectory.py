@@ -33,7 +33,8 @@ OPTIONS_FILE = "options.json"
 # Columns of the run folder's tables, each with the field of StepRecord that fills it.
 _STEPS = {name: name for name in (
     "p_grid_kw", "q_grid_kvar", "losses_kw", "v_min_ac_pu", "v_max_ac_pu", "v_error_pu",
-    "objective", "bound", "gap", "status", "solve_s", "corrected", "correction_reason")}
+    "objective", "bound", "gap", "status", "solve_s", "corrected", "correction_reason",
+    "fallback", "fallback_reason", "estimated", "ac_failed")}
 _CUSTOMERS = {"p_load_kw": "load_kw", "q_load_kvar": "load_kvar", "served": "served",
               "shed": "shed"}
 _PV = {"available_kw": "pv_available_kw", "self_kw": "pv_self_kw", "export_kw": "pv_export_kw",
@@ -82,6 +83,15 @@ class StepRecord:
         Whether the planned dispatch had to be replaced.
     correction_reason : str
         Which check failed; empty if none.
+    fallback : str
+        What took the place of the controller's answer: ``none``, ``voltage``, ``service``,
+        ``previous_plan``, ``rule`` or ``critical``.
+    fallback_reason : str
+        Why, and what it leaves open; empty if nothing did.
+    estimated : str
+        Measurements that were estimated and batteries that were out; empty if none.
+    ac_failed : str
+        What was shed because the AC power flow had no solution, and why; empty if it had one.
     notes : mapping of str to float or str
         Further columns of the steps table.
     mismatch_kw : array, shape (B,), optional
@@ -123,6 +133,10 @@ class StepRecord:
     solve_s: float
     corrected: bool = False
     correction_reason: str = ""
+    fallback: str = "none"
+    fallback_reason: str = ""
+    estimated: str = ""
+    ac_failed: str = ""
     notes: Mapping[str, float | str] = field(default_factory=dict)
     mismatch_kw: Floats | None = None
     shed: NDArray[np.bool_] | None = None
@@ -214,6 +228,11 @@ class Recorder:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._records: list[StepRecord] = []
+
+    @property
+    def records(self) -> tuple[StepRecord, ...]:
+        """The steps so far."""
+        return tuple(self._records)
 
     def add(self, step: StepRecord) -> None:
         """Append the record of the next step.

@@ -37,6 +37,10 @@ class Observation:
         Switching rules and what was really served so far; None without rules.
     moves : Moves, optional
         The plan before, where the controller is to stay near it.
+    battery_kw : array, shape (B,), optional
+        Measured charging power of the step before, negative where discharged.
+    online : array of bool, shape (B,), optional
+        Batteries that report to be able to work; all if not given.
     """
 
     t0: int
@@ -47,6 +51,8 @@ class Observation:
     operating_point: OperatingPoint | None = None
     switching: SwitchingState | None = None
     moves: Moves | None = None
+    battery_kw: Floats | None = None
+    online: NDArray[np.bool_] | None = None
 
     def window(self, site: Site, centre: Centre) -> WindowData:
         """The data of the window's problem."""
@@ -105,6 +111,12 @@ class Decision:
         Whether a plan was overruled for this step.
     reason : str
         Why it was.
+    fallback : str
+        What took the place of the controller's own answer, ``none`` if nothing did.
+    fallback_reason : str
+        Why it had to, and what it leaves open.
+    estimated : str
+        Measurements that were estimated and batteries that are out, in words.
     """
 
     dispatch: Dispatch
@@ -112,6 +124,9 @@ class Decision:
     info: SolveInfo = field(default_factory=SolveInfo)
     corrected: bool = False
     reason: str = ""
+    fallback: str = "none"
+    fallback_reason: str = ""
+    estimated: str = ""
 
 
 class Planner(Protocol):

@@ -26,7 +26,7 @@ BALANCE_TOLERANCE_KW = 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Actual:
-    """One step of a plan beside what is measured when it is due; (C,), (P,) and (B,) arrays."""
+    """Row ``t`` of a plan beside what is measured when it is due; (C,), (P,) and (B,) arrays."""
 
     plan: Dispatch
     t: int
@@ -68,10 +68,11 @@ class FullHorizonController:
         self.literal = pv_check == "literal"
         self.plan: Dispatch | None = None
         self.loss_kw: Floats | None = None
+        self.first = 0
 
     def horizon_steps(self, t0: int) -> range:
-        """The whole day at the first step, then the step itself."""
-        return range(self.grid.n_steps) if self.plan is None else range(t0, t0 + 1)
+        """The rest of the day while there is no plan, then the step itself."""
+        return range(t0, self.grid.n_steps if self.plan is None else t0 + 1)
 
     def decide(self, observation: Observation) -> Decision:
         """Follow the plan if it passes the checks, otherwise correct the step."""
@@ -80,15 +81,16 @@ class FullHorizonController:
         if self.plan is None:
             solution = self.planner.plan(observation)
             self.plan, self.loss_kw = solution.dispatch, solution.loss_kw
+            self.first = observation.t0
             info = SolveInfo.of(solution, self.solver.cache.compilations)
-        f, t = observation.forecast, observation.t0
-        now = window.first(1).for_service(self.plan.served[t:t + 1])
-        actual = _Actual(self.plan, t, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
+        f, row = observation.forecast, observation.t0 - self.first
+        now = window.first(1).for_service(self.plan.served[row:row + 1])
+        actual = _Actual(self.plan, row, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
                          observation, now,
-                         0.0 if self.loss_kw is None else float(self.loss_kw[t]))
+                         0.0 if self.loss_kw is None else float(self.loss_kw[row]))
         reasons = self.violations(actual)
         if not reasons:
-            return Decision(self.plan, observation.t0, info)
+            return Decision(self.plan, row, info)
         return self._correct(observation, "; ".join(reasons))
 
     def _correct(self, observation: Observation, reason: str) -> Decision:

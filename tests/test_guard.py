@@ -1,0 +1,436 @@
+"""The guard: every fallback is reached and named, and every answer can be carried out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from checker import check_dispatch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from random_feeders import random_window
+from run_factory import small_scenario
+from test_plant import decision
+
+from vppres.controllers.base import Controller, Decision, Observation
+from vppres.controllers.decision_check import violations
+from vppres.controllers.guard import GuardedController, GuardOptions
+from vppres.controllers.mpc import MPCController
+from vppres.controllers.relax import least_slack
+from vppres.controllers.rules import best_subset, carry, rule_dispatch
+from vppres.controllers.step_state import StepState
+from vppres.errors import InfeasibleError, LimitError
+from vppres.forecast import Forecaster, ForecastErrors
+from vppres.model.data import Site, WindowData
+from vppres.network import Network
+from vppres.plant import BatteryState, Plant
+from vppres.scenario import Scenario
+from vppres.simulate import Day, RunOptions, make_controller, run_day
+from vppres.solve.methods import WindowSolver
+from vppres.solve.result import WindowSolution
+
+Floats = NDArray[np.float64]
+TIERS = ("critical", "high", "low")
+SEEDS = st.integers(0, 10_000)
+
+
+# The rule.
+
+
+def state_of(seed: int, stressed: bool = False) -> tuple[Scenario, StepState]:
+    """The first step of a random window."""
+    scenario, data = random_window(seed, stressed)
+    every = np.ones(len(scenario.batteries), dtype=bool)
+    return scenario, StepState(
+        Site.of(scenario), data.load_kw[0], data.pv_kw[0], float(data.grid_limit_kw[0]), data.soc,
+        data.eta_charge, data.eta_discharge, data.delta_pu2[0], every)
+
+
+def window_of(state: StepState) -> WindowData:
+    """The step as the data of a window, for the independent checker."""
+    return WindowData(state.load_kw[None], state.pv_kw[None], np.zeros(1),
+                      np.array([state.grid_limit_kw]), state.soc, state.eta_charge,
+                      state.eta_discharge, state.offset_pu2[None])
+
+
+@settings(max_examples=150, deadline=None)
+@given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0))
+def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
+    scenario, state = state_of(seed)
+    carried = rule_dispatch(state, TIERS, np.full(len(scenario.batteries), charge_kw))
+    found = check_dispatch(scenario, window_of(state), carried.dispatch).violations
+    first = carried.dispatch.served[0] & (scenario.customers.tier == "critical")
+    alone = carry(state, first, np.zeros(len(scenario.batteries)))
+    assert carried.no_worse_than(alone)
+    exempt = {"voltage limits"}  # the rule goes by those of the AC voltages
+    if carried.reactive_short_kvar > 1e-6:
+        exempt |= {"reactive balance"}
+    assert {name: value for name, value in found.items()
+            if value > 1e-7 and name not in exempt} == {}
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, stressed=st.booleans())
+def test_plant_carries_the_rule_out_as_it_is(seed: int, stressed: bool) -> None:
+    scenario, state = state_of(seed, stressed)
+    plan = rule_dispatch(state, TIERS).dispatch
+    now = replace(scenario, load_kw=np.tile(state.load_kw, (scenario.grid.n_steps, 1)),
+                  pv_kw=np.tile(state.pv_kw, (scenario.grid.n_steps, 1)))
+    battery = BatteryState(state.soc, state.eta_charge, state.eta_discharge, 25.0 + 0 * state.soc)
+    done = Plant(now).apply(0, Decision(plan), battery)
+    assert done.clipped_kw < 1e-6
+    assert -done.p_injection_kw.sum() == pytest.approx(plan.p_grid_kw[0], abs=1e-5)
+    assert violations(Decision(plan), state, v_limits_pu=(0.0, 2.0)) == []
+
+
+@settings(max_examples=100, deadline=None)
+@given(weights=st.lists(st.sampled_from([1.0, 1.0, 1.5, 0.7]) | st.floats(0.1, 2.0), max_size=8),
+       seed=SEEDS, share=st.floats(0.0, 1.2))
+def test_best_subset_is_the_best(weights: list[float], seed: int, share: float) -> None:
+    loads = np.random.default_rng(seed).uniform(1.0, 20.0, len(weights))
+    w, capacity = np.array(weights), share * loads.sum()
+    best = max((w @ chosen for chosen in map(np.array, itertools.product([0, 1], repeat=len(w)))
+                if loads @ chosen <= capacity + 1e-9), default=0.0) if len(w) else 0.0
+    chosen = best_subset(w, loads, capacity)
+    assert loads @ chosen <= capacity + 1e-6
+    assert w @ chosen == pytest.approx(best, abs=1e-8)
+
+
+def step(scenario: Scenario, t: int, soc: float = 0.5) -> StepState:
+    """A step of a day with every battery at a state of charge."""
+    b = scenario.batteries
+    forecast = Forecaster(scenario, ForecastErrors(), 0).at(t, range(t, t + 1))
+    return StepState.of(Site.of(scenario), Observation(
+        t, forecast, np.full(len(b), soc), b.eta_charge, b.eta_discharge))
+
+
+def test_rule_in_an_island_by_hand() -> None:
+    # 12 kW of sun, 0.1 x 100 kWh x 0.95 / 0.5 h = 19 kW of battery: a (10) and b (20) fit, not c.
+    carried = rule_dispatch(step(small_scenario(), 1, soc=0.25), TIERS)
+    plan = carried.dispatch
+    assert plan.served[0].tolist() == [True, True, False]
+    assert plan.pv_self_kw[0, 0] == 12.0
+    assert plan.discharge_kw[0, 0] == pytest.approx(18.0)
+    assert plan.soc[1, 0] == pytest.approx(0.25 - 18.0 / 0.95 * 0.5 / 100)
+    assert plan.p_grid_kw[0] == 0.0
+    assert carried.shortage == ""
+
+
+def test_rule_serves_the_first_tier_from_an_empty_battery_by_sun_alone() -> None:
+    plan = rule_dispatch(step(small_scenario(), 1, soc=0.15), TIERS).dispatch
+    assert plan.served[0].tolist() == [True, False, False]
+    assert (plan.charge_kw[0, 0], plan.pv_curtailed_kw[0, 0]) == (pytest.approx(2.0), 0.0)
+
+
+def test_full_battery_leaves_the_surplus_curtailed() -> None:
+    plan = carry(step(small_scenario(), 1, soc=0.85), np.array([True, False, False]),
+                 np.zeros(1)).dispatch
+    assert (plan.charge_kw[0, 0], plan.pv_curtailed_kw[0, 0]) == (0.0, pytest.approx(2.0))
+
+
+def test_what_cannot_be_carried_is_none() -> None:
+    assert carry(step(small_scenario(), 1, soc=0.15), np.ones(3, bool), np.zeros(1)) is None
+
+
+def test_connected_rule_imports_and_leaves_the_batteries_alone() -> None:
+    plan = rule_dispatch(step(small_scenario(), 0), TIERS).dispatch
+    assert plan.served.all()
+    assert plan.p_grid_kw[0] == pytest.approx(70.0 - 12.0)
+    assert plan.charge_kw.sum() == plan.discharge_kw.sum() == 0.0
+
+
+# The check.
+
+
+def test_sound_decision_passes(tiny: Scenario) -> None:
+    done = decision(tiny, battery_kw=[10.0, -10.0])
+    assert violations(done, step(tiny, 0)) == []
+
+
+@pytest.mark.parametrize(("t", "change", "text"), [
+    (0, {"served": np.full((1, 3), 0.5)}, "a customer is neither served nor not"),
+    (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
+    (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
+    (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),
+    (0, {"charge_kw": np.array([[-5.0, 0.0]])}, "battery power: big by 5 kVA"),
+    (0, {"batt_q_kvar": np.array([[0.0, 36.0]])}, "battery power: small by 1 kVA"),
+    (0, {"charge_kw": np.array([[30.0, 0.0]]), "discharge_kw": np.array([[30.0, 0.0]])},
+     "battery power: big by 30 kVA"),
+    (0, {"pv_curtailed_kw": np.array([[-3.0, 0.0]])}, "pv: roof by 3 kVA"),
+    (0, {"pv_q_kvar": np.array([[0.0, -35.0]])}, "pv: field by 5 kVA"),
+    (0, {"v_pu": np.array([[1.0, 0.9, 1.0, 1.0]])}, "voltage: 0.9000 pu"),
+    (3, {}, "balance: 108.5 kW short"),
+    (3, {"served": np.zeros((1, 3), bool)}, "balance: 47.5 kW surplus"),
+])
+def test_unsound_decision_is_refused(tiny: Scenario, t: int, change: dict[str, Floats],
+                                     text: str) -> None:
+    done = decision(tiny)
+    wrong = replace(done, dispatch=replace(done.dispatch, **change))
+    assert violations(wrong, step(tiny, t, soc=0.3)) == [text]
+
+
+def test_energy_and_missing_batteries_are_refused(tiny: Scenario) -> None:
+    full = step(tiny, 0, soc=0.84)
+    assert violations(decision(tiny, battery_kw=[40.0, 0.0]), full) == [
+        "battery energy: big by 0.37 of capacity"]
+    out = replace(step(tiny, 0), online=np.array([False, True]))
+    assert violations(decision(tiny, battery_kw=[5.0, 0.0]), out) == [
+        "battery power: big by 5 kVA"]
+
+
+# The order of fallbacks.
+
+
+class Scripted:
+    """A controller that answers or raises as told, step by step."""
+
+    def __init__(self, inner: Controller, script: dict[int, Exception]) -> None:
+        self.inner, self.script = inner, script
+
+    def horizon_steps(self, t0: int) -> range:
+        return self.inner.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        if observation.t0 in self.script:
+            raise self.script[observation.t0]
+        return self.inner.decide(observation)
+
+
+def guarded(scenario: Scenario, script: dict[int, Exception], horizon_h: float = 2.0,
+            solver_of: Callable[[Site], WindowSolver] = WindowSolver,
+            protect: bool = False) -> GuardedController:
+    def controller_of(site: Site) -> Controller:
+        return Scripted(MPCController(WindowSolver(site), scenario.grid, horizon_h), script)
+
+    return GuardedController(controller_of, solver_of, Site.of(scenario),
+                             GuardOptions(TIERS, protect))
+
+
+def played(scenario: Scenario, controller: Controller) -> Day:
+    """A finished day."""
+    day = Day(scenario, RunOptions())
+    for t in range(scenario.grid.n_steps):
+        day.step(controller, t)
+    return day
+
+
+def fallbacks(day: Day) -> list[str]:
+    return [record.fallback for record in day.recorder.records]
+
+
+@pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
+def test_guard_changes_nothing_where_nothing_fails(tiny: Scenario, kind: str) -> None:
+    options = RunOptions(controller=kind, horizon_h=2.0, errors=ForecastErrors(0.05, 0.05))
+    runs = [run_day(tiny, replace(options, guard=guard)) for guard in (True, False)]
+    assert (runs[0].steps["fallback"] == "none").all()
+    for name in ("customers", "pv", "batteries"):
+        assert runs[0].tables[name].equals(runs[1].tables[name])
+
+
+@pytest.mark.parametrize("error", [RuntimeError("segment"), LimitError("late"), ValueError()])
+def test_dead_solver_is_answered_by_the_previous_plan(tiny: Scenario, error: Exception) -> None:
+    day = played(tiny, guarded(tiny, {1: error, 2: error}))
+    assert fallbacks(day) == ["none", "previous_plan", "previous_plan", "none", "none", "none"]
+    undisturbed = played(tiny, guarded(tiny, {}))
+    # Without forecast errors the old plan closes the balance as it is.
+    for t in (1, 2):
+        record = day.recorder.records[t]
+        assert record.fallback_reason.startswith(type(error).__name__)
+        assert record.served.tolist() == undisturbed.recorder.records[t].served.tolist()
+
+
+def test_plan_that_is_used_up_is_followed_by_the_rule(tiny: Scenario) -> None:
+    script = {t: RuntimeError("gone") for t in range(1, 6)}
+    day = played(tiny, guarded(tiny, script))
+    assert fallbacks(day) == ["none", "previous_plan", "previous_plan", "rule", "rule", "rule"]
+    assert fallbacks(played(tiny, guarded(tiny, {0: RuntimeError("gone")})))[0] == "rule"
+
+
+def test_plan_that_cannot_be_carried_out_is_not_followed(tiny: Scenario) -> None:
+    guard = guarded(tiny, {3: RuntimeError("gone")})
+    day = Day(tiny, RunOptions())
+    for t in range(3):
+        day.step(guard, t)
+    day.state = replace(day.state, soc=tiny.batteries.soc_min)
+    day.step(guard, 3)
+    assert fallbacks(day)[3] == "rule"
+    assert day.recorder.records[3].served[0] == (
+        tiny.load_kw[3, 0] <= tiny.pv_kw[3].sum())
+
+
+def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
+    net = scenario.network
+    return replace(scenario, network=Network(
+        net.from_bus, net.to_bus, net.r_ohm, net.x_ohm, net.slack_bus, net.base_kv, v_slack_pu))
+
+
+@pytest.mark.parametrize(("v_slack_pu", "limits"), [(0.945, "0.940 .. 1.060"),
+                                                    (0.92, "0.920 .. 1.077")])
+def test_voltage_limits_give_by_as_little_as_possible(v_slack_pu: float, limits: str) -> None:
+    scenario = with_slack(small_scenario(), v_slack_pu)
+    day = played(scenario, guarded(scenario, {}, horizon_h=0.0))
+    assert set(fallbacks(day)) == {"voltage"}
+    reason = day.recorder.records[0].fallback_reason
+    assert reason.startswith("InfeasibleError: The window of 1 steps has no feasible dispatch.")
+    assert f"voltage limits widened to {limits} pu, this step 0.0" in reason
+
+
+def test_least_slack_by_hand() -> None:
+    # Nobody served and nothing fed in: every voltage is the slack bus's.
+    scenario = with_slack(small_scenario(), 0.92)
+    site, net = Site.of(scenario), scenario.network
+    data = window_of(step(scenario, 1, soc=0.15))
+    without_q = replace(data, pv_kw=0.0 * data.pv_kw)
+    assert least_slack(site, without_q) <= net.v_min_pu**2 - 0.92**2 + 1e-6
+    assert least_slack(Site.of(small_scenario()), data) == pytest.approx(0.0, abs=1e-6)
+
+
+class OnlyOneStep(WindowSolver):
+    """A solver that finds nothing feasible beyond one step."""
+
+    def solve(self, data: WindowData) -> WindowSolution:
+        if data.n_steps > 1:
+            raise InfeasibleError("The future has no feasible dispatch.")
+        return super().solve(data)
+
+
+def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> None:
+    error = InfeasibleError("The rules of switching leave nothing.")
+    day = played(tiny, guarded(tiny, {3: error}, solver_of=OnlyOneStep))
+    assert fallbacks(day) == ["none"] * 3 + ["service"] + ["none"] * 2
+    reason = day.recorder.records[3].fallback_reason
+    assert reason.startswith("InfeasibleError: The rules of switching leave nothing.; voltage: "
+                             "InfeasibleError: The future has no feasible dispatch.")
+    assert "the step alone, voltage limits widened to 0.946 .. 1.054 pu" in reason
+
+
+class Dead(WindowSolver):
+    """A solver that never answers."""
+
+    def solve(self, data: WindowData) -> WindowSolution:
+        raise RuntimeError("no solver")
+
+
+def test_infeasible_window_without_any_solver_still_has_an_answer(tiny: Scenario) -> None:
+    script: dict[int, Exception] = {t: InfeasibleError("nothing") for t in range(6)}
+    day = played(tiny, guarded(tiny, script, solver_of=Dead))
+    assert set(fallbacks(day)) == {"rule"}
+    assert "voltage: RuntimeError: no solver" in day.recorder.records[0].fallback_reason
+
+
+# Critical customers.
+
+
+def rationed() -> Scenario:
+    """An island of two steps in which saving pays: 10 kW now, or 4 kW and 5 kW of others later."""
+    day = small_scenario()
+    load = np.array([[9.0, 50.0, 50.0], [9.0, 50.0, 50.0], [4.0, 1.0, 4.0], [9.0, 50.0, 50.0]])
+    b = replace(day.batteries, soc_initial=[0.15 + 0.05 / 0.95])
+    grid_limit_kw = [0.0, 0.0, 0.0, np.inf]
+    return replace(day, load_kw=load, pv_kw=np.zeros((4, 1)), batteries=b,
+                   grid_limit_kw=grid_limit_kw)
+
+
+@pytest.mark.parametrize("solver_of", [WindowSolver, Dead])
+def test_critical_customer_is_served_where_the_step_can(
+        solver_of: Callable[[Site], WindowSolver]) -> None:
+    scenario = rationed()  # 5 kWh at the terminals, 4.5 kWh for the critical customer in a step
+    free = played(scenario, guarded(scenario, {}, solver_of=solver_of))
+    assert [bool(r.served[0]) for r in free.recorder.records[:3]] == [False, False, True]
+    kept = played(scenario, guarded(scenario, {}, solver_of=solver_of, protect=True))
+    assert [bool(r.served[0]) for r in kept.recorder.records[:3]] == [True, False, False]
+    first, second = kept.recorder.records[:2]
+    assert first.fallback == "critical"
+    assert first.fallback_reason.startswith(
+        "the plan serves 0 of the critical weight, the step alone 1")
+    assert ("RuntimeError: no solver" in first.fallback_reason) == (solver_of is Dead)
+    assert second.fallback == "none"  # what is left carries nobody
+
+
+# Measurements and batteries that are out.
+
+
+def seen_day(scenario: Scenario, change: Callable[[Observation], Observation],
+             options: RunOptions) -> Day:
+    """A day whose controller sees changed observations."""
+    class Veiled(Day):
+        def observe(self, controller: Controller, t: int) -> Observation:
+            return change(super().observe(controller, t))
+
+    day, controller = Veiled(scenario, options), make_controller(scenario, options)
+    for t in range(scenario.grid.n_steps):
+        day.step(controller, t)
+    return day
+
+
+OPTIONS = RunOptions(horizon_h=2.0)
+
+
+def same_service(one: Day, other: Day) -> bool:
+    pairs = zip(one.recorder.records, other.recorder.records, strict=True)
+    return all((a.served == b.served).all() and np.allclose(a.soc_end, b.soc_end, atol=1e-6)
+               for a, b in pairs)
+
+
+def test_missing_soc_is_reckoned_exactly(tiny: Scenario) -> None:
+    def without_soc(seen: Observation) -> Observation:
+        return replace(seen, soc=np.full(2, np.nan))
+
+    blind = seen_day(tiny, without_soc, OPTIONS)
+    assert same_service(blind, played(tiny, make_controller(tiny, OPTIONS)))
+    assert blind.recorder.records[0].estimated == "soc big 0.1500 (missing); soc small 0.5000 " \
+                                                  "(missing)"
+
+
+def test_frozen_soc_is_noticed_once_the_battery_has_moved(tiny: Scenario) -> None:
+    def frozen(seen: Observation) -> Observation:
+        return replace(seen, soc=tiny.batteries.soc_initial)
+
+    day = seen_day(tiny, frozen, OPTIONS)
+    assert same_service(day, played(tiny, make_controller(tiny, OPTIONS)))
+    assert day.recorder.records[0].estimated == ""
+    assert "(frozen)" in day.recorder.records[3].estimated
+
+
+@pytest.mark.parametrize("name", ["load_kw", "pv_kw"])
+def test_missing_series_come_from_the_forecast_of_the_step_before(tiny: Scenario,
+                                                                  name: str) -> None:
+    def missing(seen: Observation) -> Observation:
+        rows = np.array(getattr(seen.forecast, name))
+        if seen.t0 in (1, 4):
+            rows[0, 0] = np.nan
+        return replace(seen, forecast=replace(seen.forecast, **{name: rows}))
+
+    day = seen_day(tiny, missing, OPTIONS)
+    assert same_service(day, played(tiny, make_controller(tiny, OPTIONS)))
+    words = {"load_kw": "load hospital 62.00 kW (missing)", "pv_kw": "pv roof 28.00 kW (missing)"}
+    assert [r.estimated for r in day.recorder.records][:3] == ["", words[name], ""]
+
+
+def test_frozen_load_is_replaced_while_the_forecast_moves(tiny: Scenario) -> None:
+    moving = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
+
+    def frozen(seen: Observation) -> Observation:
+        rows = np.array(seen.forecast.load_kw)
+        rows[0] = moving.load_kw[0]
+        return replace(seen, forecast=replace(seen.forecast, load_kw=rows))
+
+    words = [r.estimated for r in seen_day(moving, frozen, OPTIONS).recorder.records]
+    assert words[:2] == ["", ""]  # two forecasts are needed to see that it should move
+    assert words[2:] == [f"load of all 3, {moving.load_kw[t].sum():.1f} kW (frozen)"
+                         for t in range(2, 6)]
+
+
+def test_reported_trip_takes_the_battery_out_of_the_plan(tiny: Scenario) -> None:
+    def tripped(seen: Observation) -> Observation:
+        return replace(seen, online=np.array([seen.t0 < 3, True]))
+
+    records = seen_day(tiny, tripped, OPTIONS).recorder.records
+    assert [r.estimated for r in records] == [""] * 3 + ["battery big is out"] * 3
+    assert [r.fallback for r in records] == ["none"] * 6
+    assert all(r.charge_kw[0] == r.discharge_kw[0] == 0.0 for r in records[3:])
+    assert any(r.discharge_kw[1] > 1.0 for r in records[3:])

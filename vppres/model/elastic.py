@@ -1,0 +1,70 @@
+"""By how much the voltage limits have to give so that a window has a dispatch at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.model.data import Site, WindowData
+from vppres.model.window import Form, WindowModel, require_dpp
+from vppres.network import Network
+
+ROUNDING_PU = 1e-3
+"""Limits are widened to the next multiple, so that windows with like needs share problems."""
+
+
+class ElasticModel:
+    """A window without binaries whose voltage limits give, by the least that is possible.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    polygon_sides : int
+        Sides of the outer polygons in place of the inverters' discs.
+
+    Attributes
+    ----------
+    problem : cvxpy.Problem
+        Minimises the slack of the squared limits.
+    """
+
+    def __init__(self, site: Site, n_steps: int, polygon_sides: int = 16) -> None:
+        form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True)
+        self.window = WindowModel(site, n_steps, form)
+        self.slack = cp.Variable(name="slack", nonneg=True)
+        net, u = site.network, self.window.v.u
+        limits = {"voltage_min": u[:, 1:] >= net.v_min_pu**2 - self.slack,
+                  "voltage_max": u[:, 1:] <= net.v_max_pu**2 + self.slack}
+        kept = {**self.window.constraints, **limits}
+        self.problem = cp.Problem(cp.Minimize(self.slack), list(kept.values()))
+        require_dpp(self.problem, f"elastic window of {n_steps} steps")
+
+    def fill(self, data: WindowData) -> None:
+        """Write the window's data."""
+        self.window.fill(data)
+
+
+def widened(network: Network, slack_pu2: float) -> Network:
+    """The network with its squared voltage limits widened, rounded outwards.
+
+    Examples
+    --------
+    >>> net = Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=11.0)
+    >>> wide = widened(net, 0.01)
+    >>> wide.v_min_pu, wide.v_max_pu
+    (0.941, 1.058)
+    """
+    low = np.sqrt(max(network.v_min_pu**2 - slack_pu2, 0.0))
+    high = np.sqrt(network.v_max_pu**2 + slack_pu2)
+    return with_limits(network, float(np.round(np.floor(low / ROUNDING_PU) * ROUNDING_PU, 6)),
+                       float(np.round(np.ceil(high / ROUNDING_PU) * ROUNDING_PU, 6)))
+
+
+def with_limits(network: Network, v_min_pu: float, v_max_pu: float) -> Network:
+    """The network with other limits of the optimisation's voltages."""
+    return replace(network, v_min_pu=v_min_pu, v_max_pu=v_max_pu)
