@@ -147,7 +147,6 @@ class Plant:
                         powers.pv_curtailed_kw, powers.pv_q_kvar, charge, discharge,
                         powers.batt_q_kvar, soc_end, p, q, clipped_kw, load_kw)
 
-
     def _split_pv(self, t: int, demand_kw: Floats,
                   curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
