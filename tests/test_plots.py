@@ -1,9 +1,7 @@
-"""Figures show what the tables hold, and the run folder is whole."""
+"""Figures show what the tables hold."""
 
 from __future__ import annotations
 
-import json
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,10 +13,8 @@ from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small
 from run_factory import without_devices as bare
 
 from vppres import plots
-from vppres.key_figures import key_figures
-from vppres.metrics import summarise
-from vppres.report import write_run
-from vppres.trajectory import read_run
+from vppres.network import Network
+from vppres.plots.service import tile_rows
 
 
 def line(figure: Figure, panel: int, label: str):
@@ -122,7 +118,8 @@ def test_a_plan_is_drawn_beside_what_happened():
 def test_figures_of_days_without_devices_or_outage(run, tmp_path):
     files = plots.save_figures(run, tmp_path)
     assert [file.name for file in files] == [
-        f"{name}.{kind}" for name in plots.FIGURES for kind in ("png", "svg")]
+        f"{name}.{kind}" for name in [*plots.FIGURES, *plots.RUN_FIGURES]
+        for kind in ("png", "svg")]
     assert all(file.stat().st_size > 1000 for file in files)
 
 
@@ -140,37 +137,52 @@ def test_drawing_leaves_pyplot_alone():
     assert answer.stdout.strip() == "False"
 
 
-def test_the_run_folder_is_whole_and_its_report_stands_alone(tmp_path):
+def test_few_customers_have_a_row_each_and_many_share_rows(monkeypatch):
+    rows = tile_rows(small_run())
+    assert rows.names == ["a", "b", "c"]
+    assert rows.tiers == ["critical", "low", "low"]
+    assert rows.share.tolist() == np.array(SERVED, dtype=float).T.tolist()
+    monkeypatch.setattr("vppres.plots.service.MAX_ROWS", 2)
+    rows = tile_rows(small_run())
+    assert rows.names == ["a", "b c"]
+    assert rows.share.tolist() == [[1, 1, 0, 1], [1, 0, 0.5, 1]]
+
+
+def test_large_maps_are_images_within_the_svg(tmp_path, monkeypatch):
+    monkeypatch.setattr("vppres.plots.service.RASTER_ABOVE", 3)
+    plots.save_figure(plots.service_by_tier(small_run()), tmp_path / "many")
+    assert "<image" in (tmp_path / "many.svg").read_text(encoding="utf-8")
+
+
+def test_the_strips_tell_outage_service_and_phases():
     run = small_run()
-    summary = write_run(run, tmp_path / "run")
-    folder = tmp_path / "run"
-    assert sorted(file.name for file in folder.iterdir()) == [
-        "batteries.parquet", "buses.parquet", "customers.parquet", "figures", "lines.parquet",
-        "options.json", "pv.parquet", "report.html", "scenario", "steps.parquet", "summary.json"]
-    assert json.loads((folder / "summary.json").read_text()) == summary
-    report = (folder / "report.html").read_text(encoding="utf-8")
-    assert set(re.findall(r'(?:src|href)="([^,"]*)', report)) == {"data:image/svg+xml;base64"}
-    assert report.count("<img ") == len(plots.FIGURES)
-    # c was without supply in both outage steps: one hour, 40 kWh.
-    row = r"<td>c</td><td>4</td><td>low</td><td[^>]*>1\.00</td><td[^>]*>40\.0</td>"
-    assert re.search(row, report)
+    labels = [text.get_text() for text in plots.timeline(run).axes[0].get_yticklabels()]
+    assert labels == ["Grid", "Batteries", "PV power", "Not served"]
+    assert {text.get_text() for text in plots.timeline(run).axes[0].texts} == {"2"}
+    named = replace(run, steps=run.steps.assign(phase=["ready", "hold", "hold", "ready"]))
+    ax = plots.timeline(named).axes[0]
+    assert ax.get_yticklabels()[0].get_text() == "Phase"
+    assert [text.get_text() for text in ax.texts][:3] == ["ready", "hold", "ready"]
 
 
-def test_a_run_read_back_gives_the_same_summary(tmp_path):
-    run = small_run(planned={"served": SERVED, "energy_kwh": [15.0] * 5})
-    summary = write_run(run, tmp_path / "run")
-    assert summarise(read_run(tmp_path / "run")) == summary
+def test_maps_follow_the_feeder():
+    net = Network([1, 2, 3, 2], [2, 3, 4, 5], [0.1] * 4, [0.1] * 4, slack_bus=1, base_kv=11.0)
+    day = replace(small_scenario(), network=net)
+    buses, lines, *_ = plots.feeder_maps(small_run(day)).axes
+    assert [text.get_text() for text in buses.get_yticklabels()] == ["1", "2", "3", "4", "5"]
+    assert [text.get_text() for text in lines.get_yticklabels()] == ["2", "3", "4", "5"]
+    assert lines.get_ylabel() == "Line, by the bus that it feeds"
 
 
-def test_a_title_cannot_break_the_report(tmp_path):
-    run = small_run(replace(small_scenario(), title="<script>alert(1)</script> & co"))
-    write_run(run, tmp_path / "run")
-    report = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "<script>" not in report
-    assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; co" in report
-
-
-def test_key_figures_say_where_they_are_undefined():
-    figures = key_figures(summarise(small_run(small_scenario(outage=False))))
-    assert ("Resilience: weighted share served in the outage", "n/a", "") in figures
-    assert ("Imported energy", "203.0", "kWh") in figures
+def test_line_loading_is_in_per_cent_where_lines_have_ratings():
+    day = small_scenario()
+    run = small_run(day)
+    run = replace(run, lines=run.lines.assign(p_ac_kw=100.0, q_ac_kvar=0.0))
+    assert plots.line_loadings(run).axes[0].get_ylabel() == "Largest line\ncurrent (A)"
+    net = Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0,
+                  i_max_a=[10.0, np.inf, np.inf])
+    rated = replace(run, scenario=replace(day, network=net))
+    figure = plots.line_loadings(rated)
+    assert figure.axes[0].get_ylabel() == "Largest line\nloading (%)"
+    full = 100.0 * 100.0 / (np.sqrt(3.0) * 11.0) / 10.0
+    assert line(figure, 0, "MPC, H = 5 h").get_ydata() == pytest.approx([full] * 5)

@@ -155,7 +155,7 @@ def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:
                "title": {"text": "Time (UTC)"}, "range": [times[0], times[-1]],
                "hoverformat": "%d %b %H:%M"},
         legend={"orientation": "h", "yref": "container", "yanchor": "top", "y": 1, "x": 0},
-        margin={"l": 80, "r": 20, "t": 75, "b": 50}, height=ROW_PX * len(rows) + FRAME_PX,
+        margin={"l": 80, "r": 20, "t": 60, "b": 50}, height=ROW_PX * len(rows) + FRAME_PX,
         shapes=[_cursor(times[0]), *_shades(run, times), *_limit_lines(rows)],
         annotations=list(_notes(run, rows, times)), font={"size": 12})
     return figure

@@ -21,7 +21,7 @@ from vppres.tree_layout import tree_layout
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-COLUMN_PX, ROW_PX, MARGIN_PX = 50, 74, 40
+COLUMN_PX, ROW_PX, MARGIN_PX, BELOW_PX = 50, 74, 40, 54
 MAX_NAMED_BUSES = 150
 MAX_VOLTAGE_CLASSES = 8
 CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
@@ -72,7 +72,7 @@ def drawing(run: Trajectory) -> Drawing:
                   for i in range(net.n_buses))
     lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b]))
                   for a, b in zip(net.parent, range(1, net.n_buses), strict=True))
-    return Drawing(int(x.max()) + MARGIN_PX, int(y.max()) + MARGIN_PX, buses, lines,
+    return Drawing(int(x.max()) + MARGIN_PX, int(y.max()) + BELOW_PX, buses, lines,
                    net.n_buses <= MAX_NAMED_BUSES)
 
 
@@ -139,7 +139,6 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "served": _digits(served.astype(int)),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
         "amps": line_current_a(run).round(1).tolist(),
-        "percent": _percent(run),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
@@ -156,15 +155,6 @@ def loading_classes(run: Trajectory) -> Ints:
         # The largest current itself stays below the class of overloads.
         loading = 0.999 * current / max(float(current.max()), 1e-9)
     return np.digitize(loading, LOADING_EDGES)
-
-
-def _percent(run: Trajectory) -> list[list[int | None]]:
-    """Loading in per cent, None without a rating; empty if no line has one."""
-    loading = line_loading(run)
-    if not np.isfinite(loading).any():
-        return []
-    return [[None if np.isnan(share) else round(100 * share) for share in row]
-            for row in loading.tolist()]
 
 
 def _voltage_classes(run: Trajectory, v: Floats) -> Ints:

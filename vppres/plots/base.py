@@ -27,7 +27,9 @@ BLACK, GREY = "#000000", "#666666"
 UNNAMED = "_"  # a leading underscore keeps a line out of the legend
 
 DPI = 150
+RASTER_ABOVE = 4000  # tiles of a map; as vectors they would make the page large
 HOURS_OF_PLAIN_CLOCK = 48
+MANY_STEPS = 48
 # A fixed salt keeps two SVG files equal if their data are.
 SVG_HASH_SALT = "vppres"
 
@@ -101,7 +103,10 @@ def closed(values: Floats) -> Floats:
 
 
 def draw_steps(ax: Axes, run: Trajectory, values: Floats, line: Mapping[str, Any]) -> None:
-    """A quantity that holds over each step."""
+    """A quantity that holds over each step; many steps have their markers further apart."""
+    if "markevery" in line and len(values) > MANY_STEPS:
+        first = line["markevery"].start
+        line = {**line, "markevery": slice(first, -1, len(values) // (MANY_STEPS // 3))}
     ax.plot(edges_of(run), closed(values), drawstyle="steps-post", **line)
 
 

@@ -13,6 +13,7 @@ from vppres.metrics import line_current_a, line_loading
 from vppres.plots.base import (
     BLACK,
     GREY,
+    RASTER_ABOVE,
     RUN_STYLES,
     Runs,
     clock,
@@ -29,7 +30,6 @@ from vppres.tree_layout import tree_layout
 
 MAX_NAMED_ROWS = 70
 ROW_IN = 0.11
-RASTER_ABOVE = 4000  # cells; as vectors they would make the page large
 GAP_SHOWN_LINEARLY = 1e-6
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -14,6 +15,7 @@ from vppres.metrics import service_by_tier as share_by_tier
 from vppres.plots.base import (
     BLACK,
     GREY,
+    RASTER_ABOVE,
     SERVED,
     TIER_STYLES,
     UNSERVED,
@@ -24,10 +26,12 @@ from vppres.plots.base import (
     mark_outage,
     named_runs,
 )
-from vppres.plots.series import edges_of
+from vppres.plots.series import Floats, edges_of
 from vppres.trajectory import Trajectory
+from vppres.tree_layout import tree_layout
 
 MAX_NAMED_CUSTOMERS = 60
+MAX_ROWS = 120
 
 
 def service_by_tier(runs: Runs) -> Figure:
@@ -54,37 +58,71 @@ def service_by_tier(runs: Runs) -> Figure:
     return figure
 
 
+@dataclass(frozen=True)
+class TileRows:
+    """Rows of the tiles: names, the share served, shape (rows, T), and the tier of each."""
+
+    names: list[str]
+    share: Floats
+    tiers: list[str]
+
+
+def tile_rows(run: Trajectory) -> TileRows:
+    """A row per customer, tier after tier; of many customers, a row for some neighbours of a tier.
+
+    Neighbours are next to each other along the feeder.
+    """
+    day = run.scenario
+    served = run.customers["served"].to_numpy(float).reshape(len(run.steps), -1)
+    at_bus = np.array([day.network.bus_index[bus] for bus in day.customers.bus], dtype=int)
+    size = -(-len(day.customers) // MAX_ROWS)
+    layout = tree_layout(day.network)
+    along = np.lexsort((layout.column[at_bus], layout.row[at_bus]))
+    names, shares, tiers = [], [], []
+    for tier in day.tiers:
+        members = np.flatnonzero(day.customers.tier == tier)
+        if size > 1:
+            members = along[np.isin(along, members)]
+        for start in range(0, len(members), size):
+            block = members[start:start + size]
+            names.append(" ".join(str(name) for name in day.customers.id[block]))
+            shares.append(served[:, block].mean(axis=1))
+            tiers.append(tier)
+    return TileRows(names, np.array(shares).reshape(len(names), -1), tiers)
+
+
 def _draw_tiles(ax: Axes, run: Trajectory) -> None:
-    """A tile per customer and step, grouped by tier; crosses carry the message without colour."""
-    customers = run.scenario.customers
-    order = np.concatenate([np.flatnonzero(customers.tier == tier) for tier in run.scenario.tiers])
-    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)[:, order].T
-    edges = edges_of(run)
-    ax.pcolormesh(edges, np.arange(len(order) + 1), served, vmin=0, vmax=1,
-                  cmap=ListedColormap([UNSERVED, SERVED]), edgecolors="white", linewidth=0.6)
-    rows, columns = np.nonzero(~served)
-    middles = edges[:-1] + (edges[1:] - edges[:-1]) / 2
-    ax.scatter(middles[columns], rows + 0.5, marker="x", s=14, color="white", linewidths=1.0)
-    ax.set_ylim(len(order), 0)
-    named = len(order) <= MAX_NAMED_CUSTOMERS
-    ax.set_yticks(np.arange(len(order)) + 0.5 if named else [],
-                  labels=[str(name) for name in customers.id[order]] if named else [], fontsize=6.5)
+    """A tile per row and step, grouped by tier; crosses carry the message without colour."""
+    rows, edges = tile_rows(run), edges_of(run)
+    many = rows.share.size > RASTER_ABOVE
+    ax.pcolormesh(edges, np.arange(len(rows.names) + 1), rows.share, vmin=0, vmax=1,
+                  cmap=LinearSegmentedColormap.from_list("service", [UNSERVED, SERVED]),
+                  edgecolors="none" if many else "white", linewidth=0.6, rasterized=many)
+    if not many:
+        at, steps = np.nonzero(rows.share == 0.0)
+        middles = edges[:-1] + (edges[1:] - edges[:-1]) / 2
+        ax.scatter(middles[steps], at + 0.5, marker="x", s=14, color="white", linewidths=1.0)
+    ax.set_ylim(len(rows.names), 0)
+    named = len(rows.names) <= MAX_NAMED_CUSTOMERS
+    ax.set_yticks(np.arange(len(rows.names)) + 0.5 if named else [],
+                  labels=rows.names if named else [], fontsize=6.5)
     ax.tick_params(axis="y", length=0)
     for spine in ax.spines.values():
         spine.set_visible(False)
-    _name_tiers(ax, run)
+    _name_tiers(ax, run, rows)
 
 
-def _name_tiers(ax: Axes, run: Trajectory) -> None:
+def _name_tiers(ax: Axes, run: Trajectory, rows: TileRows) -> None:
     """Rules between the tiers, and each tier's name, size and share in the outage at the right."""
     top = 0
     in_outage = share_by_tier(run)[run.steps["outage"].to_numpy(bool)].mean()
     for tier, share in in_outage.items():
         count = int(np.sum(run.scenario.customers.tier == tier))
+        height = rows.tiers.count(str(tier))
         share_text = f"\n{share:.0%} served\nin outage" if np.isfinite(share) else ""
-        ax.text(1.01, top + count / 2, f"{tier} ({count}){share_text}", fontsize=8, va="center",
+        ax.text(1.01, top + height / 2, f"{tier} ({count}){share_text}", fontsize=8, va="center",
                 transform=ax.get_yaxis_transform())
-        top += count
+        top += height
         ax.axhline(top, color=BLACK, linewidth=1.0)
 
 

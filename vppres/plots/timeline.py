@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
@@ -25,7 +25,8 @@ from vppres.trajectory import Trajectory
 
 MAX_COUNTED_STEPS = 50
 IDLE_SHARE = 0.01  # of the batteries' power
-PHASE_COLOURS = ("#FFFFFF", "#DDDDDD", "#BBBBBB", "#EEEEEE")
+PHASE_GREYS = ("#FFFFFF", "#D0D0D0", "#F0F0F0", "#B8B8B8")
+LETTERS_ACROSS = 120  # that fit across the figure
 DARK, LIMITED, GIVING = "#707070", "#C8C8C8", "#FFFFFF"
 STRIP_IN, FRAME_IN = 0.42, 1.0  # below the strips are the clock and the legend
 LEFT, WIDTH = 0.12, 0.85
@@ -55,13 +56,14 @@ def timeline(run: Trajectory) -> Figure:
 
 def _phase_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """Phases of the day as the record names them."""
-    edges, phases = edges_of(run), [str(phase) for phase in run.steps["phase"]]
-    start = 0
-    for position, (phase, steps) in enumerate(groupby(phases)):
+    edges, phases, start = edges_of(run), run.steps["phase"].astype(str).tolist(), 0
+    greys = {phase: PHASE_GREYS[i % len(PHASE_GREYS)]
+             for i, phase in enumerate(dict.fromkeys(phases))}
+    _strip(ax, run, row, [(greys[phase], "") for phase in phases])
+    for phase, steps in groupby(phases):
         end = start + len(list(steps))
-        _fill(ax, (edges[start], edges[end]), row, PHASE_COLOURS[position % len(PHASE_COLOURS)])
-        middle = edges[start] + (edges[end] - edges[start]) / 2
-        if (end - start) * 100 > 2.0 * len(phase) * len(phases) / 2:
+        if (end - start) * LETTERS_ACROSS > len(phase) * len(phases):
+            middle = edges[start] + (edges[end] - edges[start]) / 2
             ax.text(middle, row, phase, ha="center", va="center", fontsize=7)
         start = end
     return "Phase"
@@ -71,7 +73,7 @@ def _grid_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """Grid available, limited or out."""
     limit = run.scenario.grid_limit_kw[:len(run.steps)]
     colours = np.select([limit <= 0, np.isfinite(limit)], [DARK, LIMITED], GIVING)
-    _strip(ax, run, row, colours.tolist())
+    _strip(ax, run, row, [(colour, "") for colour in colours.tolist()])
     return "Grid"
 
 
@@ -80,11 +82,8 @@ def _battery_strip(ax: Axes, run: Trajectory, row: int) -> str:
     power, rated = battery_power_kw(run), float(run.scenario.batteries.p_max_kw.sum())
     share = power / max(rated, 1e-9)
     states = np.select([share > IDLE_SHARE, share < -IDLE_SHARE], [1, 2], 0)
-    styles = {0: ("#FFFFFF", ""), 1: (GREEN, "///"), 2: (ORANGE, "...")}
-    edges = edges_of(run)
-    for t, state in enumerate(states.tolist()):
-        colour, hatch = styles[state]
-        _fill(ax, (edges[t], edges[t + 1]), row, colour, hatch)
+    styles = (("#FFFFFF", ""), (GREEN, "///"), (ORANGE, "..."))
+    _strip(ax, run, row, [styles[state] for state in states.tolist()])
     return "Batteries"
 
 
@@ -92,7 +91,7 @@ def _sun_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """PV power as a share of its largest of the day."""
     available = run.scenario.pv_kw[:len(run.steps)].sum(axis=1)
     shade = available / max(float(available.max()), 1e-9)
-    _strip(ax, run, row, [(1.0, 1.0 - 0.1 * s, 1.0 - 0.75 * s) for s in shade])
+    _strip(ax, run, row, [((1.0, 1.0 - 0.1 * s, 1.0 - 0.75 * s), "") for s in shade])
     return "PV power"
 
 
@@ -100,7 +99,7 @@ def _service_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """How many customers are not served: their number, and the darker the more."""
     served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
     missing: Floats = (~served).sum(axis=1).astype(float)
-    _strip(ax, run, row, [UNSERVED if n else SERVED for n in missing])
+    _strip(ax, run, row, [(UNSERVED if n else SERVED, "") for n in missing])
     edges = edges_of(run)
     if len(run.steps) <= MAX_COUNTED_STEPS:
         for t in np.flatnonzero(missing):
@@ -109,13 +108,11 @@ def _service_strip(ax: Axes, run: Trajectory, row: int) -> str:
     return "Not served"
 
 
-def _strip(ax: Axes, run: Trajectory, row: int, colours: Sequence[Any]) -> None:
-    """One box per step."""
-    edges = edges_of(run)
-    for t, colour in enumerate(colours):
-        _fill(ax, (edges[t], edges[t + 1]), row, colour)
-
-
-def _fill(ax: Axes, span: tuple[Any, Any], row: int, colour: Any, hatch: str = "") -> None:
-    ax.fill_between(list(span), row - 0.36, row + 0.36, facecolor=colour, edgecolor=GREY,
-                    linewidth=0.4, hatch=hatch)
+def _strip(ax: Axes, run: Trajectory, row: int, styles: Iterable[tuple[Any, str]]) -> None:
+    """One box for each stretch of steps that look alike; ``styles`` are colour and hatch."""
+    edges, start = edges_of(run), 0
+    for (colour, hatch), steps in groupby(styles):
+        end = start + len(list(steps))
+        ax.fill_between([edges[start], edges[end]], row - 0.36, row + 0.36, facecolor=colour,
+                        edgecolor=GREY, linewidth=0.4, hatch=hatch)
+        start = end

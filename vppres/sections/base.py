@@ -13,6 +13,8 @@ from vppres.pages import embedded_svg, page
 from vppres.plots import FIGURE_TEXTS
 from vppres.trajectory import Trajectory
 
+FOLDED_ABOVE = 40  # rows; longer tables are opened by a click
+
 
 @dataclass(frozen=True, eq=False)
 class Run:

@@ -34,12 +34,19 @@ def feeder_section(run: Run) -> Section:
         "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu), "tiers": day.tiers,
         "has_outage": bool(run.trajectory.steps["outage"].any()),
         "data": states | {"customers": customers, "lines": ends,
+                          "ratings": _ratings(run.trajectory),
                           "batteries": day.batteries.id.tolist()}})
 
 
 def _rated(run: Trajectory) -> bool:
     """Whether any line has a rating."""
     return bool(np.isfinite(run.scenario.network.i_max_a).any())
+
+
+def _ratings(run: Trajectory) -> list[float | None]:
+    """Rating of each line in A, None where it has none."""
+    return [round(rating, 1) if np.isfinite(rating) else None
+            for rating in run.scenario.network.i_max_a.tolist()]
 
 
 def _voltage_words(run: Trajectory) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from vppres.key_figures import number
 from vppres.metrics import service_by_customer, service_by_tier
-from vppres.sections.base import Run, Section, section
+from vppres.sections.base import FOLDED_ABOVE, Run, Section, section
 from vppres.trajectory import Trajectory
 
 
@@ -16,7 +16,8 @@ def service_section(run: Run) -> Section:
     return section("service", "Who was served when", {
         "summary": run.summary, "tiers": run.trajectory.scenario.tiers,
         "unserved": unserved[unserved["unserved_h"] > 0].to_dict("records"),
-        "n_customers": len(unserved), "service": _service_rows(run.trajectory), "number": number,
+        "n_customers": len(unserved), "folded_above": FOLDED_ABOVE,
+        "service": _service_rows(run.trajectory), "number": number,
         "chart": run.chart("service"), "figures": [run.figure("service_by_tier")]})
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from vppres.events import events_of
-from vppres.sections.base import Run, Section, section
+from vppres.sections.base import FOLDED_ABOVE, Run, Section, section
 
 
 def timeline_section(run: Run) -> Section:
     """The day as strips over one clock, and its events in words."""
     return section("timeline", "What happened when", {
-        "strip": run.figure("timeline"), "events": events_of(run.trajectory)})
+        "strip": run.figure("timeline"), "events": events_of(run.trajectory),
+        "folded_above": FOLDED_ABOVE})

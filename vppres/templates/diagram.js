@@ -17,9 +17,9 @@
   }
 
   function lineWords(line, step) {
-    const rated = data.percent.length ? data.percent[step][line] : null;
-    return data.lines[line] + ": " + data.amps[step][line] + " A"
-      + (rated === null ? "" : ", " + rated + " %");
+    const amps = data.amps[step][line], rating = data.ratings[line];
+    return data.lines[line] + ": " + amps + " A"
+      + (rating === null ? "" : ", " + Math.round(100 * amps / rating) + " % of " + rating + " A");
   }
 
   function busWords(circle, step) {
@@ -66,8 +66,14 @@
   document.getElementById("step-worst").addEventListener("click", () => show(data.start));
   document.addEventListener("vppres-show", (event) => show(event.detail));
 
-  let before = data.start;  // paper has no slider: it shows the worst step
-  window.addEventListener("beforeprint", () => { before = Number(slider.value); show(data.start); });
+  let before = data.start;  // paper has no slider: it shows the worst step, and tables are open
+  window.addEventListener("beforeprint", () => {
+    before = Number(slider.value);
+    show(data.start);
+    if (data.time.length <= 100) {
+      document.querySelectorAll("details").forEach((details) => { details.open = true; });
+    }
+  });
   window.addEventListener("afterprint", () => show(before));
   show(data.start);
 })();

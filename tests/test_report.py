@@ -1,0 +1,310 @@
+"""The report of a run: whole, alone, and right in what it says."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_factory import (
+    SERVED,
+    day_run,
+    day_scenario,
+    small_run,
+    small_scenario,
+    without_devices,
+)
+
+from vppres.assumptions import data_words, option_words, simplifications
+from vppres.events import events_of, sentences_of
+from vppres.findings import findings
+from vppres.key_figures import key_figures
+from vppres.metrics import summarise
+from vppres.network import Network
+from vppres.one_line import drawing, step_states, voltage_edges, worst_step
+from vppres.plots import FIGURES, RUN_FIGURES, save_figures
+from vppres.report import render_report, write_run
+from vppres.sections import SECTIONS
+from vppres.simulate import RunOptions
+from vppres.trajectory import Trajectory, read_run
+
+KEYS = ["overview", "timeline", "service", "feeder", "energy", "network", "solver", "assumptions"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder with an interactive report."""
+    folder = tmp_path_factory.mktemp("report") / "run"
+    write_run(small_run(planned={"served": SERVED, "energy_kwh": [15.0] * 5}), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def live(run: Trajectory) -> Trajectory:
+    """The run without the voltages of its record that are below the AC limit."""
+    return replace(run, buses=run.buses.assign(v_ac_pu=1.0))
+
+
+def rated(run: Trajectory, i_max_a: list[float]) -> Trajectory:
+    net = Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0,
+                  i_max_a=i_max_a)
+    return replace(run, scenario=replace(run.scenario, network=net))
+
+
+# ---------------------------------------------------------------------------------------- the file
+
+
+def test_the_run_folder_is_whole(folder: Path) -> None:
+    assert sorted(file.name for file in folder.iterdir()) == [
+        "batteries.parquet", "buses.parquet", "customers.parquet", "figures", "lines.parquet",
+        "options.json", "pv.parquet", "report.html", "scenario", "steps.parquet", "summary.json"]
+    assert sorted(file.stem for file in (folder / "figures").glob("*.svg")) == sorted(
+        [*FIGURES, *RUN_FIGURES])
+
+
+def test_a_run_read_back_gives_the_same_summary(folder: Path) -> None:
+    assert summarise(read_run(folder)) == json.loads((folder / "summary.json").read_text())
+
+
+def test_the_report_needs_nothing_beside_it(report: str) -> None:
+    own = re.sub(r"<script>.*?</script>", "", report, flags=re.DOTALL)
+    assert {link.partition(",")[0] for link in re.findall(r'(?:src|href)="([^"]*)', own)} == {
+        "data:image/svg+xml;base64", *(f"#{key}" for key in KEYS)}
+    assert not re.search(r"https?://", own)
+    assert "default-src 'none'" in report
+
+
+def test_all_sections_are_there_in_order(report: str) -> None:
+    assert re.findall(r'<section id="(\w+)">', report) == KEYS
+    assert len(SECTIONS) == len(KEYS)
+
+
+def test_every_figure_is_in_the_report(report: str) -> None:
+    assert report.count("<img ") == len(FIGURES) + len(RUN_FIGURES)
+
+
+def test_a_customer_s_hours_are_in_the_report(report: str) -> None:
+    # c was without supply in both outage steps: one hour, 40 kWh.
+    assert re.search(r"<td>c</td><td>4</td><td>low</td><td[^>]*>1\.00</td><td[^>]*>40\.0</td>",
+                     report)
+
+
+def test_the_size_is_stated_and_kept(report: str) -> None:
+    assert 4e6 < len(report) < 8e6  # the plotly library is most of it
+
+
+def test_a_static_report_has_no_charts_and_is_small(folder: Path) -> None:
+    run = read_run(folder)
+    text = render_report(run, summarise(run), folder / "figures", interactive=False)
+    assert re.findall(r'<section id="(\w+)">', text) == KEYS
+    assert "Plotly" not in text
+    assert "chart-" not in text
+    assert 'class="replaced"' not in text
+    assert len(text) < 1.5e6
+
+
+@pytest.mark.parametrize("scenario", [
+    without_devices(small_scenario()), small_scenario(outage=False),
+    replace(small_scenario(), title="<script>alert(1)</script> & co")],
+    ids=["no devices", "no outage", "hostile title"])
+def test_reports_of_unusual_days(scenario, folder: Path) -> None:
+    run = small_run(scenario)
+    text = render_report(run, summarise(run), folder / "figures")
+    assert re.findall(r'<section id="(\w+)">', text) == KEYS
+    assert "alert(1)</script>" not in text
+
+
+def test_names_cannot_leave_the_data_of_scripts(folder: Path) -> None:
+    day = small_scenario()
+    customers = replace(day.customers, id=["</script><b>", "b", 'c"\''])
+    run = small_run(replace(day, customers=customers))
+    text = render_report(run, summarise(run), folder / "figures")
+    assert "</script><b>" not in text
+    data = re.search(r'id="diagram-data">(.*?)</script>', text, flags=re.DOTALL)
+    assert data is not None
+    assert json.loads(data[1])["customers"][0] == "</script><b> (critical)"
+
+
+def test_key_figures_say_where_they_are_undefined() -> None:
+    figures = key_figures(summarise(small_run(small_scenario(outage=False))))
+    assert ("Resilience: weighted share served in the outage", "n/a", "") in figures
+    assert ("Imported energy", "203.0", "kWh") in figures
+
+
+# ---------------------------------------------------------------------------------------- in words
+
+
+def test_events_by_hand() -> None:
+    told = [(event.t, event.time, event.words) for event in events_of(small_run())]
+    assert told == [
+        (1, "19 Jul 00:30", "Outage begins, 15 kWh in the batteries."),
+        (1, "19 Jul 00:30", "2 customers without supply: c (low), b (low)."),
+        (2, "19 Jul 01:00", "1 customer without supply: a (critical)."),
+        (2, "19 Jul 01:00", "1 customer supplied again: b (low)."),
+        (2, "19 Jul 01:00", "The batteries are down to their lower limit."),
+        (3, "19 Jul 01:30", "Outage ends, 15 kWh left in the batteries."),
+        (3, "19 Jul 01:30", "2 customers supplied again: a (critical), c (low)."),
+    ]
+
+
+def test_a_day_without_outage_has_no_events() -> None:
+    day = small_run(small_scenario(outage=False))
+    quiet = replace(day, customers=day.customers.assign(served=True))
+    assert events_of(quiet) == []
+    assert "The grid was there all the time." in sentences_of(quiet, summarise(quiet))
+    assert "All 3 customers were supplied at all times." in sentences_of(quiet, summarise(quiet))
+
+
+def test_sentences_by_hand() -> None:
+    run = small_run()
+    sentences = sentences_of(run, summarise(run))
+    assert sentences[0] == "4 steps of 30 min from 19 Jul 00:00 to 19 Jul 02:00 UTC."
+    assert sentences[1] == "The grid was out from 19 Jul 00:30 to 19 Jul 01:30, 1 h in all."
+    assert sentences[2].startswith("Served in the outage, of all customers and steps: critical "
+                                   "50%, low 25%")
+    # a and b for half an hour each, c for an hour: 5 + 10 + 40 kWh.
+    assert sentences[3] == ("3 of 3 customers were without supply at some time; 55 kWh were not "
+                            "supplied.")
+    assert sentences[5] == ("The lowest voltage was 0.9500 pu at bus 2, 19 Jul 01:30; the limit "
+                            "is 0.94 pu.")
+
+
+def test_a_run_as_it_should_be_has_no_findings() -> None:
+    run = live(small_run(small_scenario(outage=False)))
+    assert findings(run) == []
+
+
+def test_findings_name_what_is_wrong() -> None:
+    run = small_run()
+    buses = run.buses.assign(v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 3, 0.93))
+    lines = run.lines.assign(p_ac_kw=100.0, q_ac_kvar=0.0)
+    steps = run.steps.assign(corrected=[False, True, False, False],
+                             correction_reason=["", "SoC", "", ""], clipped_kw=[0, 0, 2.5, 0.0],
+                             status=["optimal", "limit", "limit", "optimal"])
+    wrong = rated(replace(run, buses=buses, lines=lines, steps=steps), [4.0, np.inf, np.inf])
+    found = findings(wrong)
+    assert found[0] == ("Voltage below the AC limit of 0.94 pu in 4 steps at 1 bus: the farthest "
+                        "is 0.9300 pu at bus 3, 19 Jul 00:00 UTC.")
+    assert found[1].startswith("Lines above their rating in 4 steps: at most 131%, line 1 to 2")
+    assert found[2].startswith("In the outage the AC power flow still draws up to 102.0 kW")
+    assert found[3] == "The plan was corrected in 1 step (SoC)."
+    assert found[4] == ("A device could not do what was decided in 1 step: up to 2.50 kW less.")
+    assert found[5] == ("Not proven optimal to the gap asked for: 2 steps, status limit (2).")
+
+
+def test_a_bus_without_voltage_is_no_violation() -> None:
+    run = live(small_run(small_scenario(outage=False)))
+    dark = run.buses.assign(v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 3, np.nan))
+    assert findings(replace(run, buses=dark)) == []
+
+
+def test_every_option_of_a_run_has_a_meaning() -> None:
+    rows = option_words(RunOptions().as_record())
+    assert len(rows) > len(fields(RunOptions))  # nested groups are taken apart
+    assert [row.name for row in rows if not row.meaning] == []
+    assert {row.default for row in rows} == {""}
+
+
+def test_an_option_that_is_not_the_default_says_so() -> None:
+    changed = {row.name: row for row in option_words(RunOptions(horizon_h=2.0).as_record())}
+    assert (changed["horizon h"].value, changed["horizon h"].default) == ("2", "5")
+
+
+def test_simplifications_follow_the_run() -> None:
+    run = small_run()
+    told = " ".join(simplifications(run))
+    assert "Forecasts have errors" in told  # the record says load_bias 0.1
+    assert "heating is not simulated" in told
+    assert "No line has a rating" in told
+    assert "takes them, and any mismatch, from the grid's bus" in told
+    other = rated(replace(run, options=dict(run.options) | {"thermal": "exact", "errors": {}}),
+                  [10.0, 10.0, 10.0])
+    told = " ".join(simplifications(other))
+    assert "no forecast errors" in told
+    assert "heating" not in told
+    assert "reported, not held" in told
+
+
+def test_data_in_words() -> None:
+    words = dict(data_words(small_run()))
+    assert words["network"] == ("4 buses, 3 lines (0 with a rating), 11 kV, grid at bus 1 held at "
+                                "1 pu")
+    assert words["customers"] == ("3, 70 kW at the highest; weights: critical 1 (1), high none "
+                                  "(0), low several (2)")
+    assert words["batteries"] == "1, 100 kWh, 50 kW"
+
+
+# ------------------------------------------------------------------------------------- the diagram
+
+
+def test_marks_of_what_is_connected() -> None:
+    buses = {bus.name: bus for bus in drawing(small_run()).buses}
+    assert buses["1"].slack
+    assert not buses["1"].customers
+    assert buses["2"].critical
+    assert buses["3"].pv
+    assert not buses["2"].pv
+    assert buses["4"].batteries == (0,)
+    assert buses["4"].customers == (2,)
+
+
+def test_states_by_hand() -> None:
+    states = step_states(small_run())
+    assert states["served"] == ["111", "100", "010", "111"]
+    # One digit per bus; a bus without customers counts as served.
+    assert states["tile"] == ["0000", "0022", "0202", "0000"]
+    assert states["outage"] == [0, 1, 1, 0]
+    assert states["v"][0] == [10000, 9800, 10000, 10000]
+    assert states["soc"] == [[15]] * 4
+    assert states["time"][1] == "19 Jul 00:30"
+    # Step 2 serves b alone, of weight 0.1; step 1 serves a, of weight 1.
+    assert states["start"] == worst_step(small_run()) == 2
+
+
+def test_part_of_a_bus_may_be_served() -> None:
+    day = small_scenario()
+    together = replace(day, customers=replace(day.customers, bus=[2, 4, 4]))
+    assert step_states(small_run(together))["tile"][2] == "0201"
+
+
+def test_voltage_classes_are_round_and_hold_every_voltage() -> None:
+    run = small_run()
+    edges = voltage_edges(run)
+    assert edges == pytest.approx([0.95, 0.96, 0.97, 0.98, 0.99, 1.0])
+    assert step_states(run)["bus"] == ["4344", "4244", "4144", "4044"]
+
+
+def test_a_voltage_outside_the_limits_has_a_class_of_its_own() -> None:
+    run = small_run()
+    low = replace(run, buses=run.buses.assign(
+        v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 4, 0.90)))
+    assert all(state[3] == "9" for state in step_states(low)["bus"])
+
+
+def test_loading_classes_by_rating_and_by_the_largest_current() -> None:
+    run = small_run()
+    amps = 100.0 / (np.sqrt(3.0) * 11.0)  # 5.25 A at 1 pu
+    run = replace(run, lines=run.lines.assign(p_ac_kw=[100.0, 50.0, 10.0] * 4, q_ac_kvar=0.0))
+    assert step_states(run)["line"][0] == "420"  # without ratings none is overloaded
+    assert step_states(rated(run, [amps / 1.1, amps, np.inf]))["line"][0] == "520"
+
+
+def test_the_worst_step_without_outage_has_the_lowest_voltage() -> None:
+    assert worst_step(small_run(small_scenario(outage=False))) == 3
+
+
+def test_a_feeder_of_many_buses_goes_without_names() -> None:
+    assert drawing(day_run(day_scenario())).named
+    assert not drawing(day_run(day_scenario(160))).named
+
+
+def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:
+    files = save_figures({"one": small_run()}, tmp_path)
+    assert {file.stem for file in files} == set(FIGURES)
