@@ -28,8 +28,10 @@ from vppres.controllers.switching import plan_with_rules
 from vppres.errors import InfeasibleError, InputError
 from vppres.forecast import Forecast, ForecastErrors
 from vppres.io import find_scenario, read_scenario
+from vppres.metrics import summarise
 from vppres.model import switching_rules
 from vppres.model.data import Site
+from vppres.model.moves import Moves
 from vppres.model.switching import RuleSteps, SwitchingState
 from vppres.model.window import Form, WindowModel
 from vppres.scenario import Scenario
@@ -299,6 +301,37 @@ def test_recorded_demand_is_higher_after_a_restoration(tiny: Scenario) -> None:
     before = np.vstack([np.ones(3, bool), x[:-1]])
     assert (x & ~before).any()
     assert load == pytest.approx(tiny.load_kw * np.where(x & ~before, 1.5, 1.0))
+
+
+# Moves away from the plan before.
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_batteries_follow_the_plan_before_where_nothing_else_decides(weight: float) -> None:
+    # Two equal batteries at one bus share 30 kW anyhow; the plan before had 25 and 5.
+    day = replace(two_buses([[30.0]], [1.0], [DARK]), batteries=battery(soc=0.85, count=2))
+    data = window(day)
+    if weight:
+        data = replace(data, moves=Moves(np.array([[-25.0, -5.0]]), weight))
+    answer = WindowSolver(Site.of(day)).solve(data)
+    assert answer.dispatch.discharge_kw.sum() == pytest.approx(30.0, abs=1e-3)
+    near = np.abs(answer.dispatch.discharge_kw[0] - [25.0, 5.0]).max() < 0.01
+    assert near == (weight > 0)
+
+
+def test_steps_that_the_plan_before_did_not_reach_are_free() -> None:
+    before = Moves.of(np.array([[1.0, 2.0], [3.0, 4.0]]), 1, 2, 0.25)
+    factor, value = before.targets(np.array([10.0, 5.0]))
+    assert factor == pytest.approx(np.array([[0.05, 0.1], [0.0, 0.0]]))
+    assert value == pytest.approx(np.array([[0.15, 0.4], [0.0, 0.0]]))
+
+
+def test_fewer_moves_cost_no_service(packaged: Scenario) -> None:
+    errors = ForecastErrors(load_alpha_per_h=0.1, pv_alpha_per_h=0.1)
+    found = [summarise(run_day(packaged, RunOptions(
+        errors=errors, switching=SwitchingRules(move_weight=weight)))) for weight in (0.0, 10.0)]
+    assert found[1]["setpoint_moves_kw"] < 0.9 * found[0]["setpoint_moves_kw"]
+    assert found[1]["resilience"] >= found[0]["resilience"] - 0.002
 
 
 # The rules themselves.
