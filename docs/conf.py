@@ -15,6 +15,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # the formulae need no network either
 ]
 templates_path = ["_templates"]
 exclude_patterns = ["_build"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -472,16 +471,6 @@ def test_missing_library(module: str, extra: str, name: str, source: Any, tmp_pa
     assert str(caught.value) == (
         f"network: needs the library {module}, which is not installed. Install it with: "
         f"pip install 'vppres[{extra}]'")
-
-
-def test_code_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Path(__file__).parents[1] / "docs" / "networks.md"
-    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    assert blocks
-    monkeypatch.chdir(tmp_path)
-    for block in blocks:
-        exec(block, {})
-    assert (tmp_path / "my-feeder" / "scenario.toml").is_file()
 
 
 def test_import_is_silent(recwarn: pytest.WarningsRecorder,

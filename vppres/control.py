@@ -20,7 +20,7 @@ from vppres.trajectory import StepRecord
 
 
 class Feeder(Protocol):
-    """What :func:`vppres.import_network` yields; only the buses matter here."""
+    """What :func:`vppres.networks.sources.import_network` yields; only the buses matter here."""
 
     @property
     def bus_of(self) -> Mapping[int, BusId]:
@@ -72,7 +72,7 @@ class SetPoints:
         net : pandapowerNet
             The net that the feeder was imported from.
         feeder : ImportedFeeder
-            What :func:`vppres.import_network` made of it.
+            What :func:`vppres.networks.sources.import_network` made of it.
         """
         from vppres.networks.actuate import write_set_points
 
@@ -120,7 +120,7 @@ class Controller:
         scenario : Scenario
             The site, its time grid, and the series that stand in for what is not measured.
         options : RunOptions, optional
-            As for :func:`vppres.run_day`; the options of forecast errors, heating and seed have no
+            As for :func:`vppres.simulate.run_day`; the options of forecast errors, heating and seed have no
             meaning here.
         """
         exact = replace(options or RunOptions(), errors=ForecastErrors(), thermal="off")

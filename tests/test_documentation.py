@@ -1,0 +1,113 @@
+"""Every code block of README and docs runs: Python, commands with their output, and files.
+
+The blocks of a page share names and an empty folder. In a block ``console`` a line after ``$`` is a
+command and the lines below it are its output, in which ``...`` stands for anything; in a block
+``sh`` every line is a command. A ``{code-block}`` with a caption is a file of that name.
+"""
+
+from __future__ import annotations
+
+import doctest
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sybil import Document, Example, Region, Sybil
+from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
+from sybil.parsers.myst.lexers import DirectiveLexer
+from typer.testing import CliRunner
+
+from vppres import cli
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+# Commands that no test runs, each with its reason.
+NOT_RUN = {
+    "make venv": "makes an environment",
+    "make test": "runs this test",
+    "make reproduce": "takes a quarter of an hour",
+    "make bench": "takes up to 45 minutes",
+    "python -m experiments --quick": "takes minutes; tests/test_experiments.py has its parts",
+    "python -m experiments --only voltage": "takes minutes",
+    "python -m experiments --jobs 1 --results elsewhere": "takes a quarter of an hour",
+    "python -m benchmarks --quick": "takes minutes; tests/test_benchmarks.py has its parts",
+    "python -m benchmarks --only windows": "takes minutes",
+    "python -m benchmarks --time-limit 10 --jobs 1 --results elsewhere": "takes minutes",
+    "python -m benchmarks --publish": "writes into the checkout",
+    "python -m data.uk_heatwave_2022.build": "writes into the checkout",
+}
+
+
+def run_commands(example: Example) -> str | None:
+    """Run a block of commands and compare their output."""
+    for command, expected in commands_of(example):
+        line = re.sub(r"^\.venv/bin/", "", command.partition(" #")[0].strip())
+        if not line or line in NOT_RUN:
+            continue
+        line, _, file = line.partition(" > ")
+        program, *arguments = shlex.split(line)
+        assert program == "vppres", f"neither run nor listed as not to be run: {line}"
+        result = CliRunner().invoke(cli.app, arguments, prog_name="vppres", env={"COLUMNS": "80"})
+        if file:
+            Path(file).write_text(result.stdout, encoding="utf-8")
+        if not expected:
+            assert result.exit_code == 0, f"{line}: {result.output}"
+        elif not doctest.OutputChecker().check_output(expected, result.output, FLAGS):
+            return f"{line}\nexpected:\n{expected}\nbut was:\n{result.output}"
+    return None
+
+
+def commands_of(example: Example) -> Iterator[tuple[str, str]]:
+    """Commands of a block, each with the output that is shown below it."""
+    text = re.sub(r" *\\\n *", " ", example.parsed)
+    if example.region.lexemes["arguments"] == "sh":
+        yield from ((line, "") for line in text.splitlines())
+        return
+    for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
+        command, _, output = part.partition("\n")
+        yield command, output
+
+
+def files(document: Document) -> Iterator[Region]:
+    """Blocks that are files."""
+    for found in DirectiveLexer(directive="code-block", arguments="[a-z]+")(document):
+        name = found.lexemes["options"].get("caption")
+        if name:
+            yield Region(found.start, found.end, (name, str(found.lexemes["source"])), write_file)
+
+
+def write_file(example: Example) -> None:
+    """Put the file of a block into the page's folder."""
+    name, text = example.parsed
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+SYBIL = Sybil([PythonCodeBlockParser(), CodeBlockParser("console", run_commands),
+               CodeBlockParser("sh", run_commands), files])
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if any(SYBIL.parse(p).examples())],
+                         ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_of_the_page_run(page: Path, tmp_path: Path,
+                                monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for example in SYBIL.parse(page).examples():
+        example.evaluate()
+
+
+def test_no_block_is_overlooked() -> None:
+    known = {"python", "console", "sh", "toml", "text", ""}
+    for page in PAGES:
+        languages = re.findall(r"^```([^{\s]*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert set(languages) <= known, page
+
+
+def test_list_of_what_is_not_run_is_not_too_long() -> None:
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert [command for command in NOT_RUN if command not in text] == []
