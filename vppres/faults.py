@@ -285,7 +285,7 @@ def _garbled(solution: WindowSolution, fault: SolverFault, site: Site) -> Window
                    "pv_q_kvar": plan.pv_q_kvar - 10.0 * site.pv.s_max_kva,
                    "v_pu": 2.0 * plan.v_pu}
     else:
-        changed = {"served": plan.served[:, 1:], "charge_kw": plan.charge_kw.T}
+        changed = {"served": plan.served[:, 1:]}
     return replace(solution, dispatch=replace(plan, **changed))
 
 

@@ -1,0 +1,55 @@
+"""Reports of the studies: the same text as Markdown and HTML, and its numbers as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markdown_it import MarkdownIt
+
+from vppres.io.atomic import atomic_write_text
+from vppres.trajectory import json_safe
+
+PAGE = """<!DOCTYPE html>
+<html lang="en-GB">
+<head>
+<meta charset="utf-8">
+<title>{title}</title>
+<style>
+body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; }}
+table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }}
+th, td {{ padding: .2rem 1rem .2rem 0; text-align: left; border-bottom: 1px solid #ddd; }}
+img {{ width: 100%; }}
+</style>
+</head>
+<body>
+{body}
+</body>
+</html>
+"""
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table in Markdown.
+
+    >>> print(markdown_table(("kind", "steps"), [("rule", 3)]))
+    | kind | steps |
+    | --- | --- |
+    | rule | 3 |
+    """
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def write_pages(folder: Path, name: str, title: str, text: str,
+                record: Mapping[str, Any]) -> Path:
+    """Write ``name.md``, ``name.html`` and ``name.json`` into a folder; the Markdown's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    markdown = f"# {title}\n\n{text}\n"
+    body = MarkdownIt().enable("table").render(markdown)
+    atomic_write_text(folder / f"{name}.html", PAGE.format(title=title, body=body))
+    atomic_write_text(folder / f"{name}.json", json.dumps(json_safe(record), indent=2) + "\n")
+    atomic_write_text(folder / f"{name}.md", markdown)
+    return folder / f"{name}.md"
