@@ -24,6 +24,9 @@ def why_not_served(step: Step, customer: int) -> Reason:
     overruled = _overruled(step, "Not served")
     if overruled is not None:
         return overruled
+    if step.recorded.shed[step.t][customer]:
+        return Reason("mismatch", "power", "Not served: it was to be served, and was cut off "
+                      "because the batteries that hold the island could not carry it.")
     if _own_inverter_too_small(step, customer):
         return Reason("inverter", "inverter", "Not served: its own PV inverter cannot pass the "
                       "power that its demand would take from it.")
@@ -191,7 +194,7 @@ def why_curtailed(step: Step, system: int) -> Reason:
 def _overruled(step: Step, what: str) -> Reason | None:
     """What stands above every optimisation: a dark island, or a fallback."""
     if step.dark:
-        return Reason("dark", "", f"{what}: the island is dark, nothing holds its voltage.")
+        return Reason("dark", "", f"{what}: the island is dark, {step.dark}.")
     if step.fallback:
         return Reason("fallback", "",
                       f"{what}: the step was decided by a fallback ({step.fallback}).")

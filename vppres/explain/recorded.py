@@ -13,13 +13,13 @@ from vppres.forecast import Forecast, Forecaster, ForecastErrors
 from vppres.model.data import Floats, Site, WindowData
 from vppres.model.linearise import Centre, OperatingPoint, delta_offset
 from vppres.model.recovery import Held
+from vppres.switching import SwitchingRules
 from vppres.trajectory import Trajectory
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
 
 FULL_HORIZON = "full-horizon"
-SWITCHING_RULES = ("min_served_h", "min_unserved_h", "price_per_action")
 
 
 class Recorded:
@@ -37,6 +37,7 @@ class Recorded:
         self.site = Site.of(trajectory.scenario)
         self.n_steps = len(trajectory.steps)
         self.served = self._array(trajectory.customers, "served") > 0.5
+        self.shed = self._array(trajectory.customers, "shed") > 0.5
         self.load_kw = self._array(trajectory.customers, "p_load_kw")
         self.charge_kw = self._array(trajectory.batteries, "charge_kw")
         self.discharge_kw = self._array(trajectory.batteries, "discharge_kw")
@@ -60,10 +61,7 @@ class Recorded:
     @property
     def rules(self) -> bool:
         """Whether switching rules restrained who is served."""
-        rules = self.options.get("switching") or {}
-        return (rules.get("max_actions_per_customer") is not None
-                or bool(rules.get("stay_restored"))
-                or any(rules.get(name, 0.0) > 0.0 for name in SWITCHING_RULES))
+        return SwitchingRules(**self.options.get("switching", {})).active
 
     def imported_kw(self, t: int) -> float:
         """Import at the slack bus in a step."""

@@ -81,9 +81,11 @@ class Step:
         return f"{name}: {why}" if name and why else name
 
     @property
-    def dark(self) -> bool:
-        """Whether nothing held the island's voltage."""
-        return self.recorded.flag(self.t, "dark")
+    def dark(self) -> str:
+        """Why nothing held the island's voltage, empty if something did."""
+        if not self.recorded.flag(self.t, "dark"):
+            return ""
+        return self.recorded.note(self.t, "dark_reason") or "nothing holds its voltage"
 
     @cached_property
     def supply_cost(self) -> Mapping[Scarce, Floats]:

@@ -10,7 +10,7 @@ from vppres.explain.words import SCARCE, figure, money, one_more
 def why_step(step: Step) -> Reason:
     """What drove a step as a whole."""
     if step.dark:
-        return Reason("dark", "", f"{_headline(step)} The island is dark.")
+        return Reason("dark", "", f"{_headline(step)} The island is dark: {step.dark}.")
     if step.fallback:
         return Reason("fallback", "", f"{_headline(step)} Decided by a fallback ({step.fallback}).")
     scarce = step.scarce
