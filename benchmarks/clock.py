@@ -15,10 +15,12 @@ from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from unittest.mock import patch
 
+import highspy
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 
-from vppres.solve.methods import Search
+from vppres.solve.programs import Answer
 from vppres.solve.result import Outcome
+from vppres.solve.search import Search
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -37,10 +39,10 @@ def watched() -> Iterator[Clock]:
     """Measure the stages and the solvers' libraries while the block runs.
 
     The package reports stages by name only, and its ``solver_s`` includes what cvxpy does around a
-    solver; the two places where both can be told apart are wrapped for the time of the block.
+    solver; the places where both can be told apart are wrapped for the time of the block.
     """
     clock = Clock()
-    note, via_data = Search.note, SolvingChain.solve_via_data
+    note, via_data, direct = Search.note, SolvingChain.solve_via_data, Answer.of
 
     def noted(search: Search, stage: str, outcome: Outcome) -> None:
         clock.stages_s[stage] += outcome.solve_s
@@ -53,7 +55,15 @@ def watched() -> Iterator[Clock]:
         finally:
             clock.library_s += time.perf_counter() - begin
 
-    with patch.object(Search, "note", noted), patch.object(SolvingChain, "solve_via_data", timed):
+    def timed_direct(solver: highspy.Highs) -> Answer:
+        begin = time.perf_counter()
+        try:
+            return direct(solver)
+        finally:
+            clock.library_s += time.perf_counter() - begin
+
+    with (patch.object(Search, "note", noted), patch.object(Answer, "of", timed_direct),
+          patch.object(SolvingChain, "solve_via_data", timed)):
         yield clock
 
 

@@ -70,7 +70,8 @@ class AggregateModel:
             "loss": (W,), "E_min": (W, G), "P_room": (W, G)}.items()} if physical else {}
         self.rho_dt = cp.Parameter(W, name="rho_dt")
         self.switching = SwitchingModel(site, self.x, switching) if switching else None
-        self.constraints = self._power() | self._energy() | (
+        self.energy = self._energy()
+        self.constraints = self._power() | self.energy | (
             self.switching.constraints if self.switching else {})
         self.service_min = cp.Parameter(name="service_min")
         self.grid = weight_grid(site.customers.weight * site.dt_h)

@@ -4,97 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vppres.errors import InputError, Problem
-from vppres.model.aggregate import AggregateModel
-from vppres.model.data import Dispatch, Site, Terms, WindowData, evaluate
+from vppres.model.data import Site, WindowData, evaluate
 from vppres.model.window import Form, objective_scale
+from vppres.solve.levels import Master, MastersOf, binaries, counts
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
+from vppres.solve.search import Candidate, Search
 from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
 from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
 
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
-Master = Callable[[WindowData, "Search"], None]
+Rung = Callable[[WindowData, Search], None]
 
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
 
 GRACE_S = 5.0
 """What each step on the way to the first answer may take when time is up."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A dispatch with its objective terms; ``service`` is f1 and f3 as weighted.
-
-    ``in_network`` says whether flows, reactive power and voltages have been found too.
-    """
-
-    dispatch: Dispatch
-    terms: Terms
-    service: float
-    value: float
-    cost_bound_gbp: float
-    in_network: bool
-
-
-@dataclass
-class Search:
-    """What is known about a window while it is being solved."""
-
-    limits: SolveLimits
-    gap: float
-    begin: float = field(default_factory=time.perf_counter)
-    bound: float = np.inf
-    best: Candidate | None = None
-    service_bound: float = np.inf
-    cost_bound_gbp: float = -np.inf
-    proof: Outcome | None = None
-    stages: list[str] = field(default_factory=list)
-    solver_s: float = 0.0
-
-    @property
-    def left_s(self) -> float:
-        """Seconds until the window's time limit."""
-        return self.limits.time_s - (time.perf_counter() - self.begin)
-
-    @property
-    def certified(self) -> bool:
-        """Whether the best dispatch is within the gap of the bound."""
-        return self.best is not None and self.bound - self.best.value <= self.gap
-
-    @property
-    def answered(self) -> bool:
-        """Whether there is a dispatch that the network carries."""
-        return self.best is not None and self.best.in_network
-
-    @property
-    def status(self) -> Status:
-        """What the best dispatch is worth."""
-        if self.certified:
-            return Status.OPTIMAL
-        return Status.TIME_LIMIT if self.left_s <= 0 else Status.GAP_OPEN
-
-    def note(self, stage: str, outcome: Outcome) -> None:
-        """Record that a stage ran."""
-        self.stages.append(stage if outcome.status == "optimal" else f"{stage}:{outcome.status}")
-        self.solver_s += outcome.solve_s
-
-    def prove(self, outcome: Outcome) -> None:
-        """Keep a relaxation's proof that there is nothing to find."""
-        if outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED):
-            self.proof = outcome
-
-    def no_answer(self) -> Outcome:
-        """Why there is no dispatch: a master's proof if there is one, otherwise the time."""
-        out_of_time = Status.NO_ANSWER if self.left_s <= 0 else Status.NUMERICAL
-        return self.proof or Outcome(out_of_time, np.nan, np.nan, 0.0)
 
 
 class WindowSolver:
@@ -178,20 +111,21 @@ class WindowSolver:
         """
         if (data.grid_limit_kw > 0.0).all():
             self._everyone(data, whole, search)
-        for master in self._ladder(data):
+        for rung in self._ladder(data):
             if not search.certified and search.left_s > 0:
-                master(data, search)
+                rung(data, search)
         if search.best is not None:
             self._enter_network(data, search)
 
-    def _ladder(self, data: WindowData) -> list[Master]:
+    def _ladder(self, data: WindowData) -> list[Rung]:
         """Relaxations in the order in which they are tried.
 
         A lumped battery says too little where efficiencies differ.
         """
         lumped = _spread(data.eta_charge) + _spread(data.eta_discharge) < 1e-4
         fleets = (True, False) if lumped else (False,)
-        levels = [partial(self._levels, lumped=lumped) for lumped in fleets]
+        kinds = [partial(kind, lumped=lumped) for kind in (counts, binaries) for lumped in fleets]
+        levels = [partial(self._levels, masters=kind) for kind in kinds]
         return [*levels, partial(self._aggregate, lumped=fleets[0]), self._per_battery]
 
     def _enter_network(self, data: WindowData, search: Search) -> None:
@@ -247,62 +181,52 @@ class WindowSolver:
             loss = self.site.customers.weight.min() * self.site.dt_h
             search.bound = whole - min(weight * best.cost_bound_gbp, loss)
 
-    def _levels(self, data: WindowData, search: Search, lumped: bool) -> None:
+    def _levels(self, data: WindowData, search: Search, masters: MastersOf) -> None:
         """Service first, on the weights' grid, then the cost of all sets that serve as much."""
-        model = self.cache.aggregate(data, lumped=lumped)
-        if not model.grid or not model.whole_price(data):
+        master = masters(self.cache, data, self.spec, search.left_s)
+        if master is None:
             return
-        model.fill(data, all_connected=True)
-        outcome = run(model.grid_problem, self.spec, 0.99, search.left_s)
-        search.note("service", outcome)
-        if not outcome.status.has_answer:
+        outcome, served = master.service()
+        search.note(f"{master.prefix}service", outcome)
+        if served is None:
             search.prove(outcome)
             return
-        self._recover(data, np.asarray(model.x.value) > 0.5, search)
+        self._recover(data, served, search)
         best = search.best
-        # The objective is whole, so the bound may be rounded down to the grid.
-        service_bound = model.grid * np.floor(outcome.bound + 1e-6)
+        service_bound = master.unit * outcome.bound
         search.bound = min(search.bound, service_bound)  # cost only lowers the objective
         if best is not None and service_bound - best.service <= search.gap:
             search.service_bound = service_bound
-            self._cost_level(data, model, search)
+            self._cost_level(data, master, search)
 
-    def _cost_level(self, data: WindowData, model: AggregateModel, search: Search) -> None:
+    def _cost_level(self, data: WindowData, master: Master, search: Search) -> None:
         """Cheapest set that serves as much, the bound on the cost of all, and so the bound on F.
 
         A set that serves less than the search admits either has ``S < F`` of the dispatch at hand,
         or costs at least what the linear relaxation says.
         """
         assert search.best is not None
-        best, weight = search.best, self.site.weights.lambda_grid
-        admitted = max(best.value, best.service - 0.5 * model.grid)
+        best, weight, unit = search.best, self.site.weights.lambda_grid, master.unit
+        admitted = max(best.value, best.service - 0.5 * unit)
         # Within less than one customer of the bound nobody connected can be left out.
-        model.fill(data, all_connected=search.service_bound - admitted < 0.99 * model.grid)
-        model.service_min.value = admitted - 1e-9
-        outcome = run(model.cost_problem, self.spec, COST_GAP_REL * best.terms.f2 + 1e-3,
-                      search.left_s)
-        search.note("cost_level", outcome)
+        everyone = search.service_bound - admitted < 0.99 * unit
+        outcome, served = master.cost((admitted - 1e-9) / unit, everyone, best.terms.f2,
+                                      COST_GAP_REL * best.terms.f2 + 1e-3)
+        search.note(f"{master.prefix}cost_level", outcome)
         if not outcome.status.has_answer:
             return
         search.cost_bound_gbp = max(outcome.bound, 0.0)
         search.bound = search.service_bound - weight * search.cost_bound_gbp
         if admitted > best.value:
-            least = self._least_cost(data, model, best.value, search)
-            search.bound = max(search.bound, admitted - weight * least)
+            # Costs of sets that serve less: the linear relaxation is enough.
+            least, _ = master.cost((best.value - 1e-9) / unit, False, np.inf, np.inf)
+            search.note(f"{master.prefix}least_cost", least)
+            least_gbp = max(least.bound, 0.0) if least.status.has_answer else 0.0
+            search.bound = max(search.bound, admitted - weight * least_gbp)
         search.bound = max(search.bound, best.value)
-        served = np.asarray(model.x.value) > 0.5
-        if (served != best.dispatch.served).any() and outcome.value < best.terms.f2:
+        if (served is not None and (served != best.dispatch.served).any()
+                and outcome.value < best.terms.f2):
             self._recover(data, served, search)
-
-    def _least_cost(self, data: WindowData, integer: AggregateModel, service_min: float,
-                    search: Search) -> float:
-        """Lower bound on the cost of all sets that serve at least ``service_min``, in GBP."""
-        model = self.cache.aggregate(data, False, integer.lumped)
-        model.fill(data)
-        model.service_min.value = service_min
-        outcome = run(model.cost_problem, self.spec, 0.0, search.left_s)
-        search.note("least_cost", outcome)
-        return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
 
     def _aggregate(self, data: WindowData, search: Search, lumped: bool) -> None:
         """Served set and bound of the lumped relaxation with all terms as weighted."""

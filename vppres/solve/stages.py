@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
+from vppres.model.demand import DemandModel
 from vppres.model.switching import RuleSteps
 from vppres.model.switching_rules import rule_steps
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
@@ -38,10 +39,12 @@ class ModelCache:
         default_factory=dict)
     ties: dict[tuple[int, bool, bool, bool], TieBreakerModel] = field(default_factory=dict)
 
+    demands: dict[tuple[int, bool, bool], DemandModel] = field(default_factory=dict)
+
     @property
     def compilations(self) -> int:
         """Problems compiled so far."""
-        return len(self.models) + len(self.lumped) + len(self.ties)
+        return len(self.models) + len(self.lumped) + len(self.ties) + len(self.demands)
 
     def window(self, form: Form, data: WindowData) -> WindowModel:
         """The window problem of a form, of the window's length, mode and switching rules."""
@@ -58,6 +61,14 @@ class ModelCache:
         if key not in self.lumped:
             self.lumped[key] = AggregateModel(self.site, *key)
         return self.lumped[key]
+
+    def demand(self, data: WindowData, lumped: bool) -> DemandModel:
+        """What the fleet can carry in a window of that length and mode."""
+        key = data.n_steps, lumped, data.physical
+        if key not in self.demands:
+            self.demands[key] = DemandModel(AggregateModel(
+                self.site, data.n_steps, False, lumped, data.physical))
+        return self.demands[key]
 
     def tie_breakers(self, data: WindowData, curtailing: bool) -> TieBreakerModel:
         """The last level's problem of the window's length and mode."""

@@ -1,0 +1,128 @@
+"""Programs as arrays, for masters that get columns and rows as they go; HiGHS solves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cvxpy as cp
+import highspy
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.model.data import Floats
+from vppres.solve.result import Status
+from vppres.solve.solvers import COMPILER
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Minimise ``cost @ x`` where ``lower <= rows @ x <= upper``, with bounds on x.
+
+    Attributes
+    ----------
+    cost, x_lower, x_upper : array, shape (n,)
+        Objective and bounds of the columns.
+    rows : sparse array, shape (m, n)
+        Left-hand sides.
+    lower, upper : array, shape (m,)
+        Right-hand sides, infinite where there is none.
+    integer : array
+        Positions of the columns that are whole numbers.
+    """
+
+    cost: Floats
+    x_lower: Floats
+    x_upper: Floats
+    rows: sp.csc_array
+    lower: Floats
+    upper: Floats
+    integer: Ints
+
+    def with_rows(self, rows: sp.csc_array, lower: Floats) -> Program:
+        """The program with rows ``rows @ x >= lower`` more."""
+        return replace(self, rows=sp.csc_array(sp.vstack([self.rows, rows])),
+                       lower=np.append(self.lower, lower),
+                       upper=np.append(self.upper, np.full(len(lower), np.inf)))
+
+    def loaded(self, time_s: float, gap_abs: float = 0.0) -> highspy.Highs:
+        """A solver that has the program."""
+        solver = highspy.Highs()
+        for name, value in {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs,
+                            "time_limit": max(time_s, 0.01), "threads": 1}.items():
+            solver.setOptionValue(name, value)
+        solver.passModel(self._model())
+        return solver
+
+    def _model(self) -> highspy.HighsModel:
+        """The program in HiGHS's own form."""
+        model = highspy.HighsModel()
+        lp = model.lp_
+        lp.num_row_, lp.num_col_ = self.rows.shape
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = self.cost, self.x_lower, self.x_upper
+        lp.row_lower_, lp.row_upper_ = self.lower, self.upper
+        lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = (
+            self.rows.indptr, self.rows.indices, self.rows.data)
+        if len(self.integer):
+            kinds = [highspy.HighsVarType.kContinuous] * len(self.cost)
+            for position in self.integer:
+                kinds[position] = highspy.HighsVarType.kInteger
+            lp.integrality_ = kinds
+        return model
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Status, value and dual bound of a program, its columns' values and its rows' duals."""
+
+    status: Status
+    value: float
+    bound: float
+    x: Floats
+    row_dual: Floats
+
+    @classmethod
+    def of(cls, solver: highspy.Highs) -> Answer:
+        """Run a solver; duals come only without whole numbers."""
+        solver.run()
+        solution, info = solver.getSolution(), solver.getInfo()
+        whole = len(solver.getLp().integrality_) > 0
+        value = info.objective_function_value
+        return cls(_status(solver.getModelStatus(), info.primal_solution_status), value,
+                   min(info.mip_dual_bound, value) if whole else value,
+                   np.asarray(solution.col_value), np.asarray(solution.row_dual))
+
+
+def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
+    """The arrays that cvxpy hands to HiGHS for the parameters' present values.
+
+    Returns
+    -------
+    Program, dict
+        Equalities come first; the first column of each variable by its name.
+    """
+    data, _, _ = problem.get_problem_data(cp.HIGHS, canon_backend=COMPILER)
+    place, equal, count = data["param_prob"].var_id_to_col, data["dims"].zero, len(data["c"])
+    lower = np.full(len(data["b"]), -np.inf)
+    lower[:equal] = data["b"][:equal]
+    bounds = [np.full(count, free) if data[name] is None else data[name] for name, free in
+              (("lower_bounds", -np.inf), ("upper_bounds", np.inf))]
+    whole = np.asarray([*data["int_vars_idx"], *data["bool_vars_idx"]], dtype=np.int64)
+    program = Program(data["c"], bounds[0], bounds[1], sp.csc_array(data["A"]), lower,
+                      data["b"], whole)
+    # Variables without entries are not compiled.
+    return program, {v.name(): place[v.id] for v in problem.variables() if v.id in place}
+
+
+def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
+    """What HiGHS's end is worth."""
+    ends = {highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
+            highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
+            highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED}
+    if status == highspy.HighsModelStatus.kTimeLimit:
+        feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
+        return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
+    return ends.get(status, Status.NUMERICAL)
