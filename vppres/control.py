@@ -120,7 +120,7 @@ class Controller:
         scenario : Scenario
             The site, its time grid, and the series that stand in for what is not measured.
         options : RunOptions, optional
-            As for :func:`vppres.simulate.run_day`; the options of forecast errors, heating and seed have no
+            As for :func:`vppres.simulate.run_day`; forecast errors, heating and seed have no
             meaning here.
         """
         exact = replace(options or RunOptions(), errors=ForecastErrors(), thermal="off")

@@ -25,8 +25,8 @@ def write_set_points(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFr
     bus_of : mapping
         Bus of the scenario for every bus of the net.
     customers, pv, batteries : DataFrame
-        By identifier, as :class:`vppres.control.SetPoints` has them: powers in kW and kvar; a customer's
-        loads are scaled to its demand, and to 0 if it is off.
+        By identifier, as :class:`vppres.control.SetPoints` has them: powers in kW and kvar; the
+        loads of a customer are scaled to its demand, and to 0 if it is off.
 
     Raises
     ------
