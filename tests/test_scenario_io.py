@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vppres import schema
+from vppres import schema, schema_tables
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import InputError
 from vppres.io import (
@@ -328,7 +328,7 @@ def test_atomic_write_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_page_holds_the_table_of_attributes() -> None:
     page = (ROOT / "docs" / "scenario_format.md").read_text(encoding="utf-8")
-    assert page.endswith("\n" + schema.attribute_table_markdown())
+    assert page.endswith("\n" + schema_tables.attribute_table_markdown())
 
 
 def test_the_example_of_the_page_is_read(tiny: Scenario, tiny_folder: Path) -> None:
@@ -359,7 +359,7 @@ def test_every_attribute_is_described_and_physical_ones_have_the_unit_of_their_n
 
 
 def test_json_schema_states_units_bounds_and_required_keys() -> None:
-    definitions = json.loads(json.dumps(schema.json_schema(), allow_nan=False))["$defs"]
+    definitions = json.loads(json.dumps(schema_tables.json_schema(), allow_nan=False))["$defs"]
     assert definitions["PVRow"]["properties"]["p_max_kw"] == {
         "description": "largest active power", "exclusiveMinimum": 0, "title": "P Max Kw",
         "type": "number", "unit": "kW"}

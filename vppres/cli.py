@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from vppres import cli_new
+from vppres import cli_new, cli_sweep
 from vppres.cli_options import (
     ColdLoadFactor,
     ColdLoadH,
@@ -51,6 +50,7 @@ from vppres.cli_options import (
     TimeLimit,
     run_options,
 )
+from vppres.cli_progress import progress_bar, run_with_bar
 from vppres.cli_tables import (
     comparison_table,
     content_of,
@@ -58,14 +58,12 @@ from vppres.cli_tables import (
     figures_table,
     problem_record,
     sweep_table,
+    validation_text,
 )
 from vppres.errors import InputError, Problem, VppresError
 
 if TYPE_CHECKING:
-    from vppres.scenario import Scenario
-    from vppres.simulate import RunOptions
     from vppres.sweep import Outcome
-    from vppres.trajectory import Trajectory
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 RESULTS = Path("results")
@@ -147,7 +145,7 @@ def run(
         options = run_options(day, context.params)
         folder = out or RESULTS / f"{day.name}-{options.controller}"
         check_target(folder)  # before the work, not after it
-        done = _run_with_bar(day, options, quiet)
+        done = run_with_bar(day, options, quiet)
         summary = write_run(explain_day(done) if explain else done, folder)
         if as_json:
             _print_json({"folder": str(folder), "summary": summary})
@@ -177,7 +175,7 @@ def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False
             _print_json({"folder": str(folder), "valid": not problems, "content": content,
                          "problems": [problem_record(problem) for problem in problems]})
         else:
-            _print_problems(problems, content)
+            typer.echo(validation_text(problems, content))
     if problems:
         raise typer.Exit(InputError.exit_status)
 
@@ -235,19 +233,11 @@ def compare(
 def sweep(
     context: typer.Context,
     scenario: ScenarioName,
-    param: Annotated[str, typer.Option(
-        metavar="NAME", help="An option of run without its hyphens (horizon, load-bias, ...), or "
-        "a number of the scenario: outage.hours; scale.load, .pv, .batteries, .price (factors); "
-        "tiers.TIER; network., objective. or batteries. with the name of a field.")],
-    out: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder for the run folders, the table and the page.")],
-    values: Annotated[str | None, typer.Option(
-        metavar="A,B,C", help="Values, separated by commas.")] = None,
-    range_: Annotated[str | None, typer.Option(
-        "--range", metavar="START:STOP:N", help="N equidistant values, both ends included."),
-    ] = None,
-    jobs: Annotated[int | None, typer.Option(
-        min=1, help="Runs at a time; one per core if not given.")] = None,
+    param: cli_sweep.Param,
+    out: cli_sweep.Out,
+    values: cli_sweep.Values = None,
+    range_: cli_sweep.Range = None,
+    jobs: cli_sweep.Jobs = None,
     controller: Controller = None,
     horizon: Horizon = None,
     solver: Solver = "highs",
@@ -294,7 +284,7 @@ def sweep(
         cases = cases_of(parameter, chosen_values(parameter, values, range_), day,
                          run_options(day, context.params))
         check_target(out)
-        with _bar(quiet) as bar:
+        with progress_bar(quiet) as bar:
             task = bar.add_task(parameter.name, total=len(cases))
             outcomes = run_cases(
                 cases, out, jobs, lambda done, _: bar.update(task, completed=done),
@@ -395,41 +385,8 @@ def _fail(message: str, status: int, debug: bool) -> NoReturn:
     raise typer.Exit(status)
 
 
-def _bar(quiet: bool) -> Progress:
-    """A progress bar on stderr, if that is a terminal."""
-    console = Console(stderr=True)
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeElapsedColumn(), console=console, transient=True,
-                    disable=quiet or not console.is_terminal)
-
-
-def _run_with_bar(day: Scenario, options: RunOptions, quiet: bool) -> Trajectory:
-    """Run the day with a progress bar."""
-    from vppres.simulate import run_day
-
-    with _bar(quiet) as bar:
-        task = bar.add_task(options.controller, total=day.grid.n_steps)
-
-        def show(step: int, total: int) -> None:
-            bar.update(task, completed=step, total=total)
-
-        return run_day(day, options, progress=show)
-
-
 def _print_json(record: object) -> None:
     typer.echo(json.dumps(record, indent=2, allow_nan=False))
-
-
-def _print_problems(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> None:
-    """One line per problem and their number, or what the sound scenario holds."""
-    for problem in problems:
-        typer.echo(str(problem))
-    if content is None:
-        typer.echo(f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}.")
-        return
-    typer.echo("{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
-               "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-               "them without grid.".format_map(content))
 
 
 def _report_failures(name: str, outcomes: Sequence[Outcome]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.panel import Panel
@@ -47,6 +47,16 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
     return {"file": problem.where, "row": problem.row, "field": problem.field,
             "value": None if problem.value is None else str(problem.value),
             "message": problem.message, "cure": problem.cure}
+
+
+def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
+    """One line per problem and their number, or what the sound scenario holds."""
+    if content is None:
+        count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
+        return "\n".join([*map(str, problems), count])
+    return ("{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
+            "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
+            "them without grid.".format_map(content))
 
 
 def error_panel(message: str) -> Panel:
