@@ -6,12 +6,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from benchmarks.instances import packaged
 from benchmarks.windows import BASE, NOT_ADMITTED
 from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
 
 GAP_REL, GAP_ABS, CERTIFY_S = 1e-4, 5e-3, 10.0
 AGREEMENT_REL = 1e-4
 H5_STEPS = 6
+AT_LIMIT_PU, CURTAILED_KWH = 1e-5, 1e-2
+"""What counts as at the limit, and as curtailed, in an answer."""
 OUTAGE_PLACES = ("across", "inside")
 COLOURS = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE, BLACK, GREY)
 
@@ -118,6 +121,15 @@ def certificates(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
         median_s=("solve_s", "median"), p95_s=("solve_s", lambda s: s.quantile(0.95)),
         max_s=("solve_s", "max"))
     return table.reset_index()
+
+
+def stress(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
+    """In how many stressed instances the answer meets the voltage limit or has to curtail."""
+    mine = rows[(rows["method"] == method) & (rows["group"] == "stressed")]
+    low = mine["v_min_pu"] <= packaged().network.v_min_pu + AT_LIMIT_PU
+    lost = mine["curtailed_kwh"] > CURTAILED_KWH
+    return pd.DataFrame([{"stressed instances": len(mine), "at the voltage limit": int(low.sum()),
+                          "curtailed": int(lost.sum()), "either": int((low | lost).sum())}])
 
 
 def agreement(rows: pd.DataFrame, base: str = BASE) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from vppres.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN, HTML = "report.md", "report.html"
+FIGURES = "_static/benchmarks"
 BEGIN, END = "<!-- results begin -->", "<!-- results end -->"
 
 
@@ -75,7 +76,9 @@ def machine() -> str:
 
 
 def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
-    """Put the tables between the marks of a document, in place of what is there.
+    """Put tables and figures between the marks of a document, in place of what is there.
+
+    Figures become SVG files under ``_static/benchmarks`` beside the document.
 
     Raises
     ------
@@ -89,10 +92,20 @@ def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
     parts = [f"{effort} {_packages()}"]
     for section in sections:
         parts += [f"### {section.title}", section.text, *map(markdown_table, section.tables)]
+        parts += [_published(name, figure, document) for name, figure in section.figures.items()]
     body = "\n\n".join(part for part in parts if part)
     pattern = re.escape(BEGIN) + ".*?" + re.escape(END)
     new = re.sub(pattern, lambda _: f"{BEGIN}\n{body}\n\n{END}", text, flags=re.DOTALL)
     atomic_write_text(document, new)
+
+
+def _published(name: str, figure: Figure, document: Path) -> str:
+    """Save a figure beside a document; returns the Markdown that shows it."""
+    folder = document.parent / FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    _, svg = save_figure(figure, folder / name)
+    svg.with_suffix(".png").unlink()
+    return f"![{name.replace('_', ' ')}]({FIGURES}/{name}.svg)"
 
 
 def markdown_table(table: pd.DataFrame) -> str:

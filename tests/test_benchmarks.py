@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import benchmarks.__main__ as command
@@ -256,13 +257,29 @@ def app() -> typer.Typer:
 def test_tables_take_the_place_of_older_ones(tmp_path: Path) -> None:
     document = tmp_path / "benchmarks.md"
     document.write_text(f"Before.\n\n{BEGIN}\nold\n{END}\n\nAfter.\n", encoding="utf-8")
-    section = Section("Windows", "Words.", (pd.DataFrame({"steps": [6], "share": [0.5]}),))
+    figure = Figure(figsize=(2.0, 1.0))
+    figure.subplots().plot([0.0, 1.0])
+    section = Section("Windows", "Words.", (pd.DataFrame({"steps": [6], "share": [0.5]}),),
+                      {"all_windows": figure})
     publish([section], document, "A run.")
     text = document.read_text(encoding="utf-8")
     assert text.startswith(f"Before.\n\n{BEGIN}\nA run. ")
     assert "### Windows\n\nWords.\n\n| steps | share |\n|---|---|\n| 6 | 0.5 |" in text
+    assert "\n\n![all windows](_static/benchmarks/all_windows.svg)\n" in text
+    folder = tmp_path / "_static" / "benchmarks"
+    assert [file.name for file in folder.iterdir()] == ["all_windows.svg"]
     assert text.endswith(f"{END}\n\nAfter.\n")
     assert "old" not in text
+
+
+def test_stressed_answers_are_counted_by_what_binds() -> None:
+    rows = pd.DataFrame({
+        "method": [profiles.BASE] * 5 + ["other"],
+        "group": ["stressed"] * 4 + ["ordinary", "stressed"],
+        "v_min_pu": [0.947, 0.96, 0.947, 0.96, 0.947, 0.947],
+        "curtailed_kwh": [0.0, 5.0, 5.0, 0.0, 5.0, 5.0]})
+    assert profiles.stress(rows).to_dict("records") == [
+        {"stressed instances": 4, "at the voltage limit": 2, "curtailed": 2, "either": 3}]
 
 
 def test_document_without_marks_is_left_alone(tmp_path: Path) -> None:

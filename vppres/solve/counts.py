@@ -30,7 +30,7 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Columns of the master: demand of each step, loss, cost, penalty, shares, counts.
+    """Columns of the master: demand of each step, loss, cost, shares, counts.
 
     ``step`` and ``customer`` say what a share stands for, ``count`` which count it belongs to;
     ``weight`` and ``count_step`` say it of the counts.
@@ -61,24 +61,20 @@ class _Layout:
         """Column of the cost."""
         return self.n_steps + 1
 
-    @property
-    def penalty(self) -> int:
-        """Column of the loss rounded in favour."""
-        return self.n_steps + 2
 
     @property
     def counts(self) -> Ints:
         """Columns of the counts."""
-        return self.n_steps + 3 + len(self.step) + np.arange(len(self.weight))
+        return self.n_steps + 2 + len(self.step) + np.arange(len(self.weight))
 
     @property
     def size(self) -> int:
         """Number of columns."""
-        return self.n_steps + 3 + len(self.step) + len(self.weight)
+        return self.n_steps + 2 + len(self.step) + len(self.weight)
 
     def rows(self, load_kw: Floats) -> sp.csc_array:
         """Demand of each step less what the shares need, then counts less shares."""
-        shares = self.n_steps + 3 + np.arange(len(self.step))
+        shares = self.n_steps + 2 + np.arange(len(self.step))
         steps = np.arange(self.n_steps)
         demand = sp.coo_array(
             (np.concatenate([np.ones(self.n_steps), -load_kw[self.step, self.customer]]),
@@ -127,15 +123,17 @@ class Counts:
         self.paid = bool((data.price_gbp_per_kwh < 0.0).any())
         self.reach = Reach(model, time_s)
         self.cuts: list[Cut] = []
+        self.gap = 0.0
 
     @property
     def left_s(self) -> float:
         """Seconds until the masters' time limit."""
         return self.end - time.perf_counter()
 
-    def service(self) -> tuple[Outcome, Served | None]:
-        """Most service in units, f3 rounded in favour; everyone connected is served."""
+    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+        """Most service in units to a gap, whole without loss; everyone connected is served."""
         begin, free = time.perf_counter(), ~self.unlimited
+        self.gap = gap
         found = self._carried(lambda: self._most(free, integer=False))
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
@@ -217,15 +215,16 @@ class Counts:
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
     def _most(self, block: Steps, integer: bool) -> _Found:
-        """Least of minus the service of a block's steps, and of the penalty, in units."""
-        layout = _Layout.of(self.units, self.able, block)
-        program = self._program(layout, block, self._touching(block))
-        program.cost[layout.penalty] = 1.0
+        """Least of the loss minus the service of a block's steps, in units."""
+        layout, cuts = _Layout.of(self.units, self.able, block), self._touching(block)
+        program = self._program(layout, block, cuts)
+        program.cost[layout.lost] = 1.0
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
-        found = self._solve(program, layout, 1.0 - TOLERANCE, integer)
-        # Service is whole.
-        return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if integer else found
+        whole = integer and not any(cut.weights[layout.lost] for cut in cuts)
+        found = self._solve(program, layout, 1.0 - TOLERANCE if whole else self.gap, integer)
+        # Service is whole, so its bound may be rounded.
+        return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found
 
     def _least(self, free: Steps, units_min: float, gap_gbp: float, integer: bool) -> _Found:
         """Least cost of so many units."""
@@ -239,23 +238,21 @@ class Counts:
         return self._solve(program, layout, gap_gbp, integer)
 
     def _program(self, layout: _Layout, free: Steps, cuts: list[Cut]) -> Program:
-        """Limits of demand, loss, cost and penalty, shares and counts, and cuts."""
+        """Limits of demand, loss and cost, shares and counts, and cuts."""
         members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
         lower, upper = np.zeros(layout.size), np.ones(layout.size)
         lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
         upper[:layout.n_steps] = self.demand_kw
         lower[layout.spent] = -np.inf if self.paid else 0.0
-        upper[layout.lost:layout.penalty + 1] = (*self.worst, np.inf)
+        upper[layout.lost:layout.spent + 1] = self.worst
         upper[layout.counts] = members
         most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))
         program = Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
-                          np.zeros(len(most)), most, np.append(layout.counts, layout.penalty))
-        rows = np.zeros((1 + len(cuts), layout.size))
-        rows[0, layout.lost], rows[0, layout.penalty] = -1.0, 1.0
-        for row, cut in zip(rows[1:], cuts, strict=True):
-            row[:layout.penalty] = -cut.weights
-        return program.with_rows(sp.csc_array(rows),
-                                 np.array([-1.0, *(-cut.most for cut in cuts)]))
+                          np.zeros(len(most)), most, layout.counts)
+        rows = np.zeros((len(cuts), layout.size))
+        for row, cut in zip(rows, cuts, strict=True):
+            row[:layout.n_steps + 2] = -cut.weights
+        return program.with_rows(sp.csc_array(rows), np.array([-cut.most for cut in cuts]))
 
     def _solve(self, program: Program, layout: _Layout, gap_abs: float,
                integer: bool) -> _Found:
@@ -266,7 +263,7 @@ class Counts:
         if answer.status.has_answer and integer:
             self._choose(served, layout, np.round(answer.x[layout.counts]).astype(int))
         return _Found(answer.status, answer.value, answer.bound, served,
-                      answer.x[:layout.penalty])
+                      answer.x[:layout.n_steps + 2])
 
     def _choose(self, served: Served, layout: _Layout, counts: Ints) -> None:
         """Leave out all but so many of each weight, those with the smallest demand."""

@@ -28,8 +28,8 @@ class Master(Protocol):
     prefix: str
     unit: float
 
-    def service(self) -> tuple[Outcome, Served | None]:
-        """Most service in units, f3 rounded in favour, and a set that has it."""
+    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+        """Most service in units to a gap, and a set that has it."""
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
              gap_gbp: float) -> tuple[Outcome, Served | None]:
@@ -54,8 +54,8 @@ class Binaries:
         self.model = cache.aggregate(data, lumped=lumped)
         self.unit, self.end = self.model.grid, time.perf_counter() + time_s
 
-    def service(self) -> tuple[Outcome, Served | None]:
-        """Most service in units, f3 rounded in favour, and a set that has it."""
+    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+        """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
         outcome = run(self.model.grid_problem, self.spec, 0.99, self.end - time.perf_counter())
         # The objective is whole, so the bound may be rounded down.

@@ -186,7 +186,7 @@ class WindowSolver:
         master = masters(self.cache, data, self.spec, search.left_s)
         if master is None:
             return
-        outcome, served = master.service()
+        outcome, served = master.service(0.4 * search.gap / master.unit)
         search.note(f"{master.prefix}service", outcome)
         if served is None:
             search.prove(outcome)
