@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from random_feeders import Window, random_scenario, random_window
 
 from experiments.islands import claims_of, imbalance_kw, random_day
+from vppres.controllers.base import Observation
 from vppres.controllers.converged import (
     LOSS_TOLERANCE_KW,
+    SOC_NUDGE,
     VOLTAGE_TOLERANCE_PU,
     ConvergedPlanner,
     agree,
@@ -22,7 +24,8 @@ from vppres.controllers.converged import (
     physics_of,
     without_power,
 )
-from vppres.errors import InputError, ModelError
+from vppres.errors import InputError, ModelError, NumericalError
+from vppres.forecast import Forecaster, ForecastErrors
 from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.metrics import resilience, summarise
 from vppres.model.data import Site, WindowData
@@ -258,6 +261,48 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
     assert not agree(exact, replace(met, v_pu=one_off), points)
+
+
+@pytest.mark.parametrize(("failures", "mark"), [(0, ""), (1, "nudged"), (2, "lossless")])
+def test_window_without_answer_is_tried_again_and_says_so(
+        tiny: Scenario, monkeypatch: pytest.MonkeyPatch, failures: int, mark: str) -> None:
+    solver = WindowSolver(Site.of(tiny))
+    solve, windows = solver.solve, list[WindowData]()
+
+    def failing(data: WindowData) -> WindowSolution:
+        windows.append(data)
+        if len(windows) <= failures:
+            raise NumericalError("gave up")
+        return solve(data)
+
+    monkeypatch.setattr(solver, "solve", failing)
+    seen = Observation(2, Forecaster(tiny, ForecastErrors(), 0).at(2, range(2, 5)),
+                       np.full(2, 0.5), tiny.batteries.eta_charge, tiny.batteries.eta_discharge)
+    answer = ConvergedPlanner(solver).plan(seen)
+    assert ([s for s in answer.stages if s in ("nudged", "lossless")] or [""]) == [mark]
+    assert np.ptp([w.soc[0] for w in windows]) == pytest.approx(0.0 if not mark else SOC_NUDGE)
+    if failures == 2:
+        monkeypatch.setattr(solver, "solve", lambda data: (_ for _ in ()).throw(
+            NumericalError("gave up")))
+        with pytest.raises(NumericalError, match="gave up"):
+            ConvergedPlanner(solver).plan(seen)
+
+
+def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> None:
+    # 66.5 kWh at the terminals for 66.4 kW of demand behind a line that loses more than 1 kW.
+    day = replace(
+        tiny, network=Network([1, 2, 2], [2, 3, 4], [0.3, 50.0, 5.0], [0.2, 9.0, 3.0],
+                             slack_bus=1, base_kv=11.0),
+        load_kw=np.tile([0.0, 60.0, 6.4], (6, 1)), pv_kw=np.zeros((6, 2)),
+        batteries=replace(tiny.batteries, p_max_kw=np.array([90.0, 1.0]),
+                          s_max_kva=np.array([120.0, 1.0])))
+    seen = Observation(3, Forecaster(day, ForecastErrors(), 0).at(3, range(3, 4)),
+                       np.array([0.85, 0.15]), day.batteries.eta_charge,
+                       day.batteries.eta_discharge)
+    planner = ConvergedPlanner(WindowSolver(Site.of(day)), headroom=0.0)
+    assert planner.plan(seen).dispatch.served.tolist() == [[True, True, False]]
+    lossless_plan = ConvergedPlanner(planner.solver, headroom=0.0, passes=0).plan(seen)
+    assert lossless_plan.dispatch.served.all()
 
 
 # Options and files.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vppres.controllers.base import Observation
-from vppres.errors import InfeasibleError
+from vppres.errors import InfeasibleError, NumericalError
 from vppres.model.data import Dispatch, Physics, Site, WindowData, evaluate
 from vppres.model.losses import ACPoints, Sweeps, injections, linearised, lossless
 from vppres.solve.methods import WindowSolver
@@ -29,6 +29,9 @@ DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
 LARGEST_RESERVE = 0.5
 """Share of a battery's usable energy that its reserve may take up."""
+
+SOC_NUDGE = 1e-6
+"""What is added to a measured SoC before a window counts as infeasible."""
 
 _NO_POWER_KW = 1e-6
 _MAX_DECISIONS = 3
@@ -86,11 +89,23 @@ class ConvergedPlanner:
 
     def _decide(self, data: WindowData,
                 start: WindowData) -> tuple[WindowData, WindowSolution]:
-        """Served set and first candidate; without losses where an old AC point leaves nothing."""
+        """Served set and first candidate; the stages say where it took a second attempt.
+
+        A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
+        one step later: the search with binaries finds its served set again, the linear problem
+        calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
+        dispatch at all, the window is solved without losses.
+        """
+        b = self.solver.site.batteries
+        nudged = replace(data, soc=np.minimum(data.soc + SOC_NUDGE, b.soc_max))
         try:
             return data, self.solver.solve(data)
-        except InfeasibleError:
-            return start, self.solver.solve(start)
+        except (InfeasibleError, NumericalError):
+            pass
+        try:
+            return nudged, _marked("nudged", self.solver.solve(nudged))
+        except (InfeasibleError, NumericalError):
+            return start, _marked("lossless", self.solver.solve(start))
 
     def _converge(self, data: WindowData,
                   solution: WindowSolution) -> tuple[WindowData, WindowSolution]:
@@ -107,7 +122,7 @@ class ConvergedPlanner:
                 decisions += 1
                 try:
                     again = decided = self.solver.solve(closer)
-                except InfeasibleError:
+                except (InfeasibleError, NumericalError):
                     break
             data, solution, passes = closer, again, passes + 1
             solve_s, solver_s = solve_s + again.solve_s, solver_s + again.solver_s
@@ -156,6 +171,10 @@ class ConvergedPlanner:
         for row in range(data.n_steps):
             self._known[t0 + row] = (bool(physics.reference[row] > 0), _Line(
                 data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]))
+
+
+def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
+    return replace(solution, stages=(attempt, *solution.stages))
 
 
 def agree(data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
