@@ -96,9 +96,7 @@ def figure(config: Config, results: Results) -> Figure:
     left, right = picture.subplots(1, 2, sharey=True)
     _curves(left, config, {name: (o.beyond, o.resilience) for name, o in found.items()})
     _curves(right, config, {name: (o.actions, o.resilience) for name, o in found.items()})
-    left.axhline(found["no rule"].resilience - MOST_LOST, color=GREY, linestyle="--",
-                 linewidth=1.0)
-    left.axvline(found["no rule"].beyond / 2, color=GREY, linestyle="--", linewidth=1.0)
+    _bars(left, found["no rule"])
     left.set_xlabel("Actions beyond one off/on pair per customer")
     right.set_xlabel("All switching actions")
     left.set_ylabel("Resilience R")
@@ -156,6 +154,17 @@ def _words(name: str, rule: SwitchingRules) -> str:
     if rule.price_per_action:
         return f"At a price of {name} for each action"
     return "Once restored, stay" if rule.stay_restored else f"At least {name} served or unserved"
+
+
+def _bars(ax: Axes, free: Outcome) -> None:
+    """What is asked for: half of the actions, at most 0.01 of resilience."""
+    lowest, half = free.resilience - MOST_LOST, free.beyond / 2
+    ax.axhline(lowest, color=GREY, linestyle="--", linewidth=1.0)
+    ax.axvline(half, color=GREY, linestyle="--", linewidth=1.0)
+    ax.text(0.98, lowest, f"no rule \N{MINUS SIGN} {MOST_LOST:g}", ha="right", va="bottom",
+            transform=ax.get_yaxis_transform(), fontsize=8, color=GREY)
+    ax.text(half, 0.5, " half of no rule", rotation=90, ha="right", va="center",
+            transform=ax.get_xaxis_transform(), fontsize=8, color=GREY)
 
 
 def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]]) -> None:

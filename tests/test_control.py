@@ -13,6 +13,7 @@ import pytest
 import vppres
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.forecast import ForecastErrors
+from vppres.switching import SwitchingRules
 
 SOC = {"big": 0.5, "small": 0.5}
 
@@ -45,6 +46,16 @@ def test_steps_are_those_of_a_run(tiny: Scenario, kind: str) -> None:
         run.buses["v_ac_pu"], abs=1e-5)
     assert [d.import_kw for d in decisions] == pytest.approx(
         run.steps["p_grid_kw"].tolist(), abs=1e-2)
+
+
+def test_switching_rules_reach_over_the_steps(tiny: Scenario) -> None:
+    rules = SwitchingRules(min_unserved_h=3.0, cold_load_factor=1.3, cold_load_h=1.0)
+    options = RunOptions(horizon_h=1.0, switching=rules)
+    run = vppres.run_day(tiny, options)
+    shed = ~run.customers["served"].to_numpy(bool).reshape(6, 3)
+    assert (shed[4] & shed[5]).any()  # off with the grid back
+    served = [d.customers["served"].tolist() for d in followed(tiny, options)]
+    assert served == (~shed).tolist()
 
 
 def test_options_without_meaning_change_nothing(tiny: Scenario) -> None:

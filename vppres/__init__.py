@@ -22,6 +22,7 @@ _HOME_OF = {
     "RunOptions": "vppres.simulate",
     "Scenario": "vppres.scenario",
     "SetPoints": "vppres.control",
+    "SwitchingRules": "vppres.switching",
     "Trajectory": "vppres.trajectory",
     "VppresError": "vppres.errors",
     "explain_day": "vppres.explain.day",

@@ -8,10 +8,12 @@ from typing import Any, Protocol
 
 import pandas as pd
 
+from vppres.cold_load import ColdLoad
 from vppres.controllers.base import Controller as Decider
 from vppres.forecast import ForecastErrors
 from vppres.measurement import Measurement, see, step_at
 from vppres.model.linearise import OperatingPoint
+from vppres.model.switching import SwitchingState
 from vppres.network import BusId
 from vppres.notebook import facts_html
 from vppres.scenario import Scenario
@@ -110,6 +112,7 @@ class Controller:
         self.scenario, self.options = scenario, options
         self._decider = decider
         self._operating_point: OperatingPoint | None = None
+        self._kept: tuple[SwitchingState | None, ColdLoad] | None = None
 
     @classmethod
     def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:
@@ -162,8 +165,11 @@ class Controller:
         seen = see(self.scenario, observation, self.scenario.batteries.t_ref_c)
         day = Day(seen.scenario, self.options)
         day.state, day.operating_point = seen.state, self._operating_point
+        if self._kept is not None:  # who was served since when
+            day.switching, day.plant.cold_load = self._kept
         record = day.play(self._decider, seen.t)
         self._operating_point = day.operating_point
+        self._kept = day.switching, day.plant.cold_load
         return _set_points(seen.scenario, record)
 
 

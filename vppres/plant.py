@@ -87,7 +87,7 @@ class Plant:
     def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off",
                  rules: SwitchingRules | None = None) -> None:
         self.scenario, self.thermal = scenario, thermal
-        self._cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
+        self.cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
                                    len(scenario.customers))
         index = scenario.network.bus_index
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
@@ -103,7 +103,7 @@ class Plant:
 
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
-        self._cold_load.advance(realised.served)
+        self.cold_load.advance(realised.served)
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(self.scenario.batteries, self.thermal, state, power,
                           float(self.scenario.temperature_c[t]), self.scenario.grid.dt_h)
@@ -128,7 +128,7 @@ class Plant:
 
     def load_kw(self, t: int, served: NDArray[np.bool_]) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
-        return np.asarray(self.scenario.load_kw[t] * self._cold_load.factors(served))
+        return np.asarray(self.scenario.load_kw[t] * self.cold_load.factors(served))
 
     def realise(self, t: int, powers: Powers, state: BatteryState,
                 clipped_kw: float = 0.0) -> Realised:
