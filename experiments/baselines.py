@@ -178,8 +178,8 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
         "![Resilience and cost](baselines.svg)",
         f"Means over {len(best)} days with 95 % intervals (bootstrap over the days). A day is one "
         f"of {DRAWINGS} drawings of the paper's, with its outage; load and PV forecasts have "
-        "random biases (up to 10 % and 20 %) and random errors (5 % per hour). Perfect information is the "
-        "full horizon on the actual day; what its certificates leave open is at most "
+        "random biases (up to 10 % and 20 %) and random errors (5 % per hour). Perfect information "
+        "is the full horizon on the actual day; what its certificates leave open is at most "
         f"{gap:.1e} of resilience. Steps with a fallback: {fallbacks}. Wall time "
         f"{wall_s / 60:.1f} min, {machine()}."])
 
