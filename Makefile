@@ -1,7 +1,7 @@
 # Run `make` alone for the list of targets.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv test lint types docs pytest reproduce bench scenario lock clean
+.PHONY: help venv test lint types docs pytest reproduce studies bench scenario lock clean
 
 VENV ?= .venv
 JOBS ?= 2
@@ -45,6 +45,10 @@ pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
 
 reproduce: $(STAMP)  ## run all experiments of the paper and write results/report.html
 	$(BIN)/python -m experiments --results results
+
+studies: $(STAMP)  ## 500 days of faults and 50 beside the baselines, into results/studies
+	$(BIN)/python -m experiments.campaign --results results/studies
+	$(BIN)/python -m experiments.baselines --results results/studies
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks

@@ -105,7 +105,8 @@ def _tree(rng: Generator, n_buses: int, peak_kw: Floats) -> Network:
     r = rng.uniform(0.3, 1.0, n_buses - 1)
     # The deepest bus lies below all lines at worst: the sum bounds every drop of voltage.
     scale = 0.03 * 1000.0 * 11.0**2 / (float(peak_kw.sum()) * float(r.sum()))
-    return Network(np.array(above, dtype=object), np.arange(2, n_buses + 1).astype(object), r * scale, 0.6 * r * scale, slack_bus=1,
+    below = np.arange(2, n_buses + 1).astype(object)
+    return Network(np.array(above, dtype=object), below, r * scale, 0.6 * r * scale, slack_bus=1,
                    base_kv=11.0)
 
 

@@ -1,7 +1,6 @@
 """What a dispatch has to beat: batteries left alone, and a reserve that is charged by rule.
 
-The third baseline, perfect information, is :class:`FullHorizonController` with the actual day as
-its forecast.
+The third baseline, perfect information, is the full horizon with the actual day as its forecast.
 """
 
 from __future__ import annotations

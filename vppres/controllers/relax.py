@@ -14,8 +14,8 @@ from vppres.solve.result import WindowSolution
 from vppres.solve.solvers import run_conic
 
 SolverOf = Callable[[Site], WindowSolver]
+# Solution, the voltage limits it holds, and what was given up in words.
 Answer = tuple[WindowSolution, tuple[float, float], str]
-"""Solution, the voltage limits it holds, and what was given up in words."""
 
 ELASTIC_TIME_S = 20.0
 SLACK_MARGIN_PU2 = 1e-4
