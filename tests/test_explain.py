@@ -356,6 +356,52 @@ def test_surplus_is_curtailed_and_stored_for_what_it_is(tiny: Scenario) -> None:
     assert set(reasons.loc[reasons["action"] == "curtail", "driver"]) == {"surplus"}
 
 
+@pytest.mark.parametrize(("limits", "binding", "constraint"), [
+    ({"energy_kwh": 40.0}, "energy", "energy_floor"),
+    ({"energy_kwh": 100.0, "power_kw": 35.0}, "power", "battery_discharging"),
+    ({"energy_kwh": 100.0, "inverter_kva": 35.0}, "inverter", "battery_inverter"),
+    ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor")])
+def test_what_is_scarce_in_an_island_is_named(limits: dict[str, float], binding: str,
+                                              constraint: str) -> None:
+    reasons, prices = tables(explain_day(run_day(island(**limits), RunOptions(horizon_h=0.0))))
+    out = reasons[reasons["action"] == "not_served"]
+    assert out["id"].tolist() == ["second"] and out["driver"].tolist() == [binding]
+    bound = prices[prices["constraint"] == constraint]
+    assert bound["item"].tolist() == (["3"] if binding == "voltage" else ["b2"])
+    words = {"energy": "one more kWh in store would serve 0.01 weighted",
+             "power": "one more kW of battery b2 would serve 0.01 weighted",
+             "inverter": "one more kVA of battery b2 would serve 0.01 weighted",
+             "voltage": "0.001 pu more room below at bus 3 would serve 0.0032 weighted"}
+    assert words[binding] in out["words"].iloc[0]
+    assert reasons.loc[reasons["item"] == "step", "driver"].tolist() == [binding]
+
+
+def test_energy_goes_to_who_counts_more() -> None:
+    # 45 kWh in two hours serve the first once; the other 15 kWh reach for nobody as a whole.
+    run = run_day(island(energy_kwh=45.0, steps=2), RunOptions(horizon_h=1.0))
+    reasons, _ = tables(explain_day(run))
+    served = run.customers[run.customers["served"].astype(bool)]
+    assert served["id"].tolist() == ["first"]
+    out = reasons[reasons["action"] == "not_served"].set_index(["time", "id"])
+    behind = out.loc[(served["time"].iloc[0], "second")]
+    assert (behind["driver"], behind["binding"]) == ("priority", "energy")
+    whole = out.xs("first", level="id").iloc[0]
+    assert whole["driver"] == "energy"
+    assert whole["words"].startswith("Not served: the energy in store does not reach for it")
+
+
+def test_a_battery_that_holds_the_voltage_says_so() -> None:
+    # The second hour is dear, but in the first the line to the second carries 17 of its 30 kW.
+    day = island(energy_kwh=30.0, inverter_kva=25.0, r_ohm=3.0, steps=2)
+    day = replace(day, batteries=replace(day.batteries, bus=[3]),
+                  grid_limit_kw=np.full(2, np.inf), price_gbp_per_kwh=np.array([0.1, 0.5]))
+    reasons, prices = tables(explain_day(run_day(day, RunOptions(horizon_h=1.0))))
+    first = reasons[reasons["time"] == reasons["time"].iloc[0]]
+    move = first[first["item"] == "battery"]
+    assert move["action"].tolist() == ["discharge"] and move["driver"].tolist() == ["voltage"]
+    assert (prices["constraint"] == "voltage_floor").any()
+
+
 def test_a_partial_grid_limit_is_named() -> None:
     day = replace(island(energy_kwh=1e-6, steps=2), grid_limit_kw=np.full(2, 40.0))
     run = run_day(day, RunOptions(horizon_h=0.0))

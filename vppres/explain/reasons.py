@@ -13,8 +13,8 @@ from vppres.explain.step import Binding, Reason, Scarce, Step
 from vppres.explain.words import SCARCE, figure, money, one_more, stored_worth_gbp
 
 OFF_PRICE = 0.02
-"""Share by which the price of power at a bus must differ from the import price before a voltage
-limit, not the price, is what drove a battery there."""
+"""Share by which the price of power at a bus must differ from the slack bus's before a voltage
+limit, not the import price, is what drove a battery there."""
 
 UNEXPLAINED = Reason("unexplained", "", "Not served: neither shadow prices nor the record say why.")
 
@@ -56,7 +56,7 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
             f"Not served: {SCARCE[binding]} goes to customers who count more per kW; {compare}",
             one_more(step, binding)))
     return Reason(binding, binding, _sentence(
-        f"Not served: {SCARCE[binding]} is worth more in later steps; {compare}",
+        f"Not served: {SCARCE[binding]} is worth more elsewhere or later; {compare}",
         one_more(step, binding)))
 
 
@@ -150,14 +150,16 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
 
 
 def _voltage_decides(step: Step, battery: int) -> bool:
-    """Whether a voltage limit binds and moves the price of power at the battery's bus."""
+    """Whether a voltage limit binds and makes the battery's move worth more at its own bus."""
     prices = step.service if step.scarce == "voltage" else step.cost
     if prices is None:
         return False
     bound = max(prices.voltage_floor.max(initial=0.0), prices.voltage_ceiling.max(initial=0.0))
-    here = float((step.site.battery_bus.T @ prices.active)[battery])
-    base = max(abs(float(prices.active[0])), WORTH)
-    return bound > WORTH and abs(here - float(prices.active[0])) > OFF_PRICE * base
+    base = float(prices.active[0])
+    above = float((step.site.battery_bus.T @ prices.active)[battery]) - base
+    # A discharge helps where power is worth more than at the slack bus, a charge where less.
+    helps = above * -np.sign(step.battery_kw[battery])
+    return bound > WORTH and bool(helps > OFF_PRICE * max(abs(base), WORTH))
 
 
 def _at_limit(step: Step, battery: int) -> Binding:

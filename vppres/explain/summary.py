@@ -40,9 +40,10 @@ def _headline(step: Step) -> str:
 
 
 def _worth(step: Step) -> str:
-    """What a kWh in store saves, where that is known."""
+    """What a kWh in store serves or saves, where that is known."""
     if step.cost is None or not len(step.cost.kept_energy):
-        return ""
+        offer = one_more(step, "energy")
+        return f"{_capital(offer)}." if offer else ""
     worth = (f"A kWh in store is worth {money(float(step.cost.kept_energy.max()))} GBP, "
              f"imported it costs {money(step.price_gbp_per_kwh)} GBP.")
     room = 0.0 if step.service is None else float(step.service.energy_ceiling.max(initial=0.0))
