@@ -83,7 +83,7 @@ def test_the_report_needs_nothing_beside_it(report: str) -> None:
 
 def test_all_sections_are_there_in_order(report: str) -> None:
     assert re.findall(r'<section id="(\w+)">', report) == KEYS
-    assert len(SECTIONS) == len(KEYS)
+    assert len(SECTIONS) == len(KEYS) + 1  # without an explanation there is no such section
 
 
 def test_every_figure_is_in_the_report(report: str) -> None:
@@ -197,6 +197,19 @@ def test_findings_name_what_is_wrong() -> None:
     assert found[3] == "The plan was corrected in 1 step (SoC)."
     assert found[4] == ("A device could not do what was decided in 1 step: up to 2.50 kW less.")
     assert found[5] == ("Not proven optimal to the gap asked for: 2 steps, status limit (2).")
+
+
+def test_findings_name_fallbacks_and_dark_islands() -> None:
+    run = live(small_run(small_scenario(outage=False)))
+    steps = run.steps.assign(fallback=["none", "previous_plan", "rule", "rule"],
+                             dark=[0.0, 1.0, 1.0, 0.0],
+                             dark_reason=["", "no battery", "no battery", ""],
+                             ac_failed=[False, False, False, True])
+    found = findings(replace(run, steps=steps))
+    assert "The island was dark in 2 steps: no battery." in found
+    assert "The AC power flow had no solution in 1 step." in found
+    assert ("A fallback took the place of the controller's answer: rule (2), previous plan (1)."
+            in found)
 
 
 def test_a_bus_without_voltage_is_no_violation() -> None:

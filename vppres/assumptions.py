@@ -73,6 +73,9 @@ def simplifications(run: Trajectory) -> list[str]:
     if options.get("mode", "paper") == "paper" and day.outage.any():
         sentences.append("In an outage the optimisation's island has no losses; the AC power flow "
                          "takes them, and any mismatch, from the grid's bus.")
+    if options.get("mode") == "physical" and day.outage.any():
+        sentences.append("In an outage the batteries that form the grid share losses and "
+                         "mismatch; frequency and transients are not simulated.")
     return sentences
 
 

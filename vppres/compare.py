@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from vppres.errors import InputError, Problem
+from vppres.findings import findings
 from vppres.finished import FinishedRun, read_finished
 from vppres.key_figures import KEY_FIGURES, number
 from vppres.metrics import service_by_customer
@@ -132,7 +133,9 @@ def render_comparison(runs: Runs) -> str:
     return page(TEMPLATE, {
         "title": first.trajectory.scenario.title, "runs": runs,
         "figures": compared_figures(runs), "options": differing_options(runs),
-        "customers": differing_customers(runs), "same_scenario": same_scenario(runs),
+        "customers": differing_customers(runs),
+        "findings": {label: findings(run.trajectory) for label, run in runs.items()},
+        "same_scenario": same_scenario(runs),
         "images": [(FIGURE_TEXTS[name], embedded(draw(trajectories)))
                    for name, draw in FIGURES.items()],
         "number": number})

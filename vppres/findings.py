@@ -18,7 +18,8 @@ ISLAND_TOLERANCE_KW = 0.5
 
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each thing that is not as it should be; empty if all is well."""
-    return [*_voltages(run), *_loadings(run), *_island(run), *_decisions(run), *_answers(run)]
+    return [*_unlit(run), *_voltages(run), *_loadings(run), *_island(run), *_decisions(run),
+            *_answers(run)]
 
 
 def _voltages(run: Trajectory) -> Iterator[str]:
@@ -67,6 +68,11 @@ def _decisions(run: Trajectory) -> Iterator[str]:
         reasons = sorted({str(reason) for reason in corrected["correction_reason"] if reason})
         why = f" ({'; '.join(reasons)})" if reasons else ""
         yield f"The plan was corrected in {_steps(len(corrected))}{why}."
+    if "fallback" in steps:
+        kinds = steps.loc[steps["fallback"] != "none", "fallback"]
+        if len(kinds):
+            counts = ", ".join(f"{_plain(kind)} ({n})" for kind, n in kinds.value_counts().items())
+            yield f"A fallback took the place of the controller's answer: {counts}."
     if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
         yield (f"A device could not do what was decided in "
                f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}: up to "
@@ -80,6 +86,24 @@ def _answers(run: Trajectory) -> Iterator[str]:
     if len(others):
         kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
         yield f"Not proven optimal to the gap asked for: {_steps(len(others))}, status {kinds}."
+
+
+def _unlit(run: Trajectory) -> Iterator[str]:
+    """Islands that went dark, AC power flows without a solution, and guessed measurements."""
+    steps = run.steps
+    if "dark" in steps and steps["dark"].any():
+        dark = steps[steps["dark"] > 0]
+        reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
+        why = f": {'; '.join(reasons)}" if reasons else ""
+        yield f"The island was dark in {_steps(len(dark))}{why}."
+    for column, words in (("ac_failed", "The AC power flow had no solution"),
+                          ("estimated", "A measurement was missing and estimated")):
+        if column in steps and steps[column].astype(bool).any():
+            yield f"{words} in {_steps(int(steps[column].astype(bool).sum()))}."
+
+
+def _plain(name: object) -> str:
+    return str(name).replace("_", " ")
 
 
 def _steps(count: int) -> str:

@@ -37,7 +37,7 @@ from vppres.plots.series import (
     stored_energy_kwh,
 )
 from vppres.plots.service import MAX_NAMED_CUSTOMERS, service_by_tier
-from vppres.plots.timeline import timeline
+from vppres.plots.strips import timeline
 
 __all__ = [
     "BLACK", "BLUE", "FIGURES", "FIGURE_TEXTS", "GREEN", "GREY", "MAX_NAMED_CUSTOMERS", "ORANGE",

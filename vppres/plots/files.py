@@ -11,9 +11,10 @@ from vppres.plots.base import Runs, save_figure
 from vppres.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.plots.feeder import feeder_maps, line_loadings, solve_times
 from vppres.plots.service import service_by_tier
-from vppres.plots.timeline import timeline
+from vppres.plots.strips import timeline
 from vppres.trajectory import Trajectory
 
+# Figures of one run or of several.
 FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "energy_and_price": energy_and_price,
     "import_load_pv": import_load_pv,
@@ -22,13 +23,12 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
     "line_loadings": line_loadings,
     "solve_times": solve_times,
 }
-"""Figures of one run or of several."""
 
+# Figures of one run alone.
 RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
     "timeline": timeline,
     "feeder_maps": feeder_maps,
 }
-"""Figures of one run alone."""
 
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",

@@ -18,7 +18,7 @@ from vppres.sections.service import service_section
 from vppres.sections.solver import solver_section
 from vppres.sections.timeline import timeline_section
 
+# Makers of the sections.
 SECTIONS: tuple[SectionMaker, ...] = (
     overview_section, timeline_section, explain_section, service_section, feeder_section,
     energy_section, network_section, solver_section, assumptions_section)
-"""Makers of the sections."""
