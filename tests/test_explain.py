@@ -332,6 +332,16 @@ def test_a_switching_rule_is_named_where_service_would_have_paid(tiny_run: Traje
     assert reason_figures(reasons)["explained_share"] < 1.0
 
 
+def test_a_rule_that_leaves_somebody_out_is_named() -> None:
+    # The battery could carry both customers, and rests.
+    reasons, _ = tables(explain_day(run_day(island(energy_kwh=100.0), RunOptions("idle"))))
+    out = reasons[reasons["action"] == "not_served"].set_index("id")
+    assert out["driver"].to_dict() == {"first": "rule", "second": "rule"}
+    assert out.loc["first", "words"] == (
+        "Not served: the rule of the controller idle leaves it out; serving it would be worth 1 "
+        "weighted customer hours.")
+
+
 def test_a_battery_that_settles_the_mismatch_says_so(tiny_run: Trajectory) -> None:
     power = tiny_run.batteries["charge_kw"] - tiny_run.batteries["discharge_kw"]
     run = changed(tiny_run, "batteries", mismatch_kw=power)
@@ -378,7 +388,8 @@ def test_what_is_scarce_in_an_island_is_named(limits: dict[str, float], binding:
 
 def test_energy_goes_to_who_counts_more() -> None:
     # 45 kWh in two hours serve the first once; the other 15 kWh reach for nobody as a whole.
-    run = run_day(island(energy_kwh=45.0, steps=2), RunOptions(horizon_h=1.0))
+    day = replace(island(energy_kwh=45.0, steps=2), load_kw=np.array([[30.0, 30.0], [50.0, 30.0]]))
+    run = run_day(day, RunOptions(horizon_h=1.0))
     reasons, _ = tables(explain_day(run))
     served = run.customers[run.customers["served"].astype(bool)]
     assert served["id"].tolist() == ["first"]

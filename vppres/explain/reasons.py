@@ -16,6 +16,9 @@ OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
 limit, not the import price, is what drove a battery there."""
 
+RULES = ("idle", "reserve")
+"""Controllers that follow a rule, whatever would be worth more."""
+
 UNEXPLAINED = Reason("unexplained", "", "Not served: neither shadow prices nor the record say why.")
 
 
@@ -25,8 +28,10 @@ def why_not_served(step: Step, customer: int) -> Reason:
     if overruled is not None:
         return overruled
     if step.recorded.shed[step.t][customer]:
+        why = (step.recorded.note(step.t, "ac_failed")
+               or "the batteries that hold the island could not carry it")
         return Reason("mismatch", "power", "Not served: it was to be served, and was cut off "
-                      "because the batteries that hold the island could not carry it.")
+                      f"({why}).")
     if _own_inverter_too_small(step, customer):
         return Reason("inverter", "inverter", "Not served: its own PV inverter cannot pass the "
                       "power that its demand would take from it.")
@@ -37,6 +42,10 @@ def why_not_served(step: Step, customer: int) -> Reason:
     if step.recorded.rules and gain > WORTH:
         return Reason("switching_rule", binding, "Not served: a switching rule keeps it off; "
                       f"serving it would be worth {figure(gain)} weighted customer hours.")
+    if step.recorded.options["controller"] in RULES and gain > WORTH:
+        return Reason("rule", binding, "Not served: the rule of the controller "
+                      f"{step.recorded.options['controller']} leaves it out; serving it would be "
+                      f"worth {figure(gain)} weighted customer hours.")
     if not binding:
         return _nothing_scarce(step)
     if gain < -WORTH:

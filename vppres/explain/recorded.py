@@ -19,7 +19,7 @@ from vppres.trajectory import Trajectory
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
 
-FULL_HORIZON = "full-horizon"
+FULL_HORIZON, PERFECT = "full-horizon", "perfect"
 
 
 class Recorded:
@@ -118,13 +118,14 @@ class Recorded:
 
     @cached_property
     def _forecaster(self) -> Forecaster:
-        errors = ForecastErrors(**self.options.get("errors", {}))
+        known = self.options["controller"] == PERFECT
+        errors = ForecastErrors(**({} if known else self.options.get("errors", {})))
         return Forecaster(self.scenario, errors, int(self.options["seed"]))
 
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""
         now = self._forecaster.at(t, steps)
-        if self.options["controller"] != FULL_HORIZON:
+        if self.options["controller"] not in (FULL_HORIZON, PERFECT):
             return now
         planned = self._forecaster.at(0, steps)
         return Forecast(np.vstack([now.load_kw[:1], planned.load_kw[1:]]),

@@ -17,7 +17,7 @@ from vppres.solve.recovery import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
 Driver = Scarce | Literal["priority", "switching_rule", "price", "preparation", "surplus", "supply",
-                          "mismatch", "plan", "fallback", "dark", "unexplained"]
+                          "mismatch", "plan", "rule", "fallback", "dark", "unexplained"]
 Binding = Scarce | Literal[""]
 
 
@@ -77,6 +77,8 @@ class Step:
     def fallback(self) -> str:
         """Which fallback decided the step and why, empty if none did."""
         name = self.recorded.note(self.t, "fallback")
+        if name in ("", "none"):
+            return ""
         why = self.recorded.note(self.t, "fallback_reason")
         return f"{name}: {why}" if name and why else name
 

@@ -16,7 +16,8 @@ DRIVERS = {
     "voltage": "voltage limit", "grid": "grid limit", "priority": "priority",
     "switching_rule": "switching rule", "price": "price", "preparation": "preparation",
     "surplus": "PV surplus", "supply": "supply of the island", "mismatch": "island's mismatch",
-    "plan": "plan of the day", "fallback": "fallback", "dark": "dark island",
+    "plan": "plan of the day", "rule": "rule of the controller", "fallback": "fallback",
+    "dark": "dark island",
     "unexplained": "not explained"}
 """What the drivers of ``explanations`` are called in the report."""
 
