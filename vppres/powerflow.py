@@ -145,7 +145,7 @@ class ACPowerFlow:
         """What to say when there is no solution."""
         worst = int(np.argmin(p_kw))
         return ("the AC power flow does not converge: net load "
-                f"{-p_kw.sum():.1f} kW and {-q_kvar.sum():.1f} kvar, the largest "
+                f"{-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
                 f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}. The lines cannot carry "
                 "it: check the units of loads and impedances, or serve less.")
 
