@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from checker import check_dispatch
 from numpy.typing import NDArray
 from random_feeders import Window, random_scenario, random_window
@@ -28,6 +29,7 @@ from vppres.errors import InputError, ModelError, NumericalError
 from vppres.forecast import Forecaster, ForecastErrors
 from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.metrics import resilience, summarise
+from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Site, WindowData
 from vppres.model.losses import Sweeps, injections, linearised, lossless
 from vppres.model.window import Form, WindowModel
@@ -36,6 +38,7 @@ from vppres.powerflow import ACPowerFlow
 from vppres.scenario import Scenario
 from vppres.simulate import RunOptions, run_day
 from vppres.solve.methods import WindowSolver
+from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.trajectory import Trajectory
 
@@ -147,6 +150,17 @@ def test_physical_problem_refuses_a_window_of_the_papers_mode(tiny: Scenario) ->
     data = random_window(0).data
     with pytest.raises(ModelError, match="filled with a window of the paper's mode"):
         model.physical.fill(site, replace(data, physics=None))
+
+
+def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_with(
+        tiny: Scenario) -> None:
+    site, data = Site.of(tiny), island_window(tiny, 0.85, 0, 3)
+    empty = replace(data, soc=np.array([0.15 + 1e-16, 0.5]))
+    for lumped in (True, False):
+        model = AggregateModel(site, 3, lumped=lumped)
+        model.fill(empty)
+        assert max(np.abs(p.value).max() for p in model.p.values()) < 1e6
+    assert WindowSolver(site).solve(empty).status == "optimal"
 
 
 # What the plan keeps free.
@@ -335,3 +349,13 @@ def test_named_batteries_and_mode_survive_the_files(tiny: Scenario, tmp_path: Pa
     file.write_text(file.read_text("utf-8").replace("yes", "maybe"), "utf-8")
     with pytest.raises(InputError, match=r"batteries\.csv, row 3, grid_forming = maybe: must be"):
         read_scenario(tmp_path / "named")
+
+
+def test_problem_that_the_solver_refuses_is_an_error_and_no_crash() -> None:
+    one = np.ones(1)
+    program = Program(one, 0.0 * one, one, sp.csc_array([[1e16]]), 0.0 * one, one,
+                      np.zeros(0, dtype=np.int64))
+    with pytest.raises(NumericalError) as error:
+        program.loaded(1.0)
+    assert str(error.value) == ("HiGHS refuses a problem: its coefficients are not finite or too "
+                                "large. Check the data for extreme values.")

@@ -21,6 +21,9 @@ from vppres.model.switching import RuleSteps
 from vppres.model.switching_rules import SwitchingModel, added_demand
 from vppres.model.window import objective_scale, require_dpp
 
+LEAST_KW = 1e-3
+"""A first step's largest charge or discharge below this has no part in a ratio."""
+
 
 class AggregateModel:
     """The lumped relaxation over W steps, with one binary for each customer and step.
@@ -225,7 +228,8 @@ class AggregateModel:
         held_kwh = np.maximum(data.soc - least, 0.0) * b.energy_kwh
         charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
         discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
-        both = (charge > 0) & (discharge > 0)
+        # A ratio of next to nothing says nothing, and is no number a solver can work with.
+        both = (charge > LEAST_KW) & (discharge > LEAST_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
         b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
         if self.lumped:

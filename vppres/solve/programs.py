@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from vppres.errors import NumericalError
 from vppres.model.data import Floats
 from vppres.solve.result import Status
 from vppres.solve.solvers import COMPILER
@@ -53,7 +54,10 @@ class Program:
         for name, value in {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs,
                             "time_limit": max(time_s, 0.01), "threads": 1}.items():
             solver.setOptionValue(name, value)
-        solver.passModel(self._model())
+        # A solver that refused its model crashes at the next call.
+        if solver.passModel(self._model()) == highspy.HighsStatus.kError:
+            raise NumericalError("HiGHS refuses a problem: its coefficients are not finite or too "
+                                 "large. Check the data for extreme values.")
         return solver
 
     def _model(self) -> highspy.HighsModel:
