@@ -224,8 +224,26 @@ class GuardedController:
             return decision
         words = [decision.fallback_reason, f"the plan serves {served:g} of the critical weight, "
                  f"the step alone {possible:g}", alone.fallback_reason]
-        return replace(alone, fallback="critical",
+        return replace(self._with_critical(decision, alone, state), fallback="critical",
                        fallback_reason="; ".join(word for word in words if word))
+
+    def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
+        """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
+
+        The step alone would serve everyone it can and leave no energy for the steps to come.
+        """
+        plan, row, tier = decision.dispatch, decision.row, self.site.customers.tier
+        wanted_kw = plan.charge_kw[row] - plan.discharge_kw[row]
+        first = alone.dispatch.served[0] & (tier == self.options.tiers[0])
+        for lowest in range(len(self.options.tiers), 0, -1):
+            kept = np.isin(tier, self.options.tiers[1:lowest]) & plan.served[row]
+            carried = carry(state, first | kept, wanted_kw)
+            if carried is None or carried.shortage:
+                continue
+            found = Decision(carried.dispatch, 0, SolveInfo(status="critical"))
+            if not violations(found, state, self.options.within):
+                return found
+        return alone
 
     def _step_alone(self, known: Known, state: StepState) -> Decision:
         """The one-step problem with the first tier above everything else; the rule if it fails."""
