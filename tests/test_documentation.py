@@ -33,6 +33,7 @@ NOT_RUN = {
     "make bench": "takes up to 45 minutes",
     "python -m experiments --quick": "takes minutes; tests/test_experiments.py has its parts",
     "python -m experiments --only voltage": "takes minutes",
+    "python -m experiments --only switching": "takes minutes",
     "python -m experiments --jobs 1 --results elsewhere": "takes a quarter of an hour",
     "python -m benchmarks --quick": "takes minutes; tests/test_benchmarks.py has its parts",
     "python -m benchmarks --only windows": "takes minutes",
