@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from vppres.model.data import Floats
 from vppres.model.demand import DemandModel
-from vppres.solve.programs import Answer, Program, compiled
+from vppres.solve.programs import Answer, compiled
 from vppres.solve.result import Status
 
-INSIDE = 1e-9
-"""Share of the way to a point that may be missing for the point to count as carried."""
 VIOLATED_KW = 2e-6
 """By how much a point must violate a cut to count as cut off: what programs are solved to."""
 ROUNDING = 1e-9
@@ -31,8 +29,9 @@ class Cut:
 class Reach:
     """Separates points of demand (W), loss and cost from what the fleet can carry.
 
-    A point is approached on the line from one that is carried for certain: no demand, all PV power
-    lost, the dearest import. Where the line leaves the set, the duals are a supporting inequality.
+    How far a point is outside is measured along one direction: less of all demand, more loss and
+    more cost, in proportion to the most there can be. One step of it is carried for certain. Only
+    right-hand sides change from point to point, so a solve starts where the last one ended.
 
     Parameters
     ----------
@@ -45,33 +44,35 @@ class Reach:
     def __init__(self, model: DemandModel, time_s: float) -> None:
         program, first = compiled(model.problem)
         W, size = model.relaxation.n_steps, len(program.cost)
-        lost, spent = model.worst()
-        self.inside = np.concatenate([np.zeros(W), [-lost, -spent]])
         self.places = np.concatenate([first["load"] + np.arange(W), [first["lost"]],
                                       [first["spent"]]])
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
-        rows = sp.csc_array((self.signs, (np.arange(W + 2), self.places)), shape=(W + 2, size + 1))
-        whole = Program(
-            np.append(program.cost, -1.0), np.append(program.x_lower, 0.0),
-            np.append(program.x_upper, 1.0),
-            sp.csc_array(sp.vstack([sp.hstack([program.rows, sp.csc_array((len(program.lower),
-                                                                           1))]), rows])),
-            np.append(program.lower, self.inside), np.append(program.upper, np.full(W + 2, np.inf)),
-            program.integer)
-        self.first_row, self.share = len(program.lower), size
-        self.solver = whole.loaded(time_s)
+        direction = np.concatenate([np.asarray(model.p["load_all"].value), model.worst()])
+        rows = sp.csc_array(
+            (np.concatenate([self.signs, direction]),
+             (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)]))),
+            shape=(W + 2, size + 1))
+        wider = replace(program, cost=np.append(program.cost, 1.0),
+                        x_lower=np.append(program.x_lower, 0.0),
+                        x_upper=np.append(program.x_upper, np.inf),
+                        rows=sp.csc_array(sp.hstack([program.rows,
+                                                     sp.csc_array((len(program.lower), 1))])))
+        self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
+        self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded(time_s)
 
     def separate(self, point: Floats) -> tuple[Status, Cut | None]:
         """A cut that a point violates; none if the fleet can carry it."""
-        way = self.signs * point - self.inside
-        for row, step in enumerate(way):
-            self.solver.changeCoeff(self.first_row + row, self.share, -float(step))
+        count = len(self.asked)
+        self.solver.changeRowsBounds(count, self.asked, self.signs * point,
+                                     np.full(count, np.inf))
         answer = Answer.of(self.solver)
-        if answer.status != Status.OPTIMAL or answer.x[self.share] >= 1.0 - INSIDE:
+        if answer.status != Status.OPTIMAL:
             return answer.status, None
-        prices = answer.row_dual[self.first_row:]
-        weights = np.maximum(prices, 0.0) * self.signs
-        most = float(weights @ answer.x[self.places])
+        # The duals of a point outside support what is carried where the solution lies.
+        weights = np.maximum(answer.row_dual[self.asked], 0.0) * self.signs
         size = float(np.abs(weights).max())
+        if size == 0.0:
+            return answer.status, None
+        most = float(weights @ answer.x[self.places])
         cut = Cut(weights / size, (most + ROUNDING * abs(most)) / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
