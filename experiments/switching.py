@@ -172,9 +172,9 @@ def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]])
     times = [f"{h:g} h" if h else "no rule" for h in config["min_times_h"]]
     prices = ["no rule", *(f"{p:g}" for p in config["prices"])]
     for names, style, offset, label in (
-            (times, LINES[MPC] | {"marker": "o"}, (6, 4), "minimum time served and unserved"),
-            (prices, LINES[FULL] | {"marker": "s"}, (6, -11), "price of an action"),
-            (["stay"], {"color": GREEN, "marker": "D", "linestyle": "none"}, (6, 4),
+            (times, LINES[MPC] | {"marker": "o"}, (6, -11), "minimum time served and unserved"),
+            (prices, LINES[FULL] | {"marker": "s"}, (-12, 6), "price of an action"),
+            (["stay"], {"color": GREEN, "marker": "D", "linestyle": "none"}, (6, 3),
              "once restored, stay")):
         x, y = zip(*(points[name] for name in names), strict=True)
         ax.plot(x, y, label=label, **style)

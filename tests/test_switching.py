@@ -282,7 +282,7 @@ def packaged() -> Scenario:
 
 @pytest.mark.parametrize(("controller", "rules"), [
     ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
-    ("full-horizon", SwitchingRules(stay_restored=True))])
+    ("full-horizon", SwitchingRules(min_unserved_h=2.0))])
 def test_real_day_obeys_the_rules(packaged: Scenario, controller: str,
                                   rules: SwitchingRules) -> None:
     options = RunOptions(controller, switching=rules, errors=ForecastErrors(pv_bias=0.3))
