@@ -183,6 +183,6 @@ def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]])
                 ax.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=8)
     ax.grid(True, color="#D0D0D0", linewidth=0.5)
     ax.set_axisbelow(True)
-    ax.margins(x=0.14)
+    ax.margins(x=0.14, y=0.1)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
