@@ -172,9 +172,9 @@ def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]])
     times = [f"{h:g} h" if h else "no rule" for h in config["min_times_h"]]
     prices = ["no rule", *(f"{p:g}" for p in config["prices"])]
     for names, style, offset, label in (
-            (times, LINES[MPC] | {"marker": "o"}, (6, 4), "minimum time served and unserved"),
-            (prices, LINES[FULL] | {"marker": "s"}, (6, -11), "price of an action"),
-            (["stay"], {"color": GREEN, "marker": "D", "linestyle": "none"}, (6, 4),
+            (times, LINES[MPC] | {"marker": "o"}, (6, -11), "minimum time served and unserved"),
+            (prices, LINES[FULL] | {"marker": "s"}, (-12, 6), "price of an action"),
+            (["stay"], {"color": GREEN, "marker": "D", "linestyle": "none"}, (6, 3),
              "once restored, stay")):
         x, y = zip(*(points[name] for name in names), strict=True)
         ax.plot(x, y, label=label, **style)
@@ -183,6 +183,6 @@ def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]])
                 ax.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=8)
     ax.grid(True, color="#D0D0D0", linewidth=0.5)
     ax.set_axisbelow(True)
-    ax.margins(x=0.14)
+    ax.margins(x=0.14, y=0.1)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)

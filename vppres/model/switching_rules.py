@@ -18,7 +18,6 @@ from vppres.model.data import Floats, Site, WindowData
 from vppres.model.switching import RuleSteps, SwitchingData
 
 Named = dict[str, cp.Constraint]
-Family = Callable[["SwitchingModel"], Named]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +132,7 @@ def cold_load(m: SwitchingModel) -> Named:
     }
 
 
+Family = Callable[[SwitchingModel], Named]
 FAMILIES: tuple[Family, ...] = (switching_actions, minimum_times, past_actions)
 
 
