@@ -39,8 +39,8 @@ class Master(Protocol):
         """
 
 
+# Master of a window and its seconds, None where it does not apply.
 MastersOf = Callable[[ModelCache, WindowData, SolverSpec, float], Master | None]
-"""Master of a window and its seconds, None where it does not apply."""
 
 
 class Binaries:
