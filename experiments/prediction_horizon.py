@@ -80,7 +80,9 @@ def rows(config: Config, results: Results) -> list[Row]:
                         f"{numbers(np.diff(resilience[rising]), '+.4f')}."),
         asserted("R3c", {"each step of H costs more": bool((before > 0).all())},
                  f"GBP {numbers(cost[rising], ',.0f')} at H = {numbers(horizons[rising], 'g')}",
-                 reason=f"Differences from one H to the next: {numbers(before, '+,.0f')} GBP."),
+                 reason=f"Differences from one H to the next: {numbers(before, '+,.0f')} GBP; the "
+                      f"largest fall is {-before.min() / cost.max():.2%} of the cost, and the "
+                      "cost of a window with an outage is solved within 0.1 %."),
     ]
 
 

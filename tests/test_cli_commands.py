@@ -171,9 +171,9 @@ def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
 
 
 def test_scenarios_as_json() -> None:
-    (record,) = json.loads(call("scenarios", "--json").stdout)
-    assert record["name"] == "uk-heatwave-2022"
-    assert read_scenario(record["folder"]).name == "uk-heatwave-2022"
+    records = json.loads(call("scenarios", "--json").stdout)
+    assert [r["name"] for r in records] == ["two-outages-cigre-mv", "uk-heatwave-2022"]
+    assert all(read_scenario(r["folder"]).name == r["name"] for r in records)
 
 
 # report
@@ -488,7 +488,8 @@ def varied(name: str, value: float) -> Scenario:
 
 def test_every_option_of_run_is_a_parameter() -> None:
     values = {"controller": "full-horizon", "solver": "scip", "method": "monolithic",
-              "thermal": "euler", "centre": "literal", "pv-check": "literal", "seed": 3}
+              "thermal": "euler", "mode": "physical", "centre": "literal", "pv-check": "literal",
+              "seed": 3, "max-actions": 4, "cold-load-factor": 1.5}
     day, options = small_scenario(), RunOptions()
     for name in sweep_parameters.OPTION_FIELDS:
         value = values.get(name, 0.5)
@@ -501,6 +502,10 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "thermal": "euler", "seed": 3,
         "limits": {**RunOptions().as_record()["limits"], "gap_rel": 0.5, "time_s": 0.5},
         "polygon_sides": RunOptions().polygon_sides, "centre": "literal", "pv_check": "literal",
+        "mode": "physical", "headroom": RunOptions().headroom, "passes": RunOptions().passes,
+        "switching": {"min_served_h": 0.5, "min_unserved_h": 0.5, "price_per_action": 0.5,
+                      "max_actions_per_customer": 4, "stay_restored": False,
+                      "cold_load_factor": 1.5, "cold_load_h": 0.5, "move_weight": 0.5},
         "guard": True, "protect_critical": False, "reserve": {"soc": 0.5, "notice_h": 0.5}}
 
 
