@@ -46,9 +46,10 @@ pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
 reproduce: $(STAMP)  ## run all experiments of the paper and write results/report.html
 	$(BIN)/python -m experiments --results results
 
-studies: $(STAMP)  ## 500 days of faults and 50 beside the baselines, into results/studies
+studies: $(STAMP)  ## 500 days of faults, 50 beside the baselines, 200 islands: results/studies
 	$(BIN)/python -m experiments.campaign --results results/studies
 	$(BIN)/python -m experiments.baselines --results results/studies
+	$(BIN)/python -m experiments.islands --out results/studies/islands
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks

@@ -42,6 +42,7 @@ NOT_RUN = {
     "make studies": "takes an hour",
     "python -m experiments.campaign --days 500": "takes an hour",
     "python -m experiments.baselines --days 50": "takes minutes",
+    "python -m experiments.islands --days 200": "takes minutes",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
 }
 
