@@ -14,10 +14,18 @@ from vppres.errors import InputError, Problem
 from vppres.model.data import Site, WindowData, evaluate
 from vppres.model.window import Form, objective_scale
 from vppres.solve.levels import Master, MastersOf, binaries, counts
+from vppres.solve.network_master import NetworkMaster, applies
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.search import Candidate, Search
 from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
-from vppres.solve.stages import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
+from vppres.solve.stages import (
+    POLYGON_SIDES,
+    cost_form,
+    net_modes,
+    polish,
+    shared_cache,
+    solve_cost,
+)
 
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
@@ -25,6 +33,9 @@ Rung = Callable[[WindowData, Search], None]
 
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
+
+SERVICE_SHARE = 0.6
+"""Share of a window's time left that the search for a set in the network may take."""
 
 GRACE_S = 5.0
 """What each step on the way to the first answer may take when time is up."""
@@ -132,8 +143,51 @@ class WindowSolver:
         """Put the best dispatch into the network, at a higher cost where that is needed."""
         best = search.best
         assert best is not None
-        search.best = self._polished(data, best, search) or self._in_network(
-            data, best.dispatch.served, search)
+        search.best = self._polished(data, best, search)
+        if search.best is None and applies(self.site, data):
+            self._by_injections(data, search)
+        if search.best is None:
+            search.best = self._in_network(data, best.dispatch.served, search)
+
+    def _by_injections(self, data: WindowData, search: Search) -> None:
+        """Service and cost of all sets in the network, and a dispatch, where it forbids the best.
+
+        A set that serves less than the dispatch at hand is worth has a lower ``F``; any other costs
+        at least the bound, and none serves more than the bound on service.
+        """
+        master = NetworkMaster(self.site, self.cache.reactance, data, search.left_s)
+        outcome, served = master.service(SERVICE_SHARE)
+        search.note("network_service", outcome)
+        if served is None:
+            search.prove(outcome)
+            return
+        service_bound = master.unit * outcome.bound
+        search.bound = min(search.bound, service_bound)
+        search.best = self._dispatched(master, data, served, search)
+        if search.best is None:
+            return
+        least = master.least_cost((search.best.value - 1e-9) / master.unit)
+        search.note("network_least_cost", least)
+        if least.status == Status.OPTIMAL:
+            worth = service_bound - self.site.weights.lambda_grid * max(least.bound, 0.0)
+            search.bound = min(search.bound, max(search.best.value, worth))
+            search.service_bound, search.cost_bound_gbp = service_bound, max(least.bound, 0.0)
+
+    def _dispatched(self, master: NetworkMaster, data: WindowData, served: Served,
+                    search: Search) -> Candidate | None:
+        """Cheapest dispatch of a set by injections, with the tie-breakers if they find one."""
+        outcome, dispatch = master.cheapest(served)
+        search.note("network_dispatch", outcome)
+        if dispatch is None:
+            return None
+        netted, done = net_modes(self.site, data, dispatch)
+        if not done:
+            return None
+        terms, weights = evaluate(self.site, data, netted), self.site.weights
+        value = terms.upper_levels(weights)
+        found = Candidate(netted, terms, value + weights.lambda_grid * terms.f2, value, terms.f2,
+                          True)
+        return self._polished(data, found, search) or found
 
     def _in_network(self, data: WindowData, served: Served, search: Search) -> Candidate | None:
         """Cheapest dispatch of a served set in the network, with the true discs."""

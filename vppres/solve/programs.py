@@ -44,9 +44,12 @@ class Program:
 
     def with_rows(self, rows: sp.csc_array, lower: Floats) -> Program:
         """The program with rows ``rows @ x >= lower`` more."""
+        return self.with_range(rows, lower, np.full(len(lower), np.inf))
+
+    def with_range(self, rows: sp.csc_array, lower: Floats, upper: Floats) -> Program:
+        """The program with rows ``lower <= rows @ x <= upper`` more."""
         return replace(self, rows=sp.csc_array(sp.vstack([self.rows, rows])),
-                       lower=np.append(self.lower, lower),
-                       upper=np.append(self.upper, np.full(len(lower), np.inf)))
+                       lower=np.append(self.lower, lower), upper=np.append(self.upper, upper))
 
     def loaded(self, time_s: float, gap_abs: float = 0.0) -> highspy.Highs:
         """A solver that has the program."""
@@ -80,13 +83,14 @@ class Program:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Status, value and dual bound of a program, its columns' values and its rows' duals."""
+    """Status, value and dual bound of a program, its columns' values and the duals of both."""
 
     status: Status
     value: float
     bound: float
     x: Floats
     row_dual: Floats
+    column_dual: Floats
 
     @classmethod
     def of(cls, solver: highspy.Highs) -> Answer:
@@ -97,7 +101,8 @@ class Answer:
         value = info.objective_function_value
         return cls(_status(solver.getModelStatus(), info.primal_solution_status), value,
                    min(info.mip_dual_bound, value) if whole else value,
-                   np.asarray(solution.col_value), np.asarray(solution.row_dual))
+                   np.asarray(solution.col_value), np.asarray(solution.row_dual),
+                   np.asarray(solution.col_dual))
 
 
 def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:

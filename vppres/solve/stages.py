@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
 from vppres.model.demand import DemandModel
+from vppres.model.injections import Reactance
 from vppres.model.switching import RuleSteps
 from vppres.model.switching_rules import rule_steps
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
@@ -61,6 +63,11 @@ class ModelCache:
         if key not in self.lumped:
             self.lumped[key] = AggregateModel(self.site, *key)
         return self.lumped[key]
+
+    @cached_property
+    def reactance(self) -> Reactance:
+        """How the site's voltages depend on injections."""
+        return Reactance(self.site)
 
     def demand(self, data: WindowData, lumped: bool) -> DemandModel:
         """What the fleet can carry in a window of that length and mode."""

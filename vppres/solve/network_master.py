@@ -1,0 +1,200 @@
+"""Service, cost and dispatch in the network, for windows in which it forbids the fleet's optimum.
+
+The problem has no lines and buses; limits of voltages and tangents of discs are added where a
+solution violates them, so every solution on the way is one of a relaxation.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import highspy
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.model.aggregate import weight_grid
+from vppres.model.data import Dispatch, Floats, Site, WindowData
+from vppres.model.injections import Injections, Reactance, Rows
+from vppres.solve.programs import Answer, Ints, Program
+from vppres.solve.result import Outcome, Status
+
+Served = NDArray[np.bool_]
+
+VOLTAGE_PU2 = 1e-6
+"""By how much a squared voltage may miss its limit in a relaxation."""
+DISC, EXACT_DISC = 2e-3, 5e-6
+"""Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
+NEAR = 0.3
+"""Units for which a set may be preferred because it is close to a linear solution."""
+TOLERANCE = 1e-6
+
+
+MOST_BUSES = 3000
+"""Buses up to which voltages are kept as functions of all injections: 200 MB."""
+
+
+def applies(site: Site, data: WindowData) -> bool:
+    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid."""
+    plain = not data.physical and data.switching is None
+    return (plain and site.network.n_buses <= MOST_BUSES
+            and weight_grid(site.customers.weight * site.dt_h) > 0.0)
+
+
+class NetworkMaster:
+    """The master in the network of one window, in the paper's mode without switching rules.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    reactance : Reactance
+        How voltages depend on injections.
+    data : WindowData
+        The window.
+    time_s : float
+        Time limit of everything together.
+    """
+
+    def __init__(self, site: Site, reactance: Reactance, data: WindowData, time_s: float) -> None:
+        self.end = time.perf_counter() + time_s
+        self.site, self.data = site, data
+        self.model = Injections(site, reactance, data)
+        self.unit = weight_grid(site.customers.weight * site.dt_h)
+        units = np.round(site.customers.weight * site.dt_h / self.unit)
+        self.units: Floats = np.tile(units, data.n_steps)
+        self.found: list[Rows] = []
+        lower, upper = self.model.bounds()
+        rows = self.model.rows()
+        self.program = Program(np.zeros(self.model.size), lower, upper, rows.matrix.tocsc(),
+                               rows.lower, rows.upper, np.arange(0))
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until the time limit."""
+        return self.end - time.perf_counter()
+
+    def service(self, share: float) -> tuple[Outcome, Served | None]:
+        """Most service in whole units, whatever is curtailed for it, in a share of the time left.
+
+        The linear problem in which nobody is served beyond a set bounds the service of all sets by
+        its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
+        one is carried in full.
+        """
+        begin, x = time.perf_counter(), self.model.at["x"].ravel()
+        end = begin + share * self.left_s
+        solver = self._loaded(self._with_cost(x, -self.units))
+        linear = self._until_carried(solver)
+        if linear.status != Status.OPTIMAL:
+            return _outcome(linear, begin), None
+        cuts, best = _ServiceCuts(self.units), np.floor(linear.x[x] + TOLERANCE)
+        tried, bound = np.ones(len(x)), np.floor(TOLERANCE - linear.value)
+        while self.units @ best < bound and time.perf_counter() < end:
+            cuts.add(linear, x, tried)
+            found = cuts.most(linear.x[x], end - time.perf_counter())
+            bound = min(bound, np.floor(TOLERANCE - found.bound))
+            if not found.status.has_answer:
+                break
+            tried = np.round(found.x)
+            solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), tried)
+            linear = self._until_carried(solver)
+            if linear.status != Status.OPTIMAL:
+                break
+            whole = np.floor(linear.x[x] + TOLERANCE)
+            best = whole if self.units @ whole > self.units @ best else best
+        value = float(self.units @ best)
+        status = Status.OPTIMAL if value >= bound else Status.TIME_LIMIT
+        return (Outcome(status, value, float(bound), time.perf_counter() - begin),
+                best.reshape(self.model.at["x"].shape) > 0.5)
+
+    def least_cost(self, units_min: float) -> Outcome:
+        """Lower bound on the cost of all sets with so many units, in GBP."""
+        begin, x = time.perf_counter(), self.model.at["x"].reshape(1, -1)
+        enough = Rows.of(x, self.units, units_min, np.inf, self.model.size)
+        program = self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
+        return _outcome(self._until_carried(self._loaded(program)), begin)
+
+    def cheapest(self, served: Served) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of a served set, within the discs."""
+        begin, x = time.perf_counter(), self.model.at["x"]
+        program = self._with_cost(*self.price)
+        program.x_lower[x], program.x_upper[x] = served, served
+        answer = self._until_carried(self._loaded(program), EXACT_DISC)
+        done = answer.status == Status.OPTIMAL
+        return _outcome(answer, begin), self.model.dispatch(answer.x, served) if done else None
+
+    @property
+    def price(self) -> tuple[Ints, Floats]:
+        """Columns of the import and its price for a step, in GBP/kW."""
+        return (self.model.at["P_grid"].ravel(),
+                self.data.price_gbp_per_kwh * self.site.dt_h)
+
+    def _with_cost(self, columns: Ints, values: Floats) -> Program:
+        """The program with an objective; its bounds may be changed."""
+        cost = np.zeros(self.model.size)
+        cost[columns] = values
+        return replace(self.program, cost=cost, x_lower=self.program.x_lower.copy(),
+                       x_upper=self.program.x_upper.copy())
+
+    def _loaded(self, program: Program) -> highspy.Highs:
+        """A solver with the program and the limits that were violated so far."""
+        if self.found:
+            rows = Rows.joined(self.found)
+            program = program.with_range(rows.matrix.tocsc(), rows.lower, rows.upper)
+        return program.loaded(self.left_s)
+
+    def _until_carried(self, solver: highspy.Highs, over: float = DISC) -> Answer:
+        """Solve, add the limits that are violated, and again until none is."""
+        while True:
+            solver.setOptionValue("time_limit", solver.getRunTime() + max(self.left_s, 0.01))
+            answer = Answer.of(solver)
+            if answer.status != Status.OPTIMAL:
+                return answer
+            found = (self.model.voltage_rows(answer.x, VOLTAGE_PU2)
+                     + self.model.disc_rows(answer.x, over))
+            if not found:
+                return answer
+            rows = Rows.joined(found)
+            self.found.append(rows)
+            _add(solver, rows)
+
+
+class _ServiceCuts:
+    """What is known of the service of sets: ``gain @ x <= most`` for all that are carried."""
+
+    def __init__(self, units: Floats) -> None:
+        self.units = units
+        self.gains: list[Floats] = []
+        self.most_units: list[float] = []
+
+    def add(self, linear: Answer, x: Ints, tried: Floats) -> None:
+        """Add what a linear problem says in which a set was the upper bound of service."""
+        worth = np.maximum(-linear.column_dual[x], 0.0)
+        self.gains.append(self.units - worth)
+        self.most_units.append(-linear.value - float(worth @ tried) + TOLERANCE)
+
+    def most(self, shares: Floats, time_s: float) -> Answer:
+        """The set with the most units; among equal ones one that is close to given shares.
+
+        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much.
+        """
+        away = 1.0 - shares
+        cost = NEAR / max(1.0, float(away.sum())) * away - self.units
+        count, each = len(self.most_units), np.ones(len(cost))
+        program = Program(cost, 0.0 * each, each, sp.csc_array(np.array(self.gains)),
+                          np.full(count, -np.inf), np.array(self.most_units),
+                          np.arange(len(cost)))
+        found = Answer.of(program.loaded(time_s, 1.0 - 2.0 * NEAR))
+        return replace(found, bound=found.bound - NEAR)
+
+
+def _add(solver: highspy.Highs, rows: Rows) -> None:
+    """Add rows to a solver that keeps its basis."""
+    m = rows.matrix
+    solver.addRows(m.shape[0], rows.lower, rows.upper, m.nnz, m.indptr[:-1].astype(np.int32),
+                   m.indices.astype(np.int32), m.data)
+
+
+def _outcome(answer: Answer, begin: float) -> Outcome:
+    return Outcome(answer.status, answer.value, answer.bound, time.perf_counter() - begin)
