@@ -53,7 +53,8 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         ["scenario.toml, tiers: is empty. Give the table [tiers]: weight of each tier, most "
          "important first."]),
     "section is a number": (
-        "scenario.toml", "[controller]\nkind = \"mpc\"\nhorizon_h = 5.0\nmode = \"paper\"", "[files]\npv_kw = 3",
+        "scenario.toml", "[controller]\nkind = \"mpc\"\nhorizon_h = 5.0\nmode = \"paper\"",
+        "[files]\npv_kw = 3",
         ["scenario.toml, files.pv_kw = 3: is not text. Give the file of the PV series."]),
     "outages as one table": (
         "scenario.toml", "outages = [\n    { start = 2022-07-19 13:00:00+00:00, "
