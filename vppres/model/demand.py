@@ -85,3 +85,10 @@ class DemandModel:
         lost = site.weights.lambda_curt * site.dt_h / (self.relaxation.grid or 1.0)
         prices: Floats = np.maximum(self.relaxation.rho_dt.value, 0.0)
         return float(lost * p["P_pv"].value.sum()), float(prices @ p["P_grid_max"].value)
+
+    def fleet_kw(self) -> float:
+        """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
+        p, b = self.relaxation.p, self.relaxation.site.batteries
+        factor = max(1.0, float(p["eta_hi"].value.max(initial=1.0)),
+                     float(p["inv_hi"].value.max(initial=1.0)))
+        return float(b.p_max_kw.sum() * factor)

@@ -14,8 +14,6 @@ from vppres.solve.result import Status
 
 VIOLATED_KW = 2e-6
 """By how much a point must violate a cut to count as cut off: what programs are solved to."""
-ROUNDING = 1e-9
-"""Relative slack of a cut, for the rounding of what it is computed from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +46,13 @@ class Reach:
                                       [first["spent"]]])
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
         direction = np.concatenate([np.asarray(model.p["load_all"].value), model.worst()])
+        self.program, self.largest = program, float(direction.max() + model.fleet_kw())
         rows = sp.csc_array(
             (np.concatenate([self.signs, direction]),
              (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)]))),
             shape=(W + 2, size + 1))
-        wider = replace(program, cost=np.append(program.cost, 1.0),
+        # The duals sum to the cost of a step in proportion to the direction: of order one.
+        wider = replace(program, cost=np.append(program.cost, max(direction.max(), 1.0)),
                         x_lower=np.append(program.x_lower, 0.0),
                         x_upper=np.append(program.x_upper, np.inf),
                         rows=sp.csc_array(sp.hstack([program.rows,
@@ -73,6 +73,18 @@ class Reach:
         size = float(np.abs(weights).max())
         if size == 0.0:
             return answer.status, None
-        most = float(weights @ answer.x[self.places])
-        cut = Cut(weights / size, (most + ROUNDING * abs(most)) / size)
+        most = self._most(weights, answer.row_dual[:self.asked[0]])
+        cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
+
+    def _most(self, weights: Floats, prices: Floats) -> float:
+        """Upper bound on a weighted sum of demand, loss and cost, from any prices of the rows.
+
+        Weak duality: it holds whatever the tolerance of the prices, since no column is larger than
+        ``largest``.
+        """
+        worth, left = self.program.priced(prices)
+        left[self.places] -= weights
+        two_sided = ~np.isfinite(self.program.x_lower)
+        below = np.where(two_sided, np.abs(left), np.maximum(-left, 0.0))
+        return -worth + float(below.sum()) * self.largest

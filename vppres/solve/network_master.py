@@ -7,7 +7,7 @@ solution violates them, so every solution on the way is one of a relaxation.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -26,6 +26,8 @@ VOLTAGE_PU2 = 1e-6
 """By how much a squared voltage may miss its limit in a relaxation."""
 DISC, EXACT_DISC = 2e-3, 5e-6
 """Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
+SMALL, ROUNDS = 2000, 6
+"""Binaries up to which the search has the network in it, after so many sets were tried."""
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution."""
 TOLERANCE = 1e-6
@@ -85,28 +87,53 @@ class NetworkMaster:
         begin, x = time.perf_counter(), self.model.at["x"].ravel()
         end = begin + share * self.left_s
         solver = self._loaded(self._with_cost(x, -self.units))
-        linear = self._until_carried(solver)
-        if linear.status != Status.OPTIMAL:
-            return _outcome(linear, begin), None
-        cuts, best = _ServiceCuts(self.units), np.floor(linear.x[x] + TOLERANCE)
-        tried, bound = np.ones(len(x)), np.floor(TOLERANCE - linear.value)
-        while self.units @ best < bound and time.perf_counter() < end:
-            cuts.add(linear, x, tried)
-            found = cuts.most(linear.x[x], end - time.perf_counter())
-            bound = min(bound, np.floor(TOLERANCE - found.bound))
-            if not found.status.has_answer:
-                break
-            tried = np.round(found.x)
-            solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), tried)
+        root = self._until_carried(solver)
+        if root.status != Status.OPTIMAL:
+            return _outcome(root, begin), None
+        cuts = _ServiceCuts(self.units)
+        most = self._cut(root, cuts)
+        known = _Known(np.ones(len(x)), np.floor(root.x[x] + TOLERANCE),
+                       np.floor(most + TOLERANCE))
+        self._close(solver, root, known, cuts, end)
+        outcome = Outcome(Status.OPTIMAL if known.closed(self.units) else Status.TIME_LIMIT,
+                          float(self.units @ known.best), float(known.bound),
+                          time.perf_counter() - begin)
+        return outcome, known.best.reshape(self.model.at["x"].shape) > 0.5
+
+    def _close(self, solver: highspy.Highs, linear: Answer, known: _Known, cuts: _ServiceCuts,
+               end: float) -> None:
+        """Try sets until the best has as much as the bound."""
+        x, few, rounds = self.model.at["x"].ravel(), list(self.found), 0
+        while not known.closed(self.units) and time.perf_counter() < end:
+            left_s, rounds, before = end - time.perf_counter(), rounds + 1, len(self.found)
+            whole = len(x) <= SMALL and rounds > ROUNDS
+            known.take(self._searched(few, left_s) if whole else cuts.most(linear.x[x], left_s))
+            solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
             linear = self._until_carried(solver)
             if linear.status != Status.OPTIMAL:
-                break
-            whole = np.floor(linear.x[x] + TOLERANCE)
-            best = whole if self.units @ whole > self.units @ best else best
-        value = float(self.units @ best)
-        status = Status.OPTIMAL if value >= bound else Status.TIME_LIMIT
-        return (Outcome(status, value, float(bound), time.perf_counter() - begin),
-                best.reshape(self.model.at["x"].shape) > 0.5)
+                return
+            self._cut(linear, cuts)
+            known.improve(np.floor(linear.x[x] + TOLERANCE), self.units)
+            few += self.found[before:] if whole else []
+
+    def _cut(self, linear: Answer, cuts: _ServiceCuts) -> float:
+        """Add what a linear problem proves of all sets; returns its bound on service in units."""
+        x = self.model.at["x"].ravel()
+        program = _limited(self._with_cost(x, -self.units), self.found)
+        worth, left = program.priced(linear.row_dual)
+        rest = np.minimum(left * program.x_lower, left * program.x_upper)
+        rest[x] = 0.0
+        gain = np.maximum(-left[x], 0.0)
+        most = -worth - float(rest.sum())
+        cuts.add(gain, most)
+        return most + float(gain.sum())
+
+    def _searched(self, rows: list[Rows], time_s: float) -> Answer:
+        """Search with binaries in the network, with some of its limits."""
+        x = self.model.at["x"].ravel()
+        program = replace(self._with_cost(x, -self.units), integer=x)
+        found = Answer.of(_limited(program, rows).loaded(time_s, 1.0 - TOLERANCE))
+        return replace(found, x=found.x[x] if found.status.has_answer else found.x)
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
@@ -139,10 +166,7 @@ class NetworkMaster:
 
     def _loaded(self, program: Program) -> highspy.Highs:
         """A solver with the program and the limits that were violated so far."""
-        if self.found:
-            rows = Rows.joined(self.found)
-            program = program.with_range(rows.matrix.tocsc(), rows.lower, rows.upper)
-        return program.loaded(self.left_s)
+        return _limited(program, self.found).loaded(self.left_s)
 
     def _until_carried(self, solver: highspy.Highs, over: float = DISC) -> Answer:
         """Solve, add the limits that are violated, and again until none is."""
@@ -151,13 +175,40 @@ class NetworkMaster:
             answer = Answer.of(solver)
             if answer.status != Status.OPTIMAL:
                 return answer
-            found = (self.model.voltage_rows(answer.x, VOLTAGE_PU2)
-                     + self.model.disc_rows(answer.x, over))
+            found = self._missing(answer.x, over)
             if not found:
                 return answer
             rows = Rows.joined(found)
             self.found.append(rows)
             _add(solver, rows)
+
+    def _missing(self, x: Floats, over: float) -> list[Rows]:
+        """Limits that a solution violates."""
+        return self.model.voltage_rows(x, VOLTAGE_PU2) + self.model.disc_rows(x, over)
+
+
+@dataclass
+class _Known:
+    """The set last tried, the best set that is carried, and the bound on all, in units."""
+
+    tried: Floats
+    best: Floats
+    bound: float
+
+    def closed(self, units: Floats) -> bool:
+        """Whether the best set has as much as the bound."""
+        return bool(units @ self.best >= self.bound)
+
+    def take(self, found: Answer) -> None:
+        """The next set to try, and what its search proves."""
+        self.bound = min(self.bound, float(np.floor(TOLERANCE - found.bound)))
+        if found.status.has_answer:
+            self.tried = np.round(found.x)
+
+    def improve(self, carried: Floats, units: Floats) -> None:
+        """Keep a set that is carried if it is the best."""
+        if units @ carried > units @ self.best:
+            self.best = carried
 
 
 class _ServiceCuts:
@@ -168,11 +219,10 @@ class _ServiceCuts:
         self.gains: list[Floats] = []
         self.most_units: list[float] = []
 
-    def add(self, linear: Answer, x: Ints, tried: Floats) -> None:
-        """Add what a linear problem says in which a set was the upper bound of service."""
-        worth = np.maximum(-linear.column_dual[x], 0.0)
-        self.gains.append(self.units - worth)
-        self.most_units.append(-linear.value - float(worth @ tried) + TOLERANCE)
+    def add(self, gain: Floats, most: float) -> None:
+        """Service is at most ``most`` and the gain of those who may be served."""
+        self.gains.append(self.units - gain)
+        self.most_units.append(most + TOLERANCE)
 
     def most(self, shares: Floats, time_s: float) -> Answer:
         """The set with the most units; among equal ones one that is close to given shares.
@@ -187,6 +237,14 @@ class _ServiceCuts:
                           np.arange(len(cost)))
         found = Answer.of(program.loaded(time_s, 1.0 - 2.0 * NEAR))
         return replace(found, bound=found.bound - NEAR)
+
+
+def _limited(program: Program, rows: list[Rows]) -> Program:
+    """A program with limits in it."""
+    if not rows:
+        return program
+    limits = Rows.joined(rows)
+    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
 
 
 def _add(solver: highspy.Highs, rows: Rows) -> None:

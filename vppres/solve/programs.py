@@ -51,6 +51,18 @@ class Program:
         return replace(self, rows=sp.csc_array(sp.vstack([self.rows, rows])),
                        lower=np.append(self.lower, lower), upper=np.append(self.upper, upper))
 
+    def priced(self, prices: Floats) -> tuple[float, Floats]:
+        """What the rows are worth at some prices, and what is left of the columns' costs.
+
+        By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
+        whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
+        """
+        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
+        prices = np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
+        limits = np.where(prices > 0.0, self.lower, self.upper)
+        used = prices != 0.0
+        return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
+
     def loaded(self, time_s: float, gap_abs: float = 0.0) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
