@@ -47,9 +47,9 @@ class _Layout:
     def of(cls, units: Ints, able: Served, free: NDArray[np.bool_]) -> _Layout:
         """Shares and counts of the steps in which not everyone is served."""
         step, customer = np.nonzero(able & free[:, None] & (units > 0))
-        pairs, count = np.unique(np.column_stack([step, units[customer]]), axis=0,
-                                 return_inverse=True)
-        return cls(len(free), step, customer, count, pairs[:, 0], pairs[:, 1])
+        span = int(units.max(initial=0)) + 1
+        pairs, count = np.unique(step * span + units[customer], return_inverse=True)
+        return cls(len(free), step, customer, count, pairs // span, pairs % span)
 
     @property
     def lost(self) -> int:
@@ -123,6 +123,7 @@ class Counts:
         self.paid = bool((data.price_gbp_per_kwh < 0.0).any())
         self.reach = Reach(model, time_s)
         self.cuts: list[Cut] = []
+        self.plain: dict[bytes, tuple[_Layout, Program]] = {}
         self.gap = 0.0
 
     @property
@@ -216,8 +217,8 @@ class Counts:
 
     def _most(self, block: Steps, integer: bool) -> _Found:
         """Least of the loss minus the service of a block's steps, in units."""
-        layout, cuts = _Layout.of(self.units, self.able, block), self._touching(block)
-        program = self._program(layout, block, cuts)
+        cuts = self._touching(block)
+        layout, program = self._program(block, cuts)
         program.cost[layout.lost] = 1.0
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
@@ -228,8 +229,7 @@ class Counts:
 
     def _least(self, free: Steps, units_min: float, gap_gbp: float, integer: bool) -> _Found:
         """Least cost of so many units."""
-        layout = _Layout.of(self.units, self.able, free)
-        plain = self._program(layout, free, self.cuts)
+        layout, plain = self._program(free, self.cuts)
         plain.cost[layout.spent] = 1.0
         enough = np.zeros((1, layout.size))
         enough[0, layout.counts], enough[0, layout.lost] = layout.weight, -1.0
@@ -237,8 +237,22 @@ class Counts:
         program = plain.with_rows(sp.csc_array(enough), np.array([units_min - anyway]))
         return self._solve(program, layout, gap_gbp, integer)
 
-    def _program(self, layout: _Layout, free: Steps, cuts: list[Cut]) -> Program:
-        """Limits of demand, loss and cost, shares and counts, and cuts."""
+    def _program(self, free: Steps, cuts: list[Cut]) -> tuple[_Layout, Program]:
+        """Limits of demand, loss and cost, shares and counts, and cuts; without objective."""
+        key = free.tobytes()
+        if key not in self.plain:
+            self.plain[key] = self._without_cuts(free)
+        layout, plain = self.plain[key]
+        weights = np.array([-cut.weights for cut in cuts]).reshape(len(cuts), layout.n_steps + 2)
+        step, column = np.nonzero(weights)
+        rows = sp.csc_array((weights[step, column], (step, column)),
+                            shape=(len(cuts), layout.size))
+        program = plain.with_rows(rows, np.array([-cut.most for cut in cuts]))
+        return layout, replace(program, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
+
+    def _without_cuts(self, free: Steps) -> tuple[_Layout, Program]:
+        """The same before the first cut."""
+        layout = _Layout.of(self.units, self.able, free)
         members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
         lower, upper = np.zeros(layout.size), np.ones(layout.size)
         lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
@@ -247,12 +261,8 @@ class Counts:
         upper[layout.lost:layout.spent + 1] = self.worst
         upper[layout.counts] = members
         most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))
-        program = Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
-                          np.zeros(len(most)), most, layout.counts)
-        rows = np.zeros((len(cuts), layout.size))
-        for row, cut in zip(rows, cuts, strict=True):
-            row[:layout.n_steps + 2] = -cut.weights
-        return program.with_rows(sp.csc_array(rows), np.array([-cut.most for cut in cuts]))
+        return layout, Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
+                               np.zeros(len(most)), most, layout.counts)
 
     def _solve(self, program: Program, layout: _Layout, gap_abs: float,
                integer: bool) -> _Found:
