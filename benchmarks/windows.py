@@ -77,7 +77,7 @@ class Limits:
     """Time limits in s: of a window, and of the monolith beyond six steps, which seldom ends."""
 
     time_s: float = 60.0
-    long_monolith_s: float = 20.0
+    long_monolith_s: float = 10.0
 
     def of(self, method: Method, steps: int) -> SolveLimits:
         """Gaps and time limit of one solve."""
