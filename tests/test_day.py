@@ -92,6 +92,11 @@ def full_horizon(packaged_day: Scenario) -> Trajectory:
 # Service.
 
 
+def test_tie_breakers_of_every_step_end_accurately(ideal: IdealDay) -> None:
+    # One that does not sends the step to the network's stages, whose reactive power is arbitrary.
+    assert not ideal.steps["stages"].str.contains("inaccurate|numerical").any()
+
+
 def test_resilience_is_the_papers(ideal: IdealDay) -> None:
     value = resilience(ideal.run)
     assert value is not None and 0.90 <= value <= 0.94

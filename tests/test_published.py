@@ -61,7 +61,7 @@ def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
     results = days(jobs)
     rows = horizon_rows(IDEAL, results)
     assert [row.id for row in rows] == ["R1", "R2", "R2b", "R3a", "R3b", "R3c"]
-    # R3c asks for a rise at every step of H; from H = 2 on the cost is level within 0.1 %.
+    # R3c asks for a rise at every step of H; from H = 2 on the cost is level within 0.15 %.
     assert misses([row for row in rows if row.id != "R3c"]) == []
     cost = [results[ideal.mpc(h)].summary["cost_gbp"] for h in IDEAL["horizons_h"]]
     assert cost[0] < min(cost[1:])
@@ -73,9 +73,7 @@ def test_ideal_day_of_both_controllers(days: Days) -> None:
             *import_rows(IDEAL, results)]
     found = {row.id for row in rows}
     assert {"R4", "R5", "R6a", "R6b", "R7", "R8", "R9", "R10", "R11", "R22", "R23"} <= found
-    # R6a is not held: plans that serve and cost as much move the mean voltage by 0.001 pu, and the
-    # one that is carried out has 0.9649 pu, 0.0002 beyond the tolerance. The report says so.
-    assert misses([row for row in rows if row.id != "R6a"]) == []
+    assert misses(rows) == []
 
 
 def test_planned_is_what_happens_under_ideal_conditions(days: Days) -> None:

@@ -195,17 +195,24 @@ def run_conic(problem: cp.Problem, time_s: float, scale: float = 1.0) -> Outcome
     ``scale`` is a factor in the problem's objective; the value is meant without it.
     """
     begin = time.perf_counter()
+    # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
+    status = _interior_points(problem, time_s, refined=False)
+    left_s = time_s - (time.perf_counter() - begin)
+    if status in (Status.INACCURATE, Status.NUMERICAL) and left_s > 0.0:
+        status = _interior_points(problem, left_s, refined=True)
+    value = float(problem.objective.value) / scale if status.has_answer else np.nan
+    return Outcome(status, value, value, time.perf_counter() - begin)
+
+
+def _interior_points(problem: cp.Problem, time_s: float, refined: bool) -> Status:
+    """Status of a solve by interior points, with or without refined steps."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            # Refinement costs as many iterations again and gains digits nobody reads.
             problem.solve(solver=cp.CLARABEL, warm_start=False, time_limit=max(time_s, 0.01),
-                          canon_backend=COMPILER, iterative_refinement_enable=False)
+                          canon_backend=COMPILER, iterative_refinement_enable=refined)
     except cp.SolverError:
-        return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)
-    elapsed = time.perf_counter() - begin
-    status = {cp.OPTIMAL: Status.OPTIMAL, cp.OPTIMAL_INACCURATE: Status.INACCURATE,
-              cp.INFEASIBLE: Status.INFEASIBLE, cp.UNBOUNDED: Status.UNBOUNDED,
-              cp.USER_LIMIT: Status.NO_ANSWER}.get(problem.status, Status.NUMERICAL)
-    value = float(problem.objective.value) / scale if status.has_answer else np.nan
-    return Outcome(status, value, value, elapsed)
+        return Status.NUMERICAL
+    return {cp.OPTIMAL: Status.OPTIMAL, cp.OPTIMAL_INACCURATE: Status.INACCURATE,
+            cp.INFEASIBLE: Status.INFEASIBLE, cp.UNBOUNDED: Status.UNBOUNDED,
+            cp.USER_LIMIT: Status.NO_ANSWER}.get(problem.status, Status.NUMERICAL)
