@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from checker import check_dispatch
 from random_feeders import random_window
 
 from vppres.io import find_scenario, read_scenario
@@ -22,7 +23,7 @@ from vppres.solve.network_master import NetworkMaster
 from vppres.solve.programs import compiled
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
-from vppres.solve.stages import ModelCache
+from vppres.solve.stages import ModelCache, least_reactive
 
 SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
 """Window 54 has weights without a grid, to which counts do not apply."""
@@ -167,3 +168,41 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
+
+
+def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
+        packaged: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
+    data = day_window(heavy, 18, 4, 0.3)
+    usual = WindowSolver(Site.of(heavy)).solve(data)
+    monkeypatch.setattr("vppres.solve.in_network.LARGE", 0)
+    answer = WindowSolver(Site.of(heavy)).solve(data)
+    first = answer.stages.index("network_service")
+    assert not any(stage.startswith("tie_breakers") for stage in answer.stages[:first])
+    assert answer.stages[first + 1:first + 3] == ("network_dispatch", "reactive_power")
+    assert answer.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(usual.objective, abs=1e-4 * usual.objective)
+    name, worst = check_dispatch(heavy, data, answer.dispatch).worst
+    assert worst < 2e-5, name
+
+
+def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: Scenario) -> None:
+    heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
+    data, site = day_window(heavy, 17, 3, 0.3), Site.of(heavy)
+    master = NetworkMaster(site, Reactance(site), data, TIME_S)
+    served = master.service(1.0)[1]
+    assert served is not None
+    before = master.cheapest(served, TIME_S)[1]
+    assert before is not None
+    outcome, after = least_reactive(ModelCache(site), data, before, TIME_S)
+    assert outcome.status == Status.OPTIMAL
+    np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)
+    assert check_dispatch(heavy, data, after).worst[1] < 2e-5
+    weights, r = site.weights, site.network.r_ohm
+
+    def worth(d: Dispatch) -> float:
+        used = (d.pv_q_kvar / site.pv.s_max_kva, d.batt_q_kvar / site.batteries.s_max_kva)
+        return float(weights.lambda_l * (d.q_flow_kvar**2 @ r).sum()
+                     + weights.lambda_q * sum((share**2).sum() for share in used))
+
+    assert worth(after) < 0.9 * worth(before)

@@ -187,8 +187,11 @@ class Injections:
         return Rows.of(columns[used][None, :], scale * values[used],
                        scale * (limit - self._empty_u()[t, bus]), np.inf, self.size)
 
-    def disc_rows(self, x: Floats, tolerance: float) -> list[Rows]:
-        """Tangents of the inverters' discs that are exceeded by more than a share of the radius."""
+    def disc_rows(self, x: Floats, tolerance: float, inside: float = 0.0) -> list[Rows]:
+        """Tangents of the inverters' discs that are exceeded by more than a share of the radius.
+
+        The tangents may lie inside by another share, so that few of them end within the disc.
+        """
         at, site = self.at, self.site
         net_kw = x[at["P_ch"]] - x[at["P_dch"]]
         through = x[at["P_exp"]] + self.own_kw * x[at["x"]][:, site.owner]
@@ -206,7 +209,8 @@ class Injections:
                 values = np.column_stack([*(cos * np.broadcast_to(f, p.shape)[out]
                                             for _, f in pieces), sin])
                 tangents.append(Rows.of(columns, values, -np.inf,
-                                        np.broadcast_to(radius, p.shape)[out], self.size))
+                                        (1.0 - inside) * np.broadcast_to(radius, p.shape)[out],
+                                        self.size))
         return tangents
 
     def dispatch(self, x: Floats, served: NDArray[np.bool_]) -> Dispatch:

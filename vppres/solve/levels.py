@@ -91,3 +91,17 @@ def binaries(cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: floa
     """The master by binaries, where weights and prices of switching have a grid."""
     master = Binaries(cache, data, spec, time_s, lumped)
     return master if master.unit and master.model.whole_price(data) else None
+
+
+def fleets_of(data: WindowData) -> tuple[bool, ...]:
+    """Whether batteries are lumped, in the order of trial.
+
+    A lumped battery says too little where efficiencies differ.
+    """
+    alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < 1e-4
+    return (True, False) if alike else (False,)
+
+
+def _spread(values: NDArray[np.float64]) -> float:
+    """Difference of the largest and the smallest value, 0 for none."""
+    return float(np.ptp(values)) if len(values) else 0.0

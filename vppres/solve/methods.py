@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from vppres.errors import InputError, Problem
 from vppres.model.data import Site, WindowData, evaluate
 from vppres.model.window import Form, objective_scale
-from vppres.solve.levels import Master, MastersOf, binaries, counts
+from vppres.solve.in_network import InNetwork, is_large
+from vppres.solve.levels import Master, MastersOf, binaries, counts, fleets_of
 from vppres.solve.network_master import NetworkMaster, applies
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
-from vppres.solve.search import Candidate, Search
+from vppres.solve.search import GRACE_S, Candidate, Search
 from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
 from vppres.solve.stages import (
     POLYGON_SIDES,
     cost_form,
-    net_modes,
     polish,
     shared_cache,
     solve_cost,
@@ -34,11 +34,8 @@ Rung = Callable[[WindowData, Search], None]
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
 
-SERVICE_SHARE = 0.6
-"""Share of a window's time left that the search for a set in the network may take."""
-
-GRACE_S = 5.0
-"""What each step on the way to the first answer may take when time is up."""
+LARGE = 1500
+"""Buses times steps beyond which the network is asked for its service before the tie-breakers."""
 
 
 class WindowSolver:
@@ -101,10 +98,9 @@ class WindowSolver:
         search = Search(self.limits, self.limits.absolute(whole))
         if self.method == "decomposed":
             self._decomposed(data, whole, search)
-            if search.proof is None and (not search.answered or
-                                         (not search.certified and search.left_s > 0)):
+            if search.proof is None and (not search.answered or self._goes_on(data, search)):
                 self._relaxed(data, search)
-        if not search.certified and search.left_s > 0:
+        if self._goes_on(data, search):
             self._full(data, search)
         return self._finish(data, search)
 
@@ -129,65 +125,34 @@ class WindowSolver:
             self._enter_network(data, search)
 
     def _ladder(self, data: WindowData) -> list[Rung]:
-        """Relaxations in the order in which they are tried.
-
-        A lumped battery says too little where efficiencies differ.
-        """
-        lumped = _spread(data.eta_charge) + _spread(data.eta_discharge) < 1e-4
-        fleets = (True, False) if lumped else (False,)
+        """Relaxations in the order in which they are tried."""
+        fleets = fleets_of(data)
         kinds = [partial(kind, lumped=lumped) for kind in (counts, binaries) for lumped in fleets]
         levels = [partial(self._levels, masters=kind) for kind in kinds]
         return [*levels, partial(self._aggregate, lumped=fleets[0]), self._per_battery]
 
     def _enter_network(self, data: WindowData, search: Search) -> None:
         """Put the best dispatch into the network, at a higher cost where that is needed."""
-        best = search.best
+        best, master = search.best, None
         assert best is not None
-        search.best = self._polished(data, best, search)
-        if search.best is None and applies(self.site, data):
-            self._by_injections(data, search)
-        if search.best is None:
-            search.best = self._in_network(data, best.dispatch.served, search)
+        if applies(self.site, data):
+            master = NetworkMaster(self.site, self.cache.reactance, data, search.left_s)
+        large, found = is_large(self.site, data), None
+        if master is None or not large or master.unit * (master.most_units + 0.5) > best.service:
+            found = self._polished(data, best, search)
+        if found is None and master is not None:
+            polish = None if large else partial(self._polished, data, search=search)
+            found = InNetwork(self.cache, data, master, search, polish).decide()
+        search.best = found or self._in_network(data, best.dispatch.served, search)
 
-    def _by_injections(self, data: WindowData, search: Search) -> None:
-        """Service and cost of all sets in the network, and a dispatch, where it forbids the best.
+    def _goes_on(self, data: WindowData, search: Search) -> bool:
+        """Whether the whole problem is worth its time: not in a large window known in the network.
 
-        A set that serves less than the dispatch at hand is worth has a lower ``F``; any other costs
-        at least the bound, and none serves more than the bound on service.
+        There its relaxation says no more than ``network_service``, and its search never ends.
         """
-        master = NetworkMaster(self.site, self.cache.reactance, data, search.left_s)
-        outcome, served = master.service(SERVICE_SHARE)
-        search.note("network_service", outcome)
-        if served is None:
-            search.prove(outcome)
-            return
-        service_bound = master.unit * outcome.bound
-        search.bound = min(search.bound, service_bound)
-        search.best = self._dispatched(master, data, served, search)
-        if search.best is None:
-            return
-        least = master.least_cost((search.best.value - 1e-9) / master.unit)
-        search.note("network_least_cost", least)
-        if least.status == Status.OPTIMAL:
-            worth = service_bound - self.site.weights.lambda_grid * max(least.bound, 0.0)
-            search.bound = min(search.bound, max(search.best.value, worth))
-            search.service_bound, search.cost_bound_gbp = service_bound, max(least.bound, 0.0)
-
-    def _dispatched(self, master: NetworkMaster, data: WindowData, served: Served,
-                    search: Search) -> Candidate | None:
-        """Cheapest dispatch of a set by injections, with the tie-breakers if they find one."""
-        outcome, dispatch = master.cheapest(served)
-        search.note("network_dispatch", outcome)
-        if dispatch is None:
-            return None
-        netted, done = net_modes(self.site, data, dispatch)
-        if not done:
-            return None
-        terms, weights = evaluate(self.site, data, netted), self.site.weights
-        value = terms.upper_levels(weights)
-        found = Candidate(netted, terms, value + weights.lambda_grid * terms.f2, value, terms.f2,
-                          True)
-        return self._polished(data, found, search) or found
+        known = search.answered and any(s.startswith("network_service") for s in search.stages)
+        return (not search.certified and search.left_s > 0.0
+                and not (known and is_large(self.site, data)))
 
     def _in_network(self, data: WindowData, served: Served, search: Search) -> Candidate | None:
         """Cheapest dispatch of a served set in the network, with the true discs."""
@@ -373,8 +338,3 @@ class WindowSolver:
             cost_gap_gbp=max(best.terms.f2 - bound_gbp, 0.0),
             solve_s=time.perf_counter() - search.begin, solver_s=search.solver_s,
             stages=tuple(search.stages), loss_kw=data.loss_kw if data.physical else None)
-
-
-def _spread(values: NDArray[np.float64]) -> float:
-    """Difference of the largest and the smallest value, 0 for none."""
-    return float(np.ptp(values)) if len(values) else 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import highspy
 import numpy as np
@@ -26,6 +27,8 @@ VOLTAGE_PU2 = 1e-6
 """By how much a squared voltage may miss its limit in a relaxation."""
 DISC, EXACT_DISC = 2e-3, 5e-6
 """Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
+INSIDE = (3e-4, 0.0)
+"""Shares by which a dispatch's tangents are tried to lie within the discs: few end inside them."""
 SMALL, ROUNDS = 2000, 6
 """Binaries up to which the search has the network in it, after so many sets were tried."""
 NEAR = 0.3
@@ -77,6 +80,18 @@ class NetworkMaster:
         """Seconds until the time limit."""
         return self.end - time.perf_counter()
 
+    @cached_property
+    def root(self) -> tuple[highspy.Highs, Answer]:
+        """Most service of shares of customers, and the solver that found it."""
+        solver = self._loaded(self._with_cost(self.model.at["x"].ravel(), -self.units))
+        return solver, self._until_carried(solver)
+
+    @property
+    def most_units(self) -> float:
+        """Service that no set exceeds, in units; infinite where it was not found."""
+        root = self.root[1]
+        return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
+
     def service(self, share: float) -> tuple[Outcome, Served | None]:
         """Most service in whole units, whatever is curtailed for it, in a share of the time left.
 
@@ -86,8 +101,7 @@ class NetworkMaster:
         """
         begin, x = time.perf_counter(), self.model.at["x"].ravel()
         end = begin + share * self.left_s
-        solver = self._loaded(self._with_cost(x, -self.units))
-        root = self._until_carried(solver)
+        solver, root = self.root
         if root.status != Status.OPTIMAL:
             return _outcome(root, begin), None
         cuts = _ServiceCuts(self.units)
@@ -142,14 +156,26 @@ class NetworkMaster:
         program = self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
         return _outcome(self._until_carried(self._loaded(program)), begin)
 
-    def cheapest(self, served: Served) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a served set, within the discs."""
-        begin, x = time.perf_counter(), self.model.at["x"]
-        program = self._with_cost(*self.price)
-        program.x_lower[x], program.x_upper[x] = served, served
-        answer = self._until_carried(self._loaded(program), EXACT_DISC)
+    def cheapest(self, served: Served, grace_s: float) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of a served set, within the discs; it has so much time at least."""
+        begin, end = time.perf_counter(), self.end
+        self.end = max(end, begin + grace_s)
+        answer = self._cheapest(served)
+        self.end = end
         done = answer.status == Status.OPTIMAL
         return _outcome(answer, begin), self.model.dispatch(answer.x, served) if done else None
+
+    def _cheapest(self, served: Served) -> Answer:
+        """Cheapest dispatch of a set, with tangents well within the discs or else at them."""
+        x, known, program = self.model.at["x"], self.found, self._with_cost(*self.price)
+        program.x_lower[x], program.x_upper[x] = served, served
+        for inside in INSIDE:
+            self.found = list(known)
+            answer = self._until_carried(self._loaded(program), EXACT_DISC, inside)
+            self.found = known  # tangents within the discs hold for no other problem
+            if answer.status == Status.OPTIMAL:
+                break
+        return answer
 
     @property
     def price(self) -> tuple[Ints, Floats]:
@@ -168,23 +194,21 @@ class NetworkMaster:
         """A solver with the program and the limits that were violated so far."""
         return _limited(program, self.found).loaded(self.left_s)
 
-    def _until_carried(self, solver: highspy.Highs, over: float = DISC) -> Answer:
+    def _until_carried(self, solver: highspy.Highs, over: float = DISC,
+                       inside: float = 0.0) -> Answer:
         """Solve, add the limits that are violated, and again until none is."""
         while True:
             solver.setOptionValue("time_limit", solver.getRunTime() + max(self.left_s, 0.01))
             answer = Answer.of(solver)
             if answer.status != Status.OPTIMAL:
                 return answer
-            found = self._missing(answer.x, over)
+            found = [*self.model.voltage_rows(answer.x, VOLTAGE_PU2),
+                     *self.model.disc_rows(answer.x, over, inside)]
             if not found:
                 return answer
             rows = Rows.joined(found)
             self.found.append(rows)
             _add(solver, rows)
-
-    def _missing(self, x: Floats, over: float) -> list[Rows]:
-        """Limits that a solution violates."""
-        return self.model.voltage_rows(x, VOLTAGE_PU2) + self.model.disc_rows(x, over)
 
 
 @dataclass

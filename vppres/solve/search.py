@@ -10,6 +10,9 @@ import numpy as np
 from vppres.model.data import Dispatch, Terms
 from vppres.solve.result import Outcome, SolveLimits, Status
 
+GRACE_S = 5.0
+"""What each step on the way to the first answer may take when time is up."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:

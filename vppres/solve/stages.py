@@ -6,6 +6,7 @@ precision with the terms above it held.
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Floats, Site, WindowData, evaluate
 from vppres.model.demand import DemandModel
 from vppres.model.injections import Reactance
+from vppres.model.reactive import ReactiveModel
 from vppres.model.switching import RuleSteps
 from vppres.model.switching_rules import rule_steps
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
@@ -46,7 +48,8 @@ class ModelCache:
     @property
     def compilations(self) -> int:
         """Problems compiled so far."""
-        return len(self.models) + len(self.lumped) + len(self.ties) + len(self.demands)
+        return (len(self.models) + len(self.lumped) + len(self.ties) + len(self.demands)
+                + int("reactive" in self.__dict__))
 
     def window(self, form: Form, data: WindowData) -> WindowModel:
         """The window problem of a form, of the window's length, mode and switching rules."""
@@ -76,6 +79,11 @@ class ModelCache:
             self.demands[key] = DemandModel(AggregateModel(
                 self.site, data.n_steps, False, lumped, data.physical))
         return self.demands[key]
+
+    @cached_property
+    def reactive(self) -> ReactiveModel:
+        """Reactive power of one step."""
+        return ReactiveModel(self.site)
 
     def tie_breakers(self, data: WindowData, curtailing: bool) -> TieBreakerModel:
         """The last level's problem of the window's length and mode."""
@@ -189,3 +197,21 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: floa
     after = evaluate(site, data, better)
     kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
     return Stage(outcome, better if kept else None)
+
+
+def least_reactive(cache: ModelCache, data: WindowData, dispatch: Dispatch,
+                   time_s: float) -> tuple[Outcome, Dispatch]:
+    """Least reactive flows and use of inverters for the active power of a dispatch, step by step.
+
+    A step without an answer keeps the reactive power that it has.
+    """
+    begin, model, changed = time.perf_counter(), cache.reactive, dispatch
+    status = Status.OPTIMAL
+    for t in range(data.n_steps):
+        model.fill(data, dispatch, t)
+        outcome = run_conic(model.problem, time_s - (time.perf_counter() - begin))
+        if outcome.status == Status.OPTIMAL:
+            changed = model.put_into(changed, t)
+        else:
+            status = outcome.status
+    return Outcome(status, np.nan, np.nan, time.perf_counter() - begin), changed
