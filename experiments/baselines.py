@@ -14,8 +14,6 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.markdown import Markdown
 from scipy import stats
 
 import data.uk_heatwave_2022.build as builder
@@ -24,6 +22,7 @@ from experiments.random_days import DRAWINGS
 from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
+from experiments.terminal import show_report
 from vppres.forecast import ForecastErrors
 from vppres.metrics import summarise, versions
 from vppres.plots import BLUE, draw_grid, save_figure
@@ -34,6 +33,7 @@ Floats = NDArray[np.float64]
 CONTROLLERS = {"mpc": "MPC, H = 5 h", "full-horizon": "full horizon", "reserve": "reserve by rule",
                "idle": "no control", "perfect": "perfect information"}
 CONFIDENCE, RESAMPLES = 0.95, 9999
+TABLE_WIDTH = 120
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def main(
     begin = time.perf_counter()
     runs = [run for day in run_seeds(run_seed, seed, days, jobs) for run in day]
     report = write_report(runs, time.perf_counter() - begin, results)
-    Console(width=120).print(Markdown(report.read_text(encoding="utf-8")))
+    show_report(report, TABLE_WIDTH)
 
 
 if __name__ == "__main__":

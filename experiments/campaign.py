@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.markdown import Markdown
 
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
+from experiments.terminal import show_report
 from vppres.controllers.base import Observation
 from vppres.controllers.estimation import Known
 from vppres.controllers.guard import FALLBACKS, GuardedController, critical_site
@@ -222,7 +221,7 @@ def main(
     begin = time.perf_counter()
     outcomes = run_seeds(run_one, seed, days, jobs)
     report = write_report(outcomes, time.perf_counter() - begin, results)
-    Console().print(Markdown(report.read_text(encoding="utf-8")))
+    show_report(report)
     if any(outcome.error or outcome.violations or outcome.unnamed for outcome in outcomes):
         raise typer.Exit(1)
 

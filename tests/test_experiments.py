@@ -24,6 +24,7 @@ from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
+from experiments.terminal import INTERRUPTED
 from vppres.errors import InputError, SolveError
 from vppres.forecast import ForecastErrors
 from vppres.simulate import RunOptions
@@ -355,7 +356,7 @@ def test_interrupt_says_that_finished_days_are_kept(invoke: Callable[..., tuple[
 
     monkeypatch.setattr(runner, "simulate", interrupted)
     status, output = invoke("--only", "voltage")
-    assert status == command.INTERRUPTED
+    assert status == INTERRUPTED
     assert "Days that were finished are kept: run again to go on." in output
 
 
