@@ -12,7 +12,6 @@ import pandas as pd
 import typer
 from joblib import cpu_count
 from rich.console import Console
-from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from benchmarks import findings
@@ -22,11 +21,11 @@ from benchmarks.report import Bar, Section, bar_table, publish, write_report
 from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
 from benchmarks.windows import Limits, run_windows
-from vppres.errors import InputError, Problem, VppresError
+from experiments.terminal import plain_errors, show_report
+from vppres.errors import InputError, Problem
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 TABLE_WIDTH = 140
-INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 QUICK_EVERY = 9
 
 
@@ -140,18 +139,11 @@ def main(
     """Measure the solving methods."""
     seconds = time_limit or (5.0 if quick else 60.0)
     plan = Plan(results, quick, seconds, int(cpu_count()) if jobs == -1 else jobs)
-    try:
+    with plain_errors("Finished rows"):
         sections, effort = run(only or [], plan)
         if to_docs:
             publish(sections, DOCUMENT, effort)
-    except KeyboardInterrupt:
-        typer.echo("Interrupted. Finished rows are kept: run again to go on.", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    except VppresError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(error.exit_status) from None
-    console = Console(width=max(Console().width, TABLE_WIDTH))
-    console.print(Markdown((results / "report.md").read_text(encoding="utf-8")))
+    show_report(results / "report.md", TABLE_WIDTH)
     typer.echo(f"Written to {results / 'report.html'}")
 
 

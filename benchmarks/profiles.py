@@ -8,7 +8,17 @@ from matplotlib.figure import Figure
 
 from benchmarks.instances import packaged
 from benchmarks.windows import BASE, NOT_ADMITTED
-from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from vppres.plots import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RULE_COLOUR,
+    SKY,
+    VERMILLION,
+)
 
 GAP_REL, GAP_ABS, CERTIFY_S = 1e-4, 5e-3, 10.0
 AGREEMENT_REL = 1e-4
@@ -64,7 +74,7 @@ def draw_profile(seconds: pd.DataFrame, title: str) -> Figure:
     ax.set_ylim(-0.02, 1.02)
     ax.set_xlabel("Time as a multiple of the fastest method's")
     ax.set_ylabel("Share of instances solved")
-    ax.grid(True, color="#D0D0D0", linewidth=0.5)
+    ax.grid(True, color=RULE_COLOUR, linewidth=0.5)
     ax.legend(frameon=False, loc="lower right")
     ax.set_title(f"{title}: {len(common)} instances", fontsize=11)
     return figure

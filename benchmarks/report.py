@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment
 from matplotlib.figure import Figure
 
+from experiments.tables import template_environment
 from vppres.errors import InputError, Problem
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
-from vppres.pages import embedded_svg
 from vppres.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -137,14 +137,7 @@ def _packages() -> str:
 
 
 def _environment(figures: Path, escape: bool) -> Environment:
-    environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
-                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-
-    def embedded(name: str) -> str:
-        """A figure's SVG as a data URI."""
-        return embedded_svg(figures / f"{name}.svg")
-
-    helpers: dict[str, Callable[..., str]] = {"embedded": embedded, "cell": cell,
-                                              "markdown_table": markdown_table}
+    environment = template_environment(TEMPLATES, figures, escape)
+    helpers: dict[str, Callable[..., str]] = {"cell": cell, "markdown_table": markdown_table}
     environment.globals.update(helpers)
     return environment

@@ -21,7 +21,7 @@ from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
 from vppres.errors import SolveError
 from vppres.model.data import Site, WindowData
-from vppres.plots import BLUE, GREY
+from vppres.plots import BLUE, GREY, RULE_COLOUR
 from vppres.scenario import Scenario
 from vppres.solve.methods import WindowSolver
 from vppres.solve.result import SolveLimits
@@ -186,7 +186,7 @@ def draw_scaling(rows: pd.DataFrame) -> Figure:
         ax.loglog(size, part["median_s"], color=BLUE, marker="o", label="median")
         ax.loglog(size, part["max_s"], color=GREY, marker="v", linestyle=":", label="largest")
         ax.set_xlabel(names[str(axis)])
-        ax.grid(True, color="#D0D0D0", linewidth=0.5)
+        ax.grid(True, color=RULE_COLOUR, linewidth=0.5)
     axes[0].set_ylabel("Time of a window (s)")
     axes[0].legend(frameon=False)
     return figure

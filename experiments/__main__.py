@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markdown import Markdown
 
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import read_config
 from experiments.report import HTML, MARKDOWN, Effort, write_report
 from experiments.runner import processes_for, run_jobs
-from vppres.errors import InputError, Problem, VppresError
+from experiments.terminal import plain_errors, show_report
+from vppres.errors import InputError, Problem
 
 TABLE_WIDTH = 110  # narrower, the table of R1 to R24 is unreadable
-INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 
 
 def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Path:
@@ -70,16 +68,9 @@ def main(
         metavar="DIR", help="Folder of report, figures and cache.")] = Path("results"),
 ) -> None:
     """Reproduce the paper's figures and tables, or run further experiments by name."""
-    try:
+    with plain_errors("Days that were finished"):
         report = reproduce(only or [], results, quick, jobs)
-    except KeyboardInterrupt:
-        typer.echo("Interrupted. Days that were finished are kept: run again to go on.", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    except VppresError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(error.exit_status) from None
-    console = Console(width=max(Console().width, TABLE_WIDTH))
-    console.print(Markdown(report.read_text(encoding="utf-8")))
+    show_report(report, TABLE_WIDTH)
     typer.echo(f"Written to {results / HTML}")
 
 

@@ -9,25 +9,23 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
-from joblib import Parallel, delayed, parallel_config
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.markdown import Markdown
 from scipy import stats
 
 import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
 from experiments.random_days import DRAWINGS
 from experiments.report import machine
+from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
+from experiments.terminal import show_report
 from vppres.forecast import ForecastErrors
 from vppres.metrics import summarise, versions
-from vppres.plots import BLUE, save_figure
+from vppres.plots import BLUE, draw_grid, save_figure
 from vppres.simulate import RunOptions, run_day
 
 Floats = NDArray[np.float64]
@@ -35,6 +33,7 @@ Floats = NDArray[np.float64]
 CONTROLLERS = {"mpc": "MPC, H = 5 h", "full-horizon": "full horizon", "reserve": "reserve by rule",
                "idle": "no control", "perfect": "perfect information"}
 CONFIDENCE, RESAMPLES = 0.95, 9999
+TABLE_WIDTH = 120
 
 
 @dataclass(frozen=True)
@@ -139,10 +138,7 @@ def figure(runs: Sequence[Run]) -> Figure:
             ax.errorbar(mean.mean, row, xerr=[[mean.mean - mean.low], [mean.high - mean.mean]],
                         fmt="o", color=BLUE, capsize=4)
         ax.set_xlabel(label)
-        ax.grid(True, axis="x", color="#D0D0D0", linewidth=0.5)
-        ax.set_axisbelow(True)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
+        draw_grid(ax, axis="x")
     axes[0].set_yticks(range(len(names)), [CONTROLLERS[name] for name in names])
     days = len({run.seed for run in runs})
     drawn.suptitle(f"The same {days} days: every day (grey), mean and 95 % interval (blue)",
@@ -185,19 +181,16 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
 
 
 def main(
-    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 50,
-    seed: Annotated[int, typer.Option(help="Seed of the first day.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Days at a time; -1 is one for each core.")] = -1,
-    results: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder of the report.")] = Path("results/studies"),
+    days: Days = 50,
+    seed: FirstSeed = 0,
+    jobs: Jobs = -1,
+    results: Results = STUDIES,
 ) -> None:
     """Run the MPC and the baselines on the same days."""
     begin = time.perf_counter()
-    with parallel_config("loky", inner_max_num_threads=1):
-        found = Parallel(n_jobs=jobs)(delayed(run_seed)(day) for day in range(seed, seed + days))
-    runs = [run for day in found for run in day]
+    runs = [run for day in run_seeds(run_seed, seed, days, jobs) for run in day]
     report = write_report(runs, time.perf_counter() - begin, results)
-    Console(width=120).print(Markdown(report.read_text(encoding="utf-8")))
+    show_report(report, TABLE_WIDTH)
 
 
 if __name__ == "__main__":

@@ -10,17 +10,15 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
-from joblib import Parallel, delayed, parallel_config
-from rich.console import Console
-from rich.markdown import Markdown
 
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
+from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
+from experiments.terminal import show_report
 from vppres.controllers.base import Observation
 from vppres.controllers.estimation import Known
 from vppres.controllers.guard import FALLBACKS, GuardedController, critical_site
@@ -214,18 +212,16 @@ def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:
 
 
 def main(
-    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 500,
-    seed: Annotated[int, typer.Option(help="Seed of the first day.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Days at a time; -1 is one for each core.")] = -1,
-    results: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder of the report.")] = Path("results/studies"),
+    days: Days = 500,
+    seed: FirstSeed = 0,
+    jobs: Jobs = -1,
+    results: Results = STUDIES,
 ) -> None:
     """Run random days full of faults, and judge what was done to critical customers."""
     begin = time.perf_counter()
-    with parallel_config("loky", inner_max_num_threads=1):
-        outcomes = Parallel(n_jobs=jobs)(delayed(run_one)(day) for day in range(seed, seed + days))
+    outcomes = run_seeds(run_one, seed, days, jobs)
     report = write_report(outcomes, time.perf_counter() - begin, results)
-    Console().print(Markdown(report.read_text(encoding="utf-8")))
+    show_report(report)
     if any(outcome.error or outcome.violations or outcome.unnamed for outcome in outcomes):
         raise typer.Exit(1)
 

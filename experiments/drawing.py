@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.results import DayResult
-from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, draw_grid
 
 Floats = NDArray[np.float64]
 
@@ -41,10 +41,7 @@ def panels(heights: tuple[float, ...], height_in: float, title: str) -> tuple[Fi
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False,
                                 height_ratios=heights)[:, 0])
     for ax in axes:
-        ax.grid(True, color="#D0D0D0", linewidth=0.5)
-        ax.set_axisbelow(True)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
+        draw_grid(ax)
     figure.suptitle(title, fontsize=11)
     return figure, axes
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import typer
 
+from experiments.seeds import Days, FirstSeed
 from tests.random_feeders import random_scenario
 from vppres.errors import VppresError
 from vppres.forecast import ForecastErrors
@@ -158,8 +159,8 @@ def study_packaged() -> pd.DataFrame:
 
 
 def main(
-    days: Annotated[int, typer.Option(help="Number of random days.")] = 200,
-    first: Annotated[int, typer.Option(help="Seed of the first day.")] = 0,
+    days: Days = 200,
+    first: FirstSeed = 0,
     out: Annotated[Path, typer.Option(help="Folder of the two tables.")] = Path("results/islands"),
 ) -> None:
     """Hold the record of physical mode against its claims, on random days and the packaged one."""

@@ -17,10 +17,15 @@ from vppres.simulate import RunOptions
 
 # What shows, reads or writes results cannot change them.
 PRESENTATION = (
-    "__init__.py", "__main__.py", "cli.py", "cli_options.py", "cli_tables.py", "compare.py",
-    "finished.py", "io", "networks", "new_options.py", "pages.py", "plots.py", "report.py",
-    "schema.py", "sweep.py", "sweep_page.py", "sweep_parameters.py")
-RESULT_FORMAT = Path(__file__).with_name("shorten.py")
+    "__init__.py", "__main__.py", "assumptions.py", "charts.py", "cli.py", "cli_new.py",
+    "cli_options.py", "cli_progress.py", "cli_sweep.py", "cli_tables.py", "compare.py",
+    "events.py", "findings.py", "finished.py", "io", "key_figures.py", "networks",
+    "new_options.py", "notebook.py", "one_line.py", "pages.py", "plots", "report.py", "schema.py",
+    "schema_tables.py", "sections", "sweep.py", "sweep_page.py", "sweep_parameters.py",
+    "tree_layout.py")
+# What makes the short results of whole days.
+RESULT_FORMAT = (Path(__file__).with_name("shorten.py"),
+                 Path(vppres.__file__).parent / "plots" / "series.py")
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ def sources_digest() -> str:
     files = [file for file in sorted(package.rglob("*.py"))
              if file.relative_to(package).parts[0] not in PRESENTATION]
     digest = hashlib.sha256()
-    for file in [*files, RESULT_FORMAT]:
+    for file in [*files, *RESULT_FORMAT]:
         digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 

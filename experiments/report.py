@@ -8,16 +8,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment
 
 from experiments import sensitivities
 from experiments.catalogue import ALL
 from experiments.config import Config
 from experiments.rows import Row, order
 from experiments.runner import Results
+from experiments.tables import template_environment
 from vppres.io.atomic import atomic_write_text
 from vppres.metrics import versions
-from vppres.pages import embedded_svg
 from vppres.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -116,13 +116,6 @@ def _lines(configs: Mapping[str, Config], results: Results) -> list[sensitivitie
 
 
 def _environment(figures: Path, escape: bool) -> Environment:
-    environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=escape,
-                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-
-    def embedded(name: str) -> str:
-        """A figure's SVG as a data URI."""
-        return embedded_svg(figures / f"{name}.svg")
-
-    environment.globals["embedded"] = embedded
+    environment = template_environment(TEMPLATES, figures, escape)
     environment.filters["cell"] = lambda text: str(text).replace("|", "\\|")
     return environment

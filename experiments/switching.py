@@ -16,7 +16,7 @@ from experiments.results import DayResult
 from experiments.rows import Row
 from experiments.runner import Results
 from vppres.forecast import ForecastErrors
-from vppres.plots import GREEN, GREY
+from vppres.plots import GREEN, GREY, draw_grid
 from vppres.simulate import RunOptions
 from vppres.switching import SwitchingRules
 
@@ -181,8 +181,5 @@ def _curves(ax: Axes, config: Config, points: Mapping[str, tuple[float, float]])
         for name, at in zip(names, zip(x, y, strict=True), strict=True):
             if name != "no rule" or names is times:
                 ax.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=8)
-    ax.grid(True, color="#D0D0D0", linewidth=0.5)
-    ax.set_axisbelow(True)
+    draw_grid(ax)
     ax.margins(x=0.14, y=0.1)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)

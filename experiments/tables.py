@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markdown_it import MarkdownIt
 
 from vppres.io.atomic import atomic_write_text
+from vppres.pages import embedded_svg
 from vppres.trajectory import json_safe
 
 PAGE = """<!DOCTYPE html>
@@ -53,3 +55,23 @@ def write_pages(folder: Path, name: str, title: str, text: str,
     atomic_write_text(folder / f"{name}.json", json.dumps(json_safe(record), indent=2) + "\n")
     atomic_write_text(folder / f"{name}.md", markdown)
     return folder / f"{name}.md"
+
+
+def template_environment(templates: Path, figures: Path, escape: bool) -> Environment:
+    """Templates of a report; ``embedded(name)`` is a figure's SVG as a data URI.
+
+    Parameters
+    ----------
+    templates, figures : Path
+        Folders of the templates and of the figures.
+    escape : bool
+        Whether what is filled in is escaped, as HTML wants it.
+    """
+    environment = Environment(loader=FileSystemLoader(templates), autoescape=escape,
+                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+
+    def embedded(name: str) -> str:
+        return embedded_svg(figures / f"{name}.svg")
+
+    environment.globals["embedded"] = embedded
+    return environment

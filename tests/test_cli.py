@@ -271,7 +271,8 @@ def test_schema_is_printed() -> None:
 
 def option_names(command: str) -> list[str]:
     """Options of a command in the order of its help, without --help."""
-    return [parameter.opts[0] for parameter in COMMANDS[command].params
+    found = COMMANDS[command]
+    return [parameter.opts[0] for parameter in found.get_params(typer.Context(found))
             if parameter.opts[0].startswith("--") and parameter.name != "help"]
 
 

@@ -13,7 +13,7 @@ from conftest import tiny_scenario
 
 from vppres.io import find_scenario, packaged_scenarios
 from vppres.io.editor import editor_schema, schema_text
-from vppres.io.scenario_folder import _document
+from vppres.io.scenario_writer import _document
 
 
 def as_json(document: dict[str, Any]) -> Any:

@@ -14,15 +14,17 @@ import pytest
 from typer.testing import CliRunner
 
 import experiments.__main__ as command
+import vppres
 from experiments import runner
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
 from experiments.forecast_errors import Point
-from experiments.jobs import Day, Job, scenario
+from experiments.jobs import PRESENTATION, RESULT_FORMAT, Day, Job, scenario
 from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
+from experiments.terminal import INTERRUPTED
 from vppres.errors import InputError, SolveError
 from vppres.forecast import ForecastErrors
 from vppres.simulate import RunOptions
@@ -73,6 +75,12 @@ def test_digest_is_the_same_in_another_process() -> None:
     Job(options=RunOptions(thermal="exact"))], ids=lambda job: job.text())
 def test_digest_tells_inputs_apart(changed: Job) -> None:
     assert changed.digest() != Job().digest()
+
+
+def test_files_that_only_show_results_are_there() -> None:
+    package = Path(vppres.__file__).parent
+    assert [name for name in PRESENTATION if not (package / name).exists()] == []
+    assert all(file.is_file() for file in RESULT_FORMAT)
 
 
 def test_text_names_what_differs_from_the_defaults() -> None:
@@ -348,7 +356,7 @@ def test_interrupt_says_that_finished_days_are_kept(invoke: Callable[..., tuple[
 
     monkeypatch.setattr(runner, "simulate", interrupted)
     status, output = invoke("--only", "voltage")
-    assert status == command.INTERRUPTED
+    assert status == INTERRUPTED
     assert "Days that were finished are kept: run again to go on." in output
 
 

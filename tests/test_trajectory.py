@@ -20,7 +20,7 @@ from run_factory import (
 )
 
 from vppres.errors import InputError
-from vppres.io.scenario_folder import write_scenario
+from vppres.io.scenario_writer import write_scenario
 from vppres.trajectory import Recorder, Trajectory, read_run, write_tables
 
 CONTRACT = {

@@ -37,7 +37,7 @@ _HOME_OF = {
     "summarise": "vppres.metrics",
     "write_new_scenario": "vppres.make_scenario",
     "write_run": "vppres.report",
-    "write_scenario": "vppres.io.scenario_folder",
+    "write_scenario": "vppres.io.scenario_writer",
 }
 """Public name to the module that defines it; a new public name is one row."""
 

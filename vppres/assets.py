@@ -110,6 +110,11 @@ class Batteries:
         return len(self.id)
 
     @property
+    def active_max_kw(self) -> Floats:
+        """Largest active power, by rating and by inverter, (B,)."""
+        return np.minimum(self.p_max_kw, self.s_max_kva)
+
+    @property
     def formers(self) -> Flags:
         """Who forms an island's grid, (B,): those that are named, else the largest inverter."""
         if self.grid_forming.any() or len(self) == 0:

@@ -62,7 +62,7 @@ def simplifications(run: Trajectory) -> list[str]:
         "seen.",
         "The optimisation sees the network linearised; voltages, currents and losses in this "
         "report are those of the AC power flow of what was done.",
-        "Line ratings are reported, not held." if np.isfinite(day.network.i_max_a).any() else
+        "Line ratings are reported, not held." if day.network.has_ratings else
         "No line has a rating: currents are reported, overloads cannot be.",
         "Forecasts are the actual load and PV power: no forecast errors." if exact else
         "Forecasts have errors; the current step, prices, the grid's availability and "

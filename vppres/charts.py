@@ -15,19 +15,24 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from vppres.metrics import line_current_a, line_loading, service_by_tier
+from vppres.metrics import service_by_tier
 from vppres.plots import (
     BLACK,
     BLUE,
     GREEN,
     GREY,
     ORANGE,
+    OUTAGE_COLOUR,
     PURPLE,
+    RULE_COLOUR,
     TIER_STYLES,
     VERMILLION,
     battery_power_kw,
     demand_kw,
     edges_of,
+    energy_limits_kwh,
+    line_values,
+    lowest_model_v_pu,
     outage_spans,
     pv_available_kw,
     served_kw,
@@ -39,7 +44,6 @@ Floats = NDArray[np.float64]
 
 ROW_PX, FRAME_PX = 190, 110
 GAP = 0.06  # between two rows, as a share of the height
-OUTAGE_COLOUR = "#E4E4E4"
 DASHES = ("solid", "dash", "dashdot", "dot")
 
 
@@ -75,14 +79,13 @@ def service_chart(run: Trajectory) -> go.Figure:
 
 def energy_chart(run: Trajectory) -> go.Figure:
     """Stored energy, battery power, demand and PV, import, and price."""
-    b = run.scenario.batteries
     stored = [Curve("stored energy (kWh)", stored_energy_kwh(run), BLUE)]
     if run.planned is not None:
         stored.append(Curve("planned energy (kWh)", run.planned["energy_kwh"], PURPLE, "dot"))
-    limits = [(float(b.energy_kwh @ b.soc_max), "upper limit"),
-              (float(b.energy_kwh @ b.soc_min), "lower limit")]
+    least, most = energy_limits_kwh(run)
+    limits = [(most, "upper limit"), (least, "lower limit")]
     return _chart(run, [
-        Row("Stored energy<br>(kWh)", stored, limits if len(b) else ()),
+        Row("Stored energy<br>(kWh)", stored, limits if len(run.scenario.batteries) else ()),
         Row("Power (kW)", [
             Curve("demand (kW)", demand_kw(run), BLACK),
             Curve("demand served (kW)", served_kw(run), BLUE, "dash"),
@@ -101,21 +104,20 @@ def grid_chart(run: Trajectory) -> go.Figure:
     lowest, highest = v.argmin(axis=1), v.argmax(axis=1)
     at_lowest = [f"bus {bus}" for bus in net.buses[lowest]]
     at_highest = [f"bus {bus}" for bus in net.buses[highest]]
-    model = run.buses.groupby("time")["v_model_pu"].min().to_numpy()
     return _chart(run, [
         Row("Voltage (pu)", [
             Curve("highest voltage (pu)", v.max(axis=1), ORANGE, "dash", at_highest),
             Curve("lowest voltage (pu)", v.min(axis=1), BLUE, "solid", at_lowest),
-            Curve("lowest voltage of the optimisation (pu)", model, PURPLE, "dot")],
+            Curve("lowest voltage of the optimisation (pu)", lowest_model_v_pu(run), PURPLE,
+                  "dot")],
             limits=[(net.v_min_ac_pu, "lower AC limit")], from_zero=False),
         _line_row(run)])
 
 
 def _line_row(run: Trajectory) -> Row:
     """Loading of the most loaded line where lines have ratings, else the largest current."""
-    net, loading = run.scenario.network, np.nan_to_num(100.0 * line_loading(run))
-    rated = bool(np.isfinite(net.i_max_a).any())
-    values = loading if rated else line_current_a(run)
+    net, rated = run.scenario.network, run.scenario.network.has_ratings
+    values = np.nan_to_num(line_values(run, rated))
     lines = [f"line {net.from_bus[i]} to {net.to_bus[i]}" for i in values.argmax(axis=1)]
     name = "largest line loading (%)" if rated else "largest line current (A)"
     return Row("Line<br>loading (%)" if rated else "Line<br>current (A)",
@@ -148,7 +150,8 @@ def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:
         "title": {"text": row.axis}, "rangemode": "tozero" if row.from_zero else "normal",
         "domain": [max(0.0, 1 - number * height - (number - 1) * GAP),
                    1 - (number - 1) * (height + GAP)],
-        "gridcolor": "#D0D0D0", "zerolinecolor": GREY} for number, row in enumerate(rows, start=1)}
+        "gridcolor": RULE_COLOUR, "zerolinecolor": GREY}
+        for number, row in enumerate(rows, start=1)}
     figure.update_layout(
         **axes, template="none", hovermode="x unified", hoversubplots="axis",
         xaxis={"type": "date", "anchor": _axis("y", len(rows)), "gridcolor": "#E8E8E8",

@@ -18,36 +18,12 @@ from rich.console import Console
 
 from vppres import cli_new, cli_sweep
 from vppres.cli_options import (
-    ColdLoadFactor,
-    ColdLoadH,
-    Controller,
+    DayCommand,
     Debug,
-    Gap,
-    Guard,
-    Horizon,
     Json,
-    LoadBias,
-    LoadError,
-    MaxActions,
-    Method,
-    MinServed,
-    MinUnserved,
-    Mode,
-    MoveWeight,
-    Notice,
-    ProtectCritical,
-    PVBias,
-    PVError,
     Quiet,
-    ReserveSoc,
     RunFolder,
     ScenarioName,
-    Seed,
-    Solver,
-    StayRestored,
-    SwitchingPrice,
-    Thermal,
-    TimeLimit,
     run_options,
 )
 from vppres.cli_progress import progress_bar, run_with_bar
@@ -94,39 +70,14 @@ def common(
     """Dispatch a virtual power plant through an outage."""
 
 
-# The arguments of a typer command are its options, hence their number. Those that are not used by
-# name are read from the context.
-@app.command(epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1")
+# The arguments of a typer command are its options, hence their number.
+@app.command(cls=DayCommand,
+             epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1")
 def run(
     context: typer.Context,
     scenario: ScenarioName,
-    controller: Controller = None,
-    horizon: Horizon = None,
-    solver: Solver = "highs",
-    method: Method = "decomposed",
-    load_bias: LoadBias = 0.0,
-    load_error: LoadError = 0.0,
-    pv_bias: PVBias = 0.0,
-    pv_error: PVError = 0.0,
-    thermal: Thermal = "off",
-    mode: Mode = None,
-    seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
-    time_limit: TimeLimit = 60.0,
-    gap: Gap = 1e-4,
-    min_served_h: MinServed = None,
-    min_unserved_h: MinUnserved = None,
-    switching_price: SwitchingPrice = None,
-    max_actions: MaxActions = None,
-    stay_restored: StayRestored = None,
-    cold_load_factor: ColdLoadFactor = None,
-    cold_load_h: ColdLoadH = None,
-    move_weight: MoveWeight = None,
-    guard: Guard = True,
-    protect_critical: ProtectCritical = False,
-    reserve_soc: ReserveSoc = None,
-    notice: Notice = 6.0,
     explain: Annotated[bool, typer.Option(
         help="Find a reason for every action and the shadow prices after the day.")] = True,
     as_json: Json = False,
@@ -142,7 +93,7 @@ def run(
         from vppres.report import write_run
 
         day = read_scenario(find_scenario(scenario))
-        options = run_options(day, context.params)
+        options = run_options(day, context.obj)
         folder = out or RESULTS / f"{day.name}-{options.controller}"
         check_target(folder)  # before the work, not after it
         done = run_with_bar(day, options, quiet)
@@ -228,7 +179,8 @@ def compare(
         typer.echo(f"Written to {file}")
 
 
-@app.command(epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
+@app.command(cls=DayCommand,
+             epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
                     "--out results/horizons")
 def sweep(
     context: typer.Context,
@@ -238,31 +190,6 @@ def sweep(
     values: cli_sweep.Values = None,
     range_: cli_sweep.Range = None,
     jobs: cli_sweep.Jobs = None,
-    controller: Controller = None,
-    horizon: Horizon = None,
-    solver: Solver = "highs",
-    method: Method = "decomposed",
-    load_bias: LoadBias = 0.0,
-    load_error: LoadError = 0.0,
-    pv_bias: PVBias = 0.0,
-    pv_error: PVError = 0.0,
-    thermal: Thermal = "off",
-    mode: Mode = None,
-    seed: Seed = 0,
-    time_limit: TimeLimit = 60.0,
-    gap: Gap = 1e-4,
-    min_served_h: MinServed = None,
-    min_unserved_h: MinUnserved = None,
-    switching_price: SwitchingPrice = None,
-    max_actions: MaxActions = None,
-    stay_restored: StayRestored = None,
-    cold_load_factor: ColdLoadFactor = None,
-    cold_load_h: ColdLoadH = None,
-    move_weight: MoveWeight = None,
-    guard: Guard = True,
-    protect_critical: ProtectCritical = False,
-    reserve_soc: ReserveSoc = None,
-    notice: Notice = 6.0,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -282,7 +209,7 @@ def sweep(
         day = read_scenario(find_scenario(scenario))
         parameter = find_parameter(param, day)
         cases = cases_of(parameter, chosen_values(parameter, values, range_), day,
-                         run_options(day, context.params))
+                         run_options(day, context.obj))
         check_target(out)
         with progress_bar(quiet) as bar:
             task = bar.add_task(parameter.name, total=len(cases))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
 if TYPE_CHECKING:
     from vppres.scenario import Scenario
@@ -40,7 +42,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress bar.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
 
-# The options that `run` and `sweep` share; run_options reads them.
+# The options of a day's run, which `run` and `sweep` share.
 Controller = Annotated[str | None, typer.Option(
     help="mpc, full-horizon, perfect (full horizon without forecast errors), idle or reserve; the "
     "scenario's if not given.")]
@@ -116,8 +118,63 @@ RULE_OF = {"min_served_h": "min_served_h", "min_unserved_h": "min_unserved_h",
 """Option to field of the switching rules."""
 
 
+def day_options(
+    controller: Controller = None,
+    horizon: Horizon = None,
+    solver: Solver = "highs",
+    method: Method = "decomposed",
+    load_bias: LoadBias = 0.0,
+    load_error: LoadError = 0.0,
+    pv_bias: PVBias = 0.0,
+    pv_error: PVError = 0.0,
+    thermal: Thermal = "off",
+    mode: Mode = None,
+    seed: Seed = 0,
+    time_limit: TimeLimit = 60.0,
+    gap: Gap = 1e-4,
+    min_served_h: MinServed = None,
+    min_unserved_h: MinUnserved = None,
+    switching_price: SwitchingPrice = None,
+    max_actions: MaxActions = None,
+    stay_restored: StayRestored = None,
+    cold_load_factor: ColdLoadFactor = None,
+    cold_load_h: ColdLoadH = None,
+    move_weight: MoveWeight = None,
+    guard: Guard = True,
+    protect_critical: ProtectCritical = False,
+    reserve_soc: ReserveSoc = None,
+    notice: Notice = 6.0,
+) -> None:
+    """Options of a day's run with their defaults, read off by :class:`DayCommand` alone."""
+
+
+@cache
+def _day_parameters() -> tuple[Any, ...]:
+    """The options of :func:`day_options` as typer makes them for a command of its own."""
+    app = typer.Typer(add_completion=False)
+    app.command()(day_options)
+    return tuple(typer.main.get_command(app).params)
+
+
+class DayCommand(TyperCommand):
+    """A command with the options of a day's run besides its own.
+
+    Its function does not take them: it finds them in ``context.obj``, by name.
+    """
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """All arguments and options, those that must be given first."""
+        both = [*_day_parameters(), *super().get_params(ctx)]
+        return sorted(both, key=lambda parameter: not parameter.required)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Call the function with its own options."""
+        ctx.obj = {option.name: ctx.params.pop(option.name) for option in _day_parameters()}
+        return super().invoke(ctx)
+
+
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
-    """The options of a run from those of the command line; the scenario has the defaults."""
+    """The options of a run from those of a :class:`DayCommand`; the scenario has the defaults."""
     from vppres.controllers.baselines import ReserveRule
     from vppres.forecast import ForecastErrors
     from vppres.simulate import RunOptions

@@ -158,7 +158,7 @@ class Controller:
         InputError
             With every value of the measurement that does not fit the scenario.
         SolveError
-            If the window has no answer.
+            If the window has no answer and the options have no guard.
         VerificationError
             If the AC power flow of the set-points does not converge.
         """

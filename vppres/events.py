@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.key_figures import number
 from vppres.metrics import service_by_customer
-from vppres.plots.series import outage_spans, stored_energy_kwh
+from vppres.plots.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.trajectory import Trajectory
 
 NAMES_SHOWN = 6
@@ -46,7 +46,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     """The day in a few sentences: its length, the outage, who was served, energy, voltages."""
-    return [_day(run), *_outage(run, summary), *_service(run), _import(run, summary),
+    return [_day(run), *_outage(run, summary), *_service(run), _import(summary),
             _voltage(run)]
 
 
@@ -93,11 +93,10 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When the batteries reach the end of their usable energy in an outage."""
-    b, energy = run.scenario.batteries, stored_energy_kwh(run)
-    low, high = float(b.energy_kwh @ b.soc_min), float(b.energy_kwh @ b.soc_max)
+    energy, (low, high) = stored_energy_kwh(run), energy_limits_kwh(run)
     for first, last in outage_spans(run):
         empty = np.flatnonzero(energy[first + 1:last + 1] <= low + EMPTY_SHARE * (high - low))
-        if len(empty) and len(b):
+        if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "The batteries are down to their lower limit."
 
 
@@ -129,7 +128,7 @@ def _service(run: Trajectory) -> list[str]:
             f"{lost['unserved_kwh'].sum():,.0f} kWh were not supplied."]
 
 
-def _import(run: Trajectory, summary: Mapping[str, Any]) -> str:
+def _import(summary: Mapping[str, Any]) -> str:
     return (f"The feeder imported {summary['import_kwh']:,.0f} kWh for "
             f"{summary['cost_gbp']:,.2f} GBP.")
 

@@ -104,6 +104,11 @@ class Network:
         """Number of lines."""
         return len(self.to_bus)
 
+    @property
+    def has_ratings(self) -> bool:
+        """Whether any line has a rating."""
+        return bool(np.isfinite(self.i_max_a).any())
+
     @cached_property
     def bus_index(self) -> dict[BusId, int]:
         """Position of each bus identifier."""

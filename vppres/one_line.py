@@ -148,7 +148,7 @@ def loading_classes(run: Trajectory) -> Ints:
 
     Without any ratings the current is taken as a share of the largest of the run.
     """
-    if np.isfinite(run.scenario.network.i_max_a).any():
+    if run.scenario.network.has_ratings:
         loading = np.nan_to_num(line_loading(run))
     else:
         current = line_current_a(run)

@@ -9,7 +9,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 Phase = Literal["normal", "preparation", "island", "recovery"]
-PHASES: tuple[Phase, ...] = ("normal", "preparation", "island", "recovery")
 
 CHARGING_KW = 1.0
 """Net charging of the fleet above which it counts as being filled again after an outage."""

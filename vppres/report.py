@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from vppres.io.atomic import atomic_folder
-from vppres.io.scenario_folder import write_scenario
+from vppres.io.scenario_writer import write_scenario
 from vppres.metrics import summarise
 from vppres.pages import page
 from vppres.plots import save_figures

@@ -313,10 +313,10 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
                "solver_s": info.solver_s, "stages": info.stages,
                "compilations": float(info.compilations), "clipped_kw": clipped,
                "switching_relaxed": info.switching_relaxed, "moved_kw": info.moved_kw,
-               "mode": mode, "passes": float(info.passes), **_island_notes(scenario, t, done)})
+               "mode": mode, "passes": float(info.passes), **_island_notes(scenario, done)})
 
 
-def _island_notes(scenario: Scenario, t: int, done: Settled) -> dict[str, float | str]:
+def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
     """What the record says of an island's step; the figures are 0 where nothing was cut."""
     net, v = scenario.network, done.ac.v_pu
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)

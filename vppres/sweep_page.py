@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from vppres.io.atomic import atomic_write_text
 from vppres.key_figures import KEY_FIGURES, number
 from vppres.pages import embedded, page
-from vppres.plots import BLUE, TIER_STYLES, save_figure
+from vppres.plots import BLUE, TIER_STYLES, draw_grid, save_figure
 from vppres.scenario import Scenario
 from vppres.sweep import Outcome, outcome_table
 from vppres.sweep_parameters import Value, value_text
@@ -87,12 +87,10 @@ def _column(table: Any, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _finish(ax: Axes, x: list[float], labels: list[str]) -> None:
-    ax.grid(True, color="#D0D0D0", linewidth=0.5)
+    draw_grid(ax)
     ax.ticklabel_format(axis="y", useOffset=False)
     if labels:
         ax.set_xticks(x, labels=labels)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
 
 
 def _columns(scenario: Scenario) -> list[tuple[str, str, str]]:

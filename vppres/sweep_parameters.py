@@ -16,7 +16,8 @@ from vppres import schema
 from vppres.assets import Batteries, PVSystems
 from vppres.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
-from vppres.io.scenario_folder import read_scenario, write_scenario
+from vppres.io.scenario_folder import read_scenario
+from vppres.io.scenario_writer import write_scenario
 from vppres.scenario import ObjectiveWeights, Scenario
 from vppres.simulate import RunOptions
 

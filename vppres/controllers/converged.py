@@ -194,8 +194,7 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
     if b.formers.any():
         largest = int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))
         reference[island] = site.network.bus_index[b.bus[largest]]
-    room = np.minimum(b.p_max_kw, b.s_max_kva)
-    share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, room), 0.0)
+    share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))
     return Physics(zero, zero, reference, headroom_kw,
@@ -214,7 +213,7 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
                                LARGEST_RESERVE * usable)
     # What cannot be in the battery must not be asked for: the window would have no dispatch.
     reach = np.maximum(data.soc - b.soc_min, 0.0)
-    charge = data.eta_charge * np.minimum(b.p_max_kw, b.s_max_kva) * dt_h / b.energy_kwh
+    charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
     for t in range(data.n_steps):
         if data.grid_limit_kw[t] > 0.0:
             free = np.isinf(data.grid_limit_kw[t])

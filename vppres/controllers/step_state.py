@@ -76,7 +76,7 @@ class StepState:
         """Largest charging power by rating and room, (B,)."""
         b = self.site.batteries
         room_kwh = np.maximum(b.soc_max - self.soc, 0.0) * b.energy_kwh
-        most = np.minimum(self._rating_kw, room_kwh / (self.eta_charge * self.site.dt_h))
+        most = np.minimum(b.active_max_kw, room_kwh / (self.eta_charge * self.site.dt_h))
         return np.where(self.online, most, 0.0)
 
     @cached_property
@@ -84,12 +84,8 @@ class StepState:
         """Largest discharging power by rating and stored energy, (B,)."""
         b = self.site.batteries
         held_kwh = np.maximum(self.soc - b.soc_min, 0.0) * b.energy_kwh
-        most = np.minimum(self._rating_kw, held_kwh * self.eta_discharge / self.site.dt_h)
+        most = np.minimum(b.active_max_kw, held_kwh * self.eta_discharge / self.site.dt_h)
         return np.where(self.online, most, 0.0)
-
-    @property
-    def _rating_kw(self) -> Floats:
-        return np.minimum(self.site.batteries.p_max_kw, self.site.batteries.s_max_kva)
 
     @property
     def capacity_kw(self) -> float:

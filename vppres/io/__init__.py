@@ -5,7 +5,8 @@ from __future__ import annotations
 from vppres.io.atomic import atomic_folder, atomic_write_text
 from vppres.io.digest import scenario_digest
 from vppres.io.find import find_scenario, packaged_scenarios
-from vppres.io.scenario_folder import read_scenario, write_scenario
+from vppres.io.scenario_folder import read_scenario
+from vppres.io.scenario_writer import write_scenario
 
 __all__ = [
     "atomic_folder",

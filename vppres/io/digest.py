@@ -41,7 +41,7 @@ def _canonical_network(network: Network) -> dict[str, Any]:
     """Limits by name and the lines sorted: their order in a file means nothing."""
     ends = [_canonical(end) for end in (network.from_bus, network.to_bus)]
     columns = [*ends, network.r_ohm.tolist(), network.x_ohm.tolist()]
-    if np.isfinite(network.i_max_a).any():  # folders without ratings keep their digest
+    if network.has_ratings:  # folders without ratings keep their digest
         columns.append(network.i_max_a.tolist())
     lines = zip(*columns, strict=True)
     scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]

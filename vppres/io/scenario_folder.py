@@ -1,27 +1,25 @@
-"""A scenario folder in and out: every problem of every file at once, never a traceback."""
+"""A scenario folder read: every problem of every file at once, never a traceback."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import tomli_w
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ValidationError
+from numpy.typing import NDArray
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from vppres import schema
 from vppres.assets import Batteries, Customers, PVSystems
 from vppres.errors import InputError, Problem
 from vppres.io import checks
-from vppres.io.atomic import atomic_folder
-from vppres.io.messages import in_order, problems_of
+from vppres.io.messages import in_order
 from vppres.io.series import TIME, check_times, read_values
-from vppres.io.settings import SCENARIO_FILE, Settings, iso, outage_intervals, read_settings
+from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
 from vppres.network import BusId, Network, check_radial
 from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
@@ -93,31 +91,6 @@ def read_scenario(folder: str | Path) -> Scenario:
         files = [SCENARIO_FILE, *content.settings.files.model_dump().values()]
         raise InputError(in_order(problems, files))
     return _assemble(content.settings, rows, series, checks.bus_reader(content.lines))
-
-
-def write_scenario(scenario: Scenario, folder: str | Path) -> None:
-    """Write a scenario folder that :func:`read_scenario` reads back equal.
-
-    Numbers are written in the shortest form that reads back to the same value. Runs of steps with
-    a grid limit of zero become outages.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What to write.
-    folder : str or Path
-        A folder that does not exist yet, or is empty.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something, or scenario.toml could not say what the scenario says.
-    """
-    document = _document(scenario)
-    with atomic_folder(folder) as aside:
-        (aside / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
-        for name, frame in _frames(scenario, document["tiers"]).items():
-            frame.to_csv(aside / f"{name}.csv", index=False, lineterminator="\n")
 
 
 def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
@@ -316,96 +289,3 @@ def _batteries(rows: Mapping[int, schema.BatteryRow],
                               for row in rows.values()]
     columns["grid_forming"] = [row.grid_forming == "yes" for row in rows.values()]
     return Batteries(**columns)
-
-
-def _document(scenario: Scenario) -> dict[str, Any]:
-    """scenario.toml as nested dictionaries, checked like one that was read."""
-    network, grid = scenario.network, scenario.grid
-    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    document = {
-        "name": scenario.name,
-        "title": scenario.title,
-        "time": {"start": grid.start.to_pydatetime(), "step_minutes": float(grid.step_minutes),
-                 "steps": int(grid.n_steps)},
-        "network": {"slack_bus": _plain(network.slack_bus),
-                    **{name: float(getattr(network, name)) for name in limits}},
-        "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
-        "objective": {f.name: float(getattr(scenario.objective, f.name))
-                      for f in fields(scenario.objective)},
-        "outages": outage_intervals(scenario),
-        "controller": {"kind": scenario.controller.kind,
-                       "horizon_h": float(scenario.controller.horizon_h),
-                       "mode": scenario.controller.mode},
-    }
-    if scenario.switching != SwitchingRules():
-        document["switching"] = {name: value for name, value in asdict(scenario.switching).items()
-                                 if value is not None}
-    try:
-        schema.ScenarioFile.model_validate(document)
-    except ValidationError as error:
-        raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
-    return document
-
-
-def _plain(bus: object) -> BusId:
-    """A bus identifier without NumPy's types."""
-    return str(bus) if isinstance(bus, str) else int(str(bus))
-
-
-def _tier_weight(customers: Customers, tier: str) -> float:
-    """The weight that most customers of a tier have; 1 for a tier without customers."""
-    weights = customers.weight[customers.tier == tier]
-    found, count = np.unique(weights, return_counts=True)
-    return float(found[np.argmax(count)]) if len(found) else 1.0
-
-
-def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
-    """The tables by name of their file."""
-    network, customers = scenario.network, scenario.customers
-    frames = {
-        "lines": pd.DataFrame({name: getattr(network, name)
-                               for name in schema.LineRow.model_fields}),
-        "customers": _frame(customers, schema.CustomerRow),
-        "pv": _frame(scenario.pv, schema.PVRow),
-        "batteries": _battery_frame(scenario.batteries),
-        "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
-        "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
-        "system": _system_frame(scenario),
-    }
-    rating_a = frames["lines"].pop("i_max_a")
-    if np.isfinite(rating_a).any():
-        frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
-    if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
-        frames["customers"] = frames["customers"].drop(columns="weight")
-    if (customers.shed_steps == 1).all():
-        frames["customers"] = frames["customers"].drop(columns="shed_steps")
-    return frames
-
-
-def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
-    return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
-
-
-def _battery_frame(batteries: Batteries) -> pd.DataFrame:
-    """Who forms the grid is a column only where somebody is named."""
-    frame = _frame(batteries, schema.BatteryRow)
-    if not batteries.grid_forming.any():
-        return frame.drop(columns="grid_forming")
-    return frame.assign(grid_forming=np.where(batteries.grid_forming, "yes", "no"))
-
-
-def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.DataFrame:
-    frame = pd.DataFrame(values, columns=np.asarray(ids, dtype=object))
-    frame.insert(0, TIME, [iso(time) for time in scenario.grid.times])
-    return frame
-
-
-def _system_frame(scenario: Scenario) -> pd.DataFrame:
-    """Outages are in scenario.toml, so that the limit is a column only where it limits."""
-    limit_kw = scenario.grid_limit_kw
-    columns = {TIME: [iso(time) for time in scenario.grid.times],
-               "price_gbp_per_kwh": scenario.price_gbp_per_kwh,
-               "temperature_c": scenario.temperature_c}
-    if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
-        columns["grid_limit_kw"] = limit_kw
-    return pd.DataFrame(columns)

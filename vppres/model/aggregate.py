@@ -143,7 +143,7 @@ class AggregateModel:
             "lumped_reserve": before - dt * v["drawn"] >= e_min,
             "lumped_power": v["P_ch"] + v["P_dch"] <= (
                 self.room["P_room"] if self.room
-                else self._fleet(_active_limit_kw(self.site))[None, :]),
+                else self._fleet(b.active_max_kw)[None, :]),
             "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
             "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
             "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
@@ -219,8 +219,8 @@ class AggregateModel:
         With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
-        b, dt, limit = self.site.batteries, self.site.dt_h, _active_limit_kw(self.site)
-        least = b.soc_min
+        b, dt = self.site.batteries, self.site.dt_h
+        limit, least = b.active_max_kw, b.soc_min
         if data.physics is not None:
             limit = active_room_kw(self.site, data.physics)[0]
             least = least + data.physics.soc_reserve[0]
@@ -253,8 +253,3 @@ def weight_grid(weights: Floats, most: int = 10_000) -> float:
     exact = all(abs(float(part) - w) <= 1e-12 for part, w in
                 zip(parts, [w for w in np.unique(weights) if w > 0], strict=True))
     return float(unit) if exact and max(parts) / unit <= most else 0.0
-
-
-def _active_limit_kw(site: Site) -> Floats:
-    """Largest active power of each battery, (B,)."""
-    return np.minimum(site.batteries.p_max_kw, site.batteries.s_max_kva)

@@ -102,10 +102,13 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
 def voltage_limits(site: Site, v: Variables, p: Parameters) -> Named:
     """Squared voltage between the squared limits, at every bus but the slack bus."""
     net = site.network
-    return {
-        "voltage_min": v.u[:, 1:] >= net.v_min_pu**2,
-        "voltage_max": v.u[:, 1:] <= net.v_max_pu**2,
-    }
+    return squared_voltage_within(v, net.v_min_pu**2, net.v_max_pu**2)
+
+
+def squared_voltage_within(v: Variables, u_min: float | cp.Expression,
+                           u_max: float | cp.Expression) -> Named:
+    """Squared voltage at every bus but the slack bus between bounds (pu²), fixed or variables."""
+    return {"voltage_min": v.u[:, 1:] >= u_min, "voltage_max": v.u[:, 1:] <= u_max}
 
 
 def inverter_discs(site: Site, v: Variables, p: Parameters) -> Named:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 
+from vppres.model.constraints import squared_voltage_within
 from vppres.model.data import Site, WindowData
 from vppres.model.window import Form, WindowModel, require_dpp
 from vppres.network import Network
@@ -37,9 +38,9 @@ class ElasticModel:
         form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True)
         self.window = WindowModel(site, n_steps, form)
         self.slack = cp.Variable(name="slack", nonneg=True)
-        net, u = site.network, self.window.v.u
-        limits = {"voltage_min": u[:, 1:] >= net.v_min_pu**2 - self.slack,
-                  "voltage_max": u[:, 1:] <= net.v_max_pu**2 + self.slack}
+        net = site.network
+        limits = squared_voltage_within(
+            self.window.v, net.v_min_pu**2 - self.slack, net.v_max_pu**2 + self.slack)
         kept = {**self.window.constraints, **limits}
         self.problem = cp.Problem(cp.Minimize(self.slack), list(kept.values()))
         require_dpp(self.problem, f"elastic window of {n_steps} steps")

@@ -89,10 +89,9 @@ class Injections:
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
         site, b, data = self.site, self.site.batteries, self.data
-        active = np.minimum(b.p_max_kw, b.s_max_kva)
         q_grid = data.grid_q_max_kvar(site)[:, None]
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
-            "x": (0.0, 1.0), "P_ch": (0.0, active), "P_dch": (0.0, active),
+            "x": (0.0, 1.0), "P_ch": (0.0, b.active_max_kw), "P_dch": (0.0, b.active_max_kw),
             "energy": (b.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
             "Q_batt": (-b.s_max_kva, b.s_max_kva), "P_exp": (0.0, data.pv_kw),
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
@@ -131,7 +130,7 @@ class Injections:
         later = np.concatenate([change[1:], at["energy"][:-1, :, None]], axis=-1).reshape(-1, 4)
         steps = np.tile(np.column_stack([gain, -np.ones(len(b))]), (data.n_steps - 1, 1))
         both = np.stack([at["P_ch"], at["P_dch"]], axis=-1).reshape(-1, 2)
-        active = np.tile(np.minimum(b.p_max_kw, b.s_max_kva), data.n_steps)
+        active = np.tile(b.active_max_kw, data.n_steps)
         return [Rows.of(change[0], gain, held, held, self.size),
                 Rows.of(later, steps, 0.0, 0.0, self.size),
                 Rows.of(both, np.ones(2), -np.inf, active, self.size)]

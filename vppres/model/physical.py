@@ -107,8 +107,7 @@ class PhysicalParameters:
 
 def active_room_kw(site: Site, physics: Physics) -> Floats:
     """Largest active power that a plan may ask of each battery, (W, B)."""
-    b = site.batteries
-    return np.asarray(np.minimum(b.p_max_kw, b.s_max_kva) - physics.headroom_kw)
+    return np.asarray(site.batteries.active_max_kw - physics.headroom_kw)
 
 
 def _at_far_ends(loss: Floats) -> Floats:

@@ -13,7 +13,9 @@ from vppres.plots.base import (
     GREEN,
     GREY,
     ORANGE,
+    OUTAGE_COLOUR,
     PURPLE,
+    RULE_COLOUR,
     RUN_STYLES,
     SERVED,
     SKY,
@@ -22,6 +24,7 @@ from vppres.plots.base import (
     UNSERVED,
     VERMILLION,
     Runs,
+    draw_grid,
     save_figure,
 )
 from vppres.plots.energy import energy_and_price, import_load_pv, voltages
@@ -31,6 +34,9 @@ from vppres.plots.series import (
     battery_power_kw,
     demand_kw,
     edges_of,
+    energy_limits_kwh,
+    line_values,
+    lowest_model_v_pu,
     outage_spans,
     pv_available_kw,
     served_kw,
@@ -41,9 +47,10 @@ from vppres.plots.strips import timeline
 
 __all__ = [
     "BLACK", "BLUE", "FIGURES", "FIGURE_TEXTS", "GREEN", "GREY", "MAX_NAMED_CUSTOMERS", "ORANGE",
-    "PURPLE", "RUN_FIGURES", "RUN_STYLES", "SERVED", "SKY", "SVG_HASH_SALT", "TIER_STYLES",
-    "UNSERVED", "VERMILLION", "Runs", "battery_power_kw", "demand_kw", "edges_of",
-    "energy_and_price", "feeder_maps", "import_load_pv", "line_loadings", "outage_spans",
+    "OUTAGE_COLOUR", "PURPLE", "RULE_COLOUR", "RUN_FIGURES", "RUN_STYLES", "SERVED", "SKY",
+    "SVG_HASH_SALT", "TIER_STYLES", "UNSERVED", "VERMILLION", "Runs", "battery_power_kw",
+    "demand_kw", "draw_grid", "edges_of", "energy_and_price", "energy_limits_kwh", "feeder_maps",
+    "import_load_pv", "line_loadings", "line_values", "lowest_model_v_pu", "outage_spans",
     "pv_available_kw", "save_figure", "save_figures", "served_kw", "service_by_tier",
     "solve_times", "stored_energy_kwh", "timeline", "voltages",
 ]

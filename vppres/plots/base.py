@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -24,6 +24,7 @@ Runs = Trajectory | Mapping[str, Trajectory]
 BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
 BLACK, GREY = "#000000", "#666666"
+OUTAGE_COLOUR, RULE_COLOUR = "#E4E4E4", "#D0D0D0"
 UNNAMED = "_"  # a leading underscore keeps a line out of the legend
 
 DPI = 150
@@ -122,7 +123,7 @@ def mark_outage(ax: Axes, run: Trajectory, text: bool = True, shade: bool = True
     edges = edges_of(run)
     for first, last in outage_spans(run):
         if shade:
-            ax.axvspan(edges[first], edges[last], color="#E4E4E4", zorder=0)
+            ax.axvspan(edges[first], edges[last], color=OUTAGE_COLOUR, zorder=0)
         else:
             for edge in (edges[first], edges[last]):
                 ax.axvline(edge, color=BLACK, linewidth=1.2, linestyle="--")
@@ -132,9 +133,9 @@ def mark_outage(ax: Axes, run: Trajectory, text: bool = True, shade: bool = True
                     va="bottom", fontsize=8)
 
 
-def draw_grid(ax: Axes) -> None:
+def draw_grid(ax: Axes, axis: Literal["both", "x"] = "both") -> None:
     """Light rules behind the curves, and no frame above and at the right."""
-    ax.grid(True, color="#D0D0D0", linewidth=0.5)
+    ax.grid(True, axis=axis, color=RULE_COLOUR, linewidth=0.5)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)

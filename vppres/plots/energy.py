@@ -26,6 +26,8 @@ from vppres.plots.series import (
     battery_power_kw,
     demand_kw,
     edges_of,
+    energy_limits_kwh,
+    lowest_model_v_pu,
     pv_available_kw,
     served_kw,
     stored_energy_kwh,
@@ -43,9 +45,9 @@ def energy_and_price(runs: Runs) -> Figure:
         if run.planned is not None:
             energy.plot(edges_of(run), run.planned["energy_kwh"], **style.thin(f"{label}: planned"))
         draw_steps(power, run, battery_power_kw(run), style.line())
-    capacity = first.scenario.batteries
-    draw_limit(energy, float(capacity.energy_kwh @ capacity.soc_max), "upper SoC limit")
-    draw_limit(energy, float(capacity.energy_kwh @ capacity.soc_min), "lower SoC limit")
+    least, most = energy_limits_kwh(first)
+    draw_limit(energy, most, "upper SoC limit")
+    draw_limit(energy, least, "lower SoC limit")
     energy.set_ylim(bottom=0.0)
     power.axhline(0.0, color=GREY, linewidth=0.8)
     draw_steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
@@ -85,10 +87,9 @@ def voltages(runs: Runs) -> Figure:
     network = next(iter(named.values())).scenario.network
     figure, (lowest, error) = panels(named, heights=(3, 1.4), height_in=6.4)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
-        model = run.buses.groupby("time")["v_model_pu"].min().to_numpy()
         draw_steps(lowest, run, run.steps["v_min_ac_pu"].to_numpy(),
                style.line(f"{label}: AC power flow"))
-        draw_steps(lowest, run, model, style.thin(f"{label}: optimisation"))
+        draw_steps(lowest, run, lowest_model_v_pu(run), style.thin(f"{label}: optimisation"))
         draw_steps(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), style.line())
     draw_limit(lowest, network.v_min_pu, f"{network.v_min_pu:g} optimisation limit")
     draw_limit(lowest, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", linestyle="-")

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from vppres.metrics import line_current_a, line_loading
 from vppres.plots.base import (
     BLACK,
     GREY,
@@ -24,7 +23,7 @@ from vppres.plots.base import (
     panels,
     with_legend,
 )
-from vppres.plots.series import Floats, edges_of
+from vppres.plots.series import Floats, edges_of, line_values
 from vppres.trajectory import Trajectory
 from vppres.tree_layout import tree_layout
 
@@ -36,11 +35,11 @@ GAP_SHOWN_LINEARLY = 1e-6
 def line_loadings(runs: Runs) -> Figure:
     """Loading of the most loaded line, or the largest current where lines have no rating."""
     named = named_runs(runs)
-    rated = all(_rated(run) for run in named.values())
+    rated = all(run.scenario.network.has_ratings for run in named.values())
     figure, (ax,) = panels(named, heights=(1,), height_in=3.2)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
-        values = 100.0 * line_loading(run) if rated else line_current_a(run)
-        draw_steps(ax, run, np.nanmax(values, axis=1), style.line(label))
+        largest = np.nanmax(line_values(run, rated), axis=1)
+        draw_steps(ax, run, largest, style.line(label))
     ax.set_ylim(bottom=0.0)
     if rated and ax.get_ylim()[1] > 80.0:
         draw_limit(ax, 100.0, "rating", linestyle="-")
@@ -67,7 +66,7 @@ def solve_times(runs: Runs) -> Figure:
 
 def feeder_maps(run: Trajectory) -> Figure:
     """A row per bus with its voltage, and a row per line with its loading, over the day."""
-    net, rated = run.scenario.network, _rated(run)
+    net, rated = run.scenario.network, run.scenario.network.has_ratings
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
     rows = min(net.n_buses, MAX_NAMED_ROWS)
     figure = Figure(figsize=(8.6, 2.6 + 2 * ROW_IN * max(rows, 12)), layout="constrained")
@@ -76,9 +75,8 @@ def feeder_maps(run: Trajectory) -> Figure:
     _draw_map(buses, run, v[:, order], "AC voltage (pu)", "cividis")
     _name_rows(buses, [str(bus) for bus in net.buses[order]], "Bus")
     order = order[order > 0] - 1  # of the lines, by the bus that each feeds
-    loading = 100.0 * line_loading(run) if rated else line_current_a(run)
-    _draw_map(lines, run, loading[:, order], "Loading (%)" if rated else "Current (A)",
-              "cividis_r")
+    _draw_map(lines, run, line_values(run, rated)[:, order],
+              "Loading (%)" if rated else "Current (A)", "cividis_r")
     _name_rows(lines, [str(bus) for bus in net.to_bus[order]], "Line, by the bus that it feeds")
     mark_outage(buses, run, shade=False)
     mark_outage(lines, run, text=False, shade=False)
@@ -92,11 +90,6 @@ def _along_the_feeder(run: Trajectory) -> NDArray[np.int64]:
     """Buses as they stand in the one-line diagram, row by row: neighbours stay together."""
     layout = tree_layout(run.scenario.network)
     return np.lexsort((layout.column, layout.row))
-
-
-def _rated(run: Trajectory) -> bool:
-    """Whether any line has a rating."""
-    return bool(np.isfinite(run.scenario.network.i_max_a).any())
 
 
 def _draw_map(ax: Axes, run: Trajectory, values: Floats, name: str, colours: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vppres.metrics import line_current_a, line_loading
 from vppres.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -20,6 +21,12 @@ def stored_energy_kwh(run: Trajectory) -> Floats:
     start = per_step(run, run.batteries["soc_start"] * energy_kwh, run.batteries)
     end = per_step(run, run.batteries["soc_end"] * energy_kwh, run.batteries)
     return np.append(start, end[-1])
+
+
+def energy_limits_kwh(run: Trajectory) -> tuple[float, float]:
+    """Least and most energy that all batteries together may hold."""
+    b = run.scenario.batteries
+    return float(b.energy_kwh @ b.soc_min), float(b.energy_kwh @ b.soc_max)
 
 
 def served_kw(run: Trajectory) -> Floats:
@@ -41,6 +48,16 @@ def battery_power_kw(run: Trajectory) -> Floats:
     """Net charging power of all batteries, shape (T,)."""
     net_kw = run.batteries["charge_kw"] - run.batteries["discharge_kw"]
     return per_step(run, net_kw, run.batteries)
+
+
+def lowest_model_v_pu(run: Trajectory) -> Floats:
+    """Lowest bus voltage of the optimisation, shape (T,)."""
+    return run.buses.groupby("time")["v_model_pu"].min().to_numpy(float)
+
+
+def line_values(run: Trajectory, rated: bool) -> Floats:
+    """Loading of each line in per cent, NaN without a rating; else its current in A, (T, L)."""
+    return 100.0 * line_loading(run) if rated else line_current_a(run)
 
 
 def edges_of(run: Trajectory) -> NDArray[np.object_]:

@@ -30,17 +30,12 @@ def feeder_section(run: Run) -> Section:
     return section("feeder", "The feeder", {
         "drawing": drawing(run.trajectory), "start": states["start"], "states": states,
         "colours": voltage_colours(len(voltages)), "voltages": voltages,
-        "loadings": _loading_words(run.trajectory), "rated": _rated(run.trajectory),
+        "loadings": _loading_words(run.trajectory), "rated": day.network.has_ratings,
         "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu), "tiers": day.tiers,
         "has_outage": bool(run.trajectory.steps["outage"].any()),
         "data": states | {"customers": customers, "lines": ends,
                           "ratings": _ratings(run.trajectory),
                           "batteries": day.batteries.id.tolist()}})
-
-
-def _rated(run: Trajectory) -> bool:
-    """Whether any line has a rating."""
-    return bool(np.isfinite(run.scenario.network.i_max_a).any())
 
 
 def _ratings(run: Trajectory) -> list[float | None]:
@@ -59,4 +54,4 @@ def _loading_words(run: Trajectory) -> list[str]:
     """Range of each loading class."""
     edges = [0.0, *LOADING_EDGES]
     words = [f"{low:.0%}{EN_DASH}{high:.0%}" for low, high in pairwise(edges)]
-    return [*words, f"above {edges[-1]:.0%}"] if _rated(run) else words
+    return [*words, f"above {edges[-1]:.0%}"] if run.scenario.network.has_ratings else words

@@ -20,7 +20,7 @@ def network_section(run: Run) -> Section:
         "chart": run.chart("grid"), "lines": _top_lines(run.trajectory), "number": number,
         "figures": [run.figure("voltages"), run.figure("line_loadings")],
         "maps": run.figure("feeder_maps"),
-        "rated": bool(np.isfinite(run.trajectory.scenario.network.i_max_a).any())})
+        "rated": run.trajectory.scenario.network.has_ratings})
 
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:

@@ -61,7 +61,6 @@ class _Layout:
         """Column of the cost."""
         return self.n_steps + 1
 
-
     @property
     def counts(self) -> Ints:
         """Columns of the counts."""

@@ -35,7 +35,6 @@ NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution."""
 TOLERANCE = 1e-6
 
-
 MOST_BUSES = 3000
 """Buses up to which voltages are kept as functions of all injections: 200 MB."""
 

@@ -1,0 +1,40 @@
+"""What the commands of experiments and benchmarks show on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.markdown import Markdown
+
+from vppres.errors import VppresError
+
+INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+
+
+@contextmanager
+def plain_errors(kept: str) -> Iterator[None]:
+    """Turn an interrupt, and errors of vppres, into a sentence on stderr and an exit status.
+
+    Parameters
+    ----------
+    kept : str
+        What an interrupt leaves, in words.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(f"Interrupted. {kept} are kept: run again to go on.", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except VppresError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(error.exit_status) from None
+
+
+def show_report(markdown: Path, least_width: int = 0) -> None:
+    """Print a report; tables that a narrower terminal would break have the least width."""
+    console = Console(width=max(Console().width, least_width))
+    console.print(Markdown(markdown.read_text(encoding="utf-8")))
