@@ -148,6 +148,21 @@ def inverter_polygons(sides: int, outer: bool = False) -> Family:
     return family
 
 
+def battery_half_polygon(sides: int) -> Family:
+    """The inscribed polygon of batteries whose modes exclude each other, in ``|P|`` and Q.
+
+    ``|P|`` is then charging plus discharging, so half of the sides say what all of them do.
+    """
+
+    def family(site: Site, v: Variables, p: Parameters) -> Named:
+        angle = np.pi / sides + 2 * np.pi * np.arange(sides) / sides
+        inside = site.batteries.s_max_kva * np.cos(np.pi / sides)
+        return {"battery_inverter_capacity":
+                _polygon(v.P_ch + v.P_dch, v.Q_batt, inside, angle[np.cos(angle) > 1e-9])}
+
+    return family
+
+
 def inverter_active(site: Site, v: Variables, p: Parameters) -> Named:
     """What the discs imply for active power alone; for relaxations without reactive power."""
     return {

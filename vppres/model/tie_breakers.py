@@ -72,14 +72,14 @@ class TieBreakerModel:
         args, b = (self.site, self.v, self.p), self.site.batteries
         named: families.Named = {}
         sides = disc_sides(self.site, self.n_steps)
-        discs = families.inverter_polygons(sides) if sides else families.inverter_discs
-        inverters = discs(*args)
+        pv_discs = families.inverter_polygons(sides) if sides else families.pv_disc
+        batteries = families.battery_half_polygon(sides) if sides else families.battery_disc
         for family in (families.circular_charging, families.grid_connection,
                        *families.NETWORK_FAMILIES):
             named |= family(*args)
-        named["battery_inverter_capacity"] = inverters["battery_inverter_capacity"]
+        named |= batteries(*args)
         if self.curtailing:
-            named["pv_inverter_capacity"] = inverters["pv_inverter_capacity"]
+            named["pv_inverter_capacity"] = pv_discs(*args)["pv_inverter_capacity"]
             named["pv_export"] = self.v.P_exp >= 0
         else:
             named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
