@@ -12,6 +12,7 @@ import pytest
 
 import vppres
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
+from vppres.errors import LimitError
 from vppres.forecast import ForecastErrors
 from vppres.switching import SwitchingRules
 
@@ -207,3 +208,19 @@ def test_notebooks_show_tables(tiny: Scenario) -> None:
     assert "<th>batteries</th><td>2, 160 kWh</td>" in tiny._repr_html_()
     run = vppres.run_day(tiny, RunOptions(horizon_h=0))
     assert "<th>controller</th><td>mpc, 0 h</td>" in run._repr_html_()
+
+
+def test_set_points_say_when_they_are_a_fallback(
+        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=2.0))
+    first = controller.step(Measurement(controller.times[0], SOC))
+    assert (first.solve["fallback"], first.solve["fallback_reason"]) == ("none", "")
+
+    def fails(*_: object) -> None:
+        raise LimitError("the solver ran out of time")
+
+    monkeypatch.setattr("vppres.solve.methods.WindowSolver.solve", fails)
+    second = controller.step(Measurement(controller.times[1], SOC))
+    assert second.solve["fallback"] == second.solve["status"] == "previous_plan"
+    assert "the solver ran out of time" in second.solve["fallback_reason"]
+    assert "the solver ran out of time" in second._repr_html_()

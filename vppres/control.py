@@ -50,8 +50,9 @@ class SetPoints:
     import_kw : float
         Power from the grid in that power flow, losses included.
     solve : mapping
-        How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``, and
-        ``corrected`` with its ``reason`` where a plan was overruled.
+        How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
+        ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
+        none was needed) with its ``fallback_reason``; and what was ``estimated``.
     """
 
     time: pd.Timestamp
@@ -85,7 +86,8 @@ class SetPoints:
         on = self.customers["served"]
         head = facts_html(f"Set-points of {self.time:%Y-%m-%d %H:%M}", {
             "customers on": f"{int(on.sum())} of {len(on)}", "import (kW)": f"{self.import_kw:.1f}",
-            "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s"})
+            "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s",
+            "fallback": self.solve["fallback_reason"] or "none"})
         tables = (self.customers, self.batteries, self.pv)
         return head + "".join(table.to_html(float_format="{:.3f}".format) for table in tables)
 
@@ -176,8 +178,9 @@ class Controller:
 def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
     """The tables of a step."""
     c, pv, b = scenario.customers, scenario.pv, scenario.batteries
-    solve = {name: getattr(step, name) for name in ("status", "gap", "objective", "bound",
-                                                    "solve_s", "corrected")}
+    solve = {name: getattr(step, name) for name in (
+        "status", "gap", "objective", "bound", "solve_s", "corrected", "fallback",
+        "fallback_reason", "estimated")}
     return SetPoints(
         time=scenario.grid.times[step.t],
         customers=_table(c.id, bus=c.bus, tier=c.tier, load_kw=step.load_kw,
