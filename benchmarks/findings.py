@@ -128,10 +128,10 @@ def day_bars(tables: dict[str, pd.DataFrame]) -> list[Bar]:
 def scaling_section(rows: pd.DataFrame) -> Section:
     """Cost against size."""
     columns = ["axis", "size", "n_steps", "windows", "certified", "first_s", "median_s", "mean_s",
-               "max_s", "memory_mb", "library_share", "main_stage"]
+               "max_s", "gap_max", "memory_mb", "library_share", "main_stage"]
     text = ("Each point in a process of its own: six windows that meet the outage, in random "
-            "states. The first solve compiles. Exponents are least-squares fits in logarithms "
-            "with 95 % intervals.")
+            "states, along the buses with a time limit of 9 s. The first solve compiles. Exponents "
+            "are least-squares fits in logarithms with 95 % intervals.")
     return Section("Scaling", text, (rows[columns], exponents(rows)),
                    {"scaling": draw_scaling(rows)})
 
@@ -145,9 +145,12 @@ def scaling_bars(rows: pd.DataFrame) -> list[Bar]:
              for axis in ("buses", "steps")]
     large = rows[(rows["axis"] == "buses") & (rows["size"] >= 1000)]
     if len(large):
-        worst = float(large["max_s"].max(skipna=False))
-        found.append(_at_most("a step of about 1,000 buses at H = 5, worst", worst,
-                              STEP_1000_BUSES_S, "s"))
+        worst_s, gap = (float(large[name].max(skipna=False)) for name in ("max_s", "gap_max"))
+        proven = f"{large['certified'].sum()} of {large['windows'].sum()} certified"
+        found.append(Bar(
+            f"a step of about 1,000 buses at H = 5, worst: at most {STEP_1000_BUSES_S:g} s",
+            f"{worst_s:.3g} s, {proven} in the limit, largest gap {gap:.1e}",
+            worst_s <= STEP_1000_BUSES_S))
     return found
 
 

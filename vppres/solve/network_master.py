@@ -105,7 +105,7 @@ class NetworkMaster:
             return _outcome(root, begin), None
         cuts = _ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = _Known(np.ones(len(x)), np.floor(root.x[x] + TOLERANCE),
+        known = _Known(np.ones(len(x)), self._in_full(root),
                        np.floor(most + TOLERANCE))
         self._close(solver, root, known, cuts, end)
         outcome = Outcome(Status.OPTIMAL if known.closed(self.units) else Status.TIME_LIMIT,
@@ -120,13 +120,15 @@ class NetworkMaster:
         while not known.closed(self.units) and time.perf_counter() < end:
             left_s, rounds, before = end - time.perf_counter(), rounds + 1, len(self.found)
             whole = len(x) <= SMALL and rounds > ROUNDS
-            known.take(self._searched(few, left_s) if whole else cuts.most(linear.x[x], left_s))
+            enough = float(self.units @ known.best)
+            known.take(self._searched(few, left_s) if whole
+                       else cuts.most(linear.x[x], enough + 1.0, left_s), enough)
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
-            linear = self._until_carried(solver)
+            linear = self._until_carried(solver, worth=enough)
             if linear.status != Status.OPTIMAL:
                 return
             self._cut(linear, cuts)
-            known.improve(np.floor(linear.x[x] + TOLERANCE), self.units)
+            known.improve(self._in_full(linear), self.units)
             few += self.found[before:] if whole else []
 
     def _cut(self, linear: Answer, cuts: _ServiceCuts) -> float:
@@ -136,10 +138,11 @@ class NetworkMaster:
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
-        gain = np.maximum(-left[x], 0.0)
-        most = -worth - float(rest.sum())
-        cuts.add(gain, most)
-        return most + float(gain.sum())
+        return cuts.add(left[x], -worth - float(rest.sum()))
+
+    def _in_full(self, linear: Answer) -> Floats:
+        """Who is served in full by a linear solution."""
+        return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
 
     def _searched(self, rows: list[Rows], time_s: float) -> Answer:
         """Search with binaries in the network, with some of its limits."""
@@ -193,13 +196,16 @@ class NetworkMaster:
         """A solver with the program and the limits that were violated so far."""
         return _limited(program, self.found).loaded(self.left_s)
 
-    def _until_carried(self, solver: highspy.Highs, over: float = DISC,
-                       inside: float = 0.0) -> Answer:
-        """Solve, add the limits that are violated, and again until none is."""
+    def _until_carried(self, solver: highspy.Highs, over: float = DISC, inside: float = 0.0,
+                       worth: float = -np.inf) -> Answer:
+        """Solve, add the limits that are violated, and again until none is.
+
+        Or until no more than so many units are served in full.
+        """
         while True:
             solver.setOptionValue("time_limit", solver.getRunTime() + max(self.left_s, 0.01))
             answer = Answer.of(solver)
-            if answer.status != Status.OPTIMAL:
+            if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
             found = [*self.model.voltage_rows(answer.x, VOLTAGE_PU2),
                      *self.model.disc_rows(answer.x, over, inside)]
@@ -222,11 +228,13 @@ class _Known:
         """Whether the best set has as much as the bound."""
         return bool(units @ self.best >= self.bound)
 
-    def take(self, found: Answer) -> None:
+    def take(self, found: Answer, best: float) -> None:
         """The next set to try, and what its search proves."""
-        self.bound = min(self.bound, float(np.floor(TOLERANCE - found.bound)))
-        if found.status.has_answer:
+        if found.status == Status.INFEASIBLE:
+            self.bound = best
+        elif found.status.has_answer:
             self.tried = np.round(found.x)
+        self.bound = max(best, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
     def improve(self, carried: Floats, units: Floats) -> None:
         """Keep a set that is carried if it is the best."""
@@ -235,28 +243,37 @@ class _Known:
 
 
 class _ServiceCuts:
-    """What is known of the service of sets: ``gain @ x <= most`` for all that are carried."""
+    """What is known of the service of sets that are carried: ``units @ x <= most + gain @ x``."""
 
     def __init__(self, units: Floats) -> None:
         self.units = units
         self.gains: list[Floats] = []
         self.most_units: list[float] = []
+        self.first_left: Floats = np.zeros(len(units))
 
-    def add(self, gain: Floats, most: float) -> None:
-        """Service is at most ``most`` and the gain of those who may be served."""
-        self.gains.append(self.units - gain)
-        self.most_units.append(most + TOLERANCE)
+    def add(self, left: Floats, most: float) -> float:
+        """Add a bound ``most - left @ x``; returns its largest value.
 
-    def most(self, shares: Floats, time_s: float) -> Answer:
-        """The set with the most units; among equal ones one that is close to given shares.
-
-        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much.
+        What serving somebody costs is left out but for the first: such rows are searched faster.
         """
-        away = 1.0 - shares
+        if not self.gains:
+            self.first_left = left
+        self.gains.append(np.maximum(-left, 0.0))
+        self.most_units.append(most + TOLERANCE)
+        return most + float(self.gains[-1].sum())
+
+    def most(self, shares: Floats, at_least: float, time_s: float) -> Answer:
+        """The set with the most units, at least so many; among equal ones one close to the shares.
+
+        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
+        service or lack of it would alone cost too much by the first bound is decided beforehand.
+        """
+        away, spare = 1.0 - shares, self.most_units[0] + float(self.gains[0].sum()) - at_least
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
-        count, each = len(self.most_units), np.ones(len(cost))
-        program = Program(cost, 0.0 * each, each, sp.csc_array(np.array(self.gains)),
-                          np.full(count, -np.inf), np.array(self.most_units),
+        low, high = self.first_left < -spare, self.first_left <= spare
+        program = Program(cost, low.astype(float), high.astype(float),
+                          sp.csc_array(self.units - np.array(self.gains)),
+                          np.full(len(self.gains), -np.inf), np.array(self.most_units),
                           np.arange(len(cost)))
         found = Answer.of(program.loaded(time_s, 1.0 - 2.0 * NEAR))
         return replace(found, bound=found.bound - NEAR)
