@@ -153,6 +153,29 @@ def test_voltages_follow_from_injections(seed: int) -> None:
     assert (reached <= rows.upper + 1e-5 * scale).all()
 
 
+def test_counts_are_rounded_down_where_time_runs_out(
+        packaged: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    data, site = day_window(packaged, 10, 8, 0.5), Site.of(packaged)
+    best = WindowSolver(site).solve(data)
+    search = Counts._most
+
+    def late(self: Counts, block: np.ndarray, integer: bool) -> object:
+        found = search(self, block, integer)
+        return replace(found, status=Status.NO_ANSWER) if integer else found
+
+    monkeypatch.setattr(Counts, "_most", late)
+    counts = Counts(demand_model(site, data.n_steps), data, TIME_S)
+    outcome, served = counts.service(0.5)
+    assert outcome.status == Status.TIME_LIMIT
+    assert served is not None
+    assert outcome.value == pytest.approx((served * counts.units).sum())
+    assert 0.9 * outcome.bound < outcome.value <= outcome.bound
+    assert outcome.bound * counts.unit >= best.terms.f1
+    found = WindowSolver(site).solve(data)
+    assert found.stages[0] == "service:time_limit"
+    assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
+
+
 def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenario) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data = day_window(heavy, 17, 3, 0.3)

@@ -26,6 +26,8 @@ Served = NDArray[np.bool_]
 Steps = NDArray[np.bool_]
 
 TOLERANCE = 1e-6
+SERVICE_SHARE = 0.6
+"""Share of the time that service may take; the rest is for cost and a dispatch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,10 @@ class Counts:
         found = self._carried(lambda: self._most(free, integer=False))
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
-            found = self._carried(lambda: self._in_blocks(free, solved))
+            end, self.end = self.end, begin + SERVICE_SHARE * (self.end - begin)
+            whole = self._carried(lambda: self._in_blocks(free, solved))
+            found = whole if whole.status.has_answer else self._rounded(found, free)
+            self.end = end
         anyway = int((self.able[self.unlimited] * self.units).sum())
         outcome = Outcome(found.status, anyway - found.value, anyway - found.bound,
                           time.perf_counter() - begin)
@@ -182,6 +187,11 @@ class Counts:
             if self.left_s <= 0.0:
                 return replace(found, status=Status.NO_ANSWER)
             self.cuts.append(cut)
+
+    def _rounded(self, linear: _Found, free: Steps) -> _Found:
+        """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
+        units = int((linear.served[free] * self.units).sum())
+        return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
 
     def _in_blocks(self, free: Steps, solved: dict[tuple[bytes, int], _Found]) -> _Found:
         """Most service, block by block: steps that no cut joins have nothing to do with another."""
@@ -269,8 +279,10 @@ class Counts:
         whole = program if integer else replace(program, integer=np.arange(0))
         answer = Answer.of(whole.loaded(max(self.left_s, 0.0), gap_abs))
         served = self.able.copy()
-        if answer.status.has_answer and integer:
-            self._choose(served, layout, np.round(answer.x[layout.counts]).astype(int))
+        if answer.status.has_answer:
+            counts = answer.x[layout.counts]
+            taken = np.round(counts) if integer else np.floor(counts + TOLERANCE)
+            self._choose(served, layout, taken.astype(int))
         return _Found(answer.status, answer.value, answer.bound, served,
                       answer.x[:layout.n_steps + 2])
 
