@@ -130,7 +130,7 @@ def scaling_section(rows: pd.DataFrame) -> Section:
     columns = ["axis", "size", "n_steps", "windows", "certified", "first_s", "median_s", "mean_s",
                "max_s", "gap_max", "memory_mb", "library_share", "main_stage"]
     text = ("Each point in a process of its own: six windows that meet the outage, in random "
-            "states, along the buses with a time limit of 9 s. The first solve compiles. Exponents "
+            "states, along the buses with a time limit of 8 s. The first solve compiles. Exponents "
             "are least-squares fits in logarithms with 95 % intervals.")
     return Section("Scaling", text, (rows[columns], exponents(rows)),
                    {"scaling": draw_scaling(rows)})

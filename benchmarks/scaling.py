@@ -38,7 +38,7 @@ FIRST_HOURS = (8, 10, 12)
 STATES = (0.35, 0.6)
 """Mean states of charge."""
 CONFIDENCE = 0.95
-STEP_LIMIT_S = 9.0
+STEP_LIMIT_S = 8.0
 """Time limit along the buses: a step may take 10 s, answer and AC power flow included."""
 OUT_OF_MEMORY = "out of memory"
 

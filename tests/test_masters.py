@@ -9,12 +9,16 @@ import pytest
 from checker import check_dispatch
 from random_feeders import random_window
 
+from benchmarks.instances import packaged as instances_day
+from benchmarks.instances import read_instances, window_data
+from vppres.forecast import ForecastErrors
 from vppres.io import find_scenario, read_scenario
 from vppres.model.aggregate import AggregateModel
 from vppres.model.data import Dispatch, Site, WindowData
 from vppres.model.demand import DemandModel
 from vppres.model.injections import Injections, Reactance
 from vppres.scenario import Scenario
+from vppres.simulate import RunOptions, run_day
 from vppres.solve.counts import Counts
 from vppres.solve.demand_cuts import Reach
 from vppres.solve.levels import Binaries
@@ -229,3 +233,28 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: S
                      + weights.lambda_q * sum((share**2).sum() for share in used))
 
     assert worth(after) < 0.9 * worth(before)
+
+
+@pytest.mark.parametrize(("name", "cheaper_gbp"), [("s007", 150.0), ("s030", 150.0)])
+def test_a_cheaper_set_in_the_network_is_found(name: str, cheaper_gbp: float,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    (instance,) = (one for one in read_instances() if one.name == name)
+    data = window_data(instance)
+    found = WindowSolver(Site.of(instances_day())).solve(data)
+    assert found.cost_gap_gbp <= 1e-3 * found.terms.f2 + 2e-3
+    assert "network_cost_level" in found.stages
+    monkeypatch.setattr("vppres.solve.in_network.is_large", lambda *_: True)
+    first = WindowSolver(Site.of(instances_day())).solve(data)
+    assert "network_cost_level" not in first.stages
+    assert first.terms.f1 == pytest.approx(found.terms.f1)
+    assert found.terms.f2 < first.terms.f2 - cheaper_gbp
+    # What the other search could at most have saved covers what this one found.
+    assert first.terms.f2 - first.cost_gap_gbp <= found.terms.f2 + 1e-3
+
+
+def test_counts_choose_customers_who_use_the_sun(packaged: Scenario) -> None:
+    # At noon those with the smallest demand would leave PV power unused, and binaries would decide.
+    errors = ForecastErrors(load_alpha_per_h=0.01)
+    run = run_day(packaged, RunOptions(horizon_h=5.0, errors=errors, seed=1))
+    assert run.steps["stages"].str.startswith("service").sum() >= 6
+    assert not run.steps["stages"].str.contains("binary").any()

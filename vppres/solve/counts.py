@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.model.data import Floats, WindowData
 from vppres.model.demand import DemandModel
-from vppres.solve.demand_cuts import Cut, Reach
+from vppres.solve.demand_cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.programs import Answer, Ints, Program
 from vppres.solve.result import Outcome, Status
 
@@ -146,7 +146,7 @@ class Counts:
         anyway = int((self.able[self.unlimited] * self.units).sum())
         outcome = Outcome(found.status, anyway - found.value, anyway - found.bound,
                           time.perf_counter() - begin)
-        return outcome, found.served if found.status.has_answer else None
+        return outcome, self._completed(found, free) if found.status.has_answer else None
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
              gap_gbp: float) -> tuple[Outcome, Served | None]:
@@ -169,9 +169,11 @@ class Counts:
         found = self._carried(lambda: self._least(free, units_min, 0.0, integer=False))
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
         if found.status == Status.OPTIMAL and not near:
-            found = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True))
+            whole = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True))
+            near, found = (False, whole) if whole.status.has_answer else (True, found)
         outcome = Outcome(found.status, found.value, found.bound, time.perf_counter() - begin)
-        return outcome, found.served if found.status.has_answer and not near else None
+        none = near or not found.status.has_answer
+        return outcome, None if none else self._completed(found, free)
 
     def _carried(self, solve: Callable[[], _Found]) -> _Found:
         """Solve, cut off what the fleet cannot carry, and again until it carries the answer."""
@@ -292,3 +294,37 @@ class Counts:
             alike = np.flatnonzero(self.able[t] & (self.units == weight))
             order = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
             served[t, order[count:]] = False
+
+    def _completed(self, found: _Found, free: Steps) -> Served:
+        """The set with as many of each weight whose demand takes up the PV power.
+
+        Those with the smallest demand serve as much with the least, but where there is more PV
+        power than the fleet can store, some of it would be lost with them.
+        """
+        served, point = found.served.copy(), found.point.copy()
+        point[:-2] = (self.load_kw * served).sum(axis=1)
+        needed = self.reach.least_demand(point)
+        if needed is None:
+            return served
+        for t in np.flatnonzero(free & (needed > point[:-2] + VIOLATED_KW)):
+            served[t] = self._with_demand(served[t], int(t), float(needed[t]))
+        return served
+
+    def _with_demand(self, served: NDArray[np.bool_], t: int, needed_kw: float
+                     ) -> NDArray[np.bool_]:
+        """As many of each weight with the least demand above what is needed, or else the most."""
+        able = np.flatnonzero(self.able[t] & (self.units > 0))
+        weights, kind = np.unique(self.units[able], return_inverse=True)
+        counts = np.bincount(kind, served[able], len(weights)).astype(float)
+        rows = sp.coo_array((np.ones(len(able)), (kind, np.arange(len(able)))))
+        load, each = self.load_kw[t, able], np.ones(len(able))
+        program = Program(load, 0.0 * each, each, sp.csc_array(rows), counts, counts,
+                          np.arange(len(able)))
+        enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))
+        answer = Answer.of(enough.loaded(self.left_s, 1e-4 * needed_kw))
+        if not answer.status.has_answer:
+            answer = Answer.of(replace(program, cost=-load).loaded(self.left_s))
+        chosen = served.copy()
+        if answer.status.has_answer:
+            chosen[able] = answer.x > 0.5
+        return chosen

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from vppres.model.data import Dispatch, Site, WindowData, evaluate
 from vppres.solve.counts import Counts
-from vppres.solve.levels import fleets_of
-from vppres.solve.network_master import NetworkMaster
-from vppres.solve.result import Outcome, Status
+from vppres.solve.levels import cost_gap_gbp, fleets_of
+from vppres.solve.network_master import TOLERANCE, NetworkMaster
+from vppres.solve.result import Outcome
 from vppres.solve.search import GRACE_S, Candidate, Search
 from vppres.solve.stages import ModelCache, least_reactive, net_modes
 
@@ -22,8 +22,8 @@ Polish = Callable[[Candidate], Candidate | None]
 LARGE = 1500
 """Buses times steps beyond which the tie-breakers take seconds and are not asked in vain."""
 
-SERVICE_SHARE = 0.5
-"""Share of a window's time left that the search for a set may take."""
+SERVICE_SHARE, FLEET_SHARE, COST_SHARE = 0.5, 0.1, 0.04
+"""Shares of the time left for the searches of a set, of the fleet's cost and of a cheaper set."""
 
 
 def is_large(site: Site, data: WindowData) -> bool:
@@ -70,30 +70,58 @@ class InNetwork:
         search.service_bound = self.master.unit * outcome.bound
         search.bound = min(search.bound, search.service_bound)
         found = self._cheapest(served)
-        if found is not None:
-            self._bound_cost(found)
-        return found
+        if found is None:
+            return None
+        self._bound_cost(found)
+        return self._cheaper(found)
+
+    def _cheaper(self, found: Candidate) -> Candidate:
+        """A cheaper set that serves as much, where the bound on cost leaves room for one."""
+        search, gap_gbp = self.search, cost_gap_gbp(found.terms.f2)
+        if (is_large(self.cache.site, self.data)
+                or found.terms.f2 - search.cost_bound_gbp <= gap_gbp):
+            return found
+        units = float(np.ceil(found.service / self.master.unit - TOLERANCE))
+        outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, COST_SHARE)
+        search.note("network_cost_level", outcome)
+        search.cost_bound_gbp = max(search.cost_bound_gbp, outcome.bound)
+        other = None if served is None else self._cheapest(served)
+        return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
-        """Bound the cost of all sets that serve enough; in large windows the fleet's may do."""
-        search, enough = self.search, (found.value - 1e-9) / self.master.unit
-        large = is_large(self.cache.site, self.data)
-        fleet = [("least_cost", self._least_of_fleet)] if large else []
-        for name, bound in (*fleet, ("network_least_cost", self.master.least_cost)):
-            if large and (search.bound - found.value <= search.gap or search.left_s <= 0.0):
-                return
-            least = bound(enough)
-            search.note(name, least)
-            if least.status == Status.OPTIMAL:
-                weight = self.cache.site.weights.lambda_grid
-                search.cost_bound_gbp = max(least.bound, 0.0)
-                worth = search.service_bound - weight * search.cost_bound_gbp
-                search.bound = min(search.bound, max(found.value, worth))
+        """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
-    def _least_of_fleet(self, units_min: float) -> Outcome:
+        A set with ``F`` above the candidate's serves more than that ``F``. Where the fleet's bound
+        is not enough, that of shares of customers in the network may be.
+        """
+        search, unit = self.search, self.master.unit
+        enough = (found.value - 1e-9) / unit
+        for name, least in (("cost_level", self._fleet_cost), ("network_least_cost",
+                                                               self._network_cost)):
+            cost_gbp = self._bound(name, least(enough, found))
+            worth = search.service_bound - self.cache.site.weights.lambda_grid * cost_gbp
+            search.bound = min(search.bound, max(found.value, worth))
+            if search.bound - found.value <= search.gap or search.left_s <= 0.0:
+                break
+        served = (found.service - 1e-9) / unit
+        if np.ceil(served) > np.ceil(enough):
+            cost_gbp = max(cost_gbp, self._bound("cost_level", self._fleet_cost(served, found)))
+        search.cost_bound_gbp = cost_gbp
+
+    def _bound(self, name: str, outcome: Outcome) -> float:
+        """A stage's lower bound on cost, 0 if it has none."""
+        self.search.note(name, outcome)
+        return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
+
+    def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
         """Least cost of all sets with so many units, without the network."""
         demand = self.cache.demand(self.data, fleets_of(self.data)[0])
-        return Counts(demand, self.data, GRACE_S).cost(units_min, False, np.inf, np.inf)[0]
+        master = Counts(demand, self.data, max(FLEET_SHARE * self.search.left_s, 1.0))
+        return master.cost(units_min, False, found.terms.f2, cost_gap_gbp(found.terms.f2))[0]
+
+    def _network_cost(self, units_min: float, _: Candidate) -> Outcome:
+        """Least cost of shares of customers with so many units, in the network."""
+        return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
     def _cheapest(self, served: Served) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""

@@ -18,6 +18,9 @@ from vppres.solve.stages import ModelCache
 
 Served = NDArray[np.bool_]
 
+COST_GAP_REL = 1e-3
+"""Gap of the cost level's search over served sets, relative to the cost."""
+
 
 class Master(Protocol):
     """Finds served sets and bounds of a window in a lumped relaxation.
@@ -91,6 +94,11 @@ def binaries(cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: floa
     """The master by binaries, where weights and prices of switching have a grid."""
     master = Binaries(cache, data, spec, time_s, lumped)
     return master if master.unit and master.model.whole_price(data) else None
+
+
+def cost_gap_gbp(cost_gbp: float) -> float:
+    """Gap at which the search for a cheaper set may stop."""
+    return COST_GAP_REL * cost_gbp + 1e-3
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

@@ -14,7 +14,7 @@ from vppres.errors import InputError, Problem
 from vppres.model.data import Site, WindowData, evaluate
 from vppres.model.window import Form, objective_scale
 from vppres.solve.in_network import InNetwork, is_large
-from vppres.solve.levels import Master, MastersOf, binaries, counts, fleets_of
+from vppres.solve.levels import Master, MastersOf, binaries, cost_gap_gbp, counts, fleets_of
 from vppres.solve.network_master import NetworkMaster, applies
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.search import GRACE_S, Candidate, Search
@@ -30,9 +30,6 @@ from vppres.solve.stages import (
 METHODS = ("decomposed", "monolithic")
 Served = NDArray[np.bool_]
 Rung = Callable[[WindowData, Search], None]
-
-COST_GAP_REL = 1e-3
-"""Gap of the cost level's search over served sets, relative to the cost."""
 
 LARGE = 1500
 """Buses times steps beyond which the network is asked for its service before the tie-breakers."""
@@ -127,7 +124,7 @@ class WindowSolver:
     def _ladder(self, data: WindowData) -> list[Rung]:
         """Relaxations in the order in which they are tried."""
         fleets = fleets_of(data)
-        kinds = [partial(kind, lumped=lumped) for kind in (counts, binaries) for lumped in fleets]
+        kinds = [partial(kind, lumped=lumped) for lumped in fleets for kind in (counts, binaries)]
         levels = [partial(self._levels, masters=kind) for kind in kinds]
         return [*levels, partial(self._aggregate, lumped=fleets[0]), self._per_battery]
 
@@ -230,7 +227,7 @@ class WindowSolver:
         # Within less than one customer of the bound nobody connected can be left out.
         everyone = search.service_bound - admitted < 0.99 * unit
         outcome, served = master.cost((admitted - 1e-9) / unit, everyone, best.terms.f2,
-                                      COST_GAP_REL * best.terms.f2 + 1e-3)
+                                      cost_gap_gbp(best.terms.f2))
         search.note(f"{master.prefix}cost_level", outcome)
         if not outcome.status.has_answer:
             return

@@ -29,7 +29,7 @@ DISC, EXACT_DISC = 2e-3, 5e-6
 """Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
 INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: few end inside them."""
-SMALL, ROUNDS = 2000, 6
+SMALL, ROUNDS = 2000, 3
 """Binaries up to which the search has the network in it, after so many sets were tried."""
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution."""
@@ -153,10 +153,42 @@ class NetworkMaster:
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
-        begin, x = time.perf_counter(), self.model.at["x"].reshape(1, -1)
-        enough = Rows.of(x, self.units, units_min, np.inf, self.model.size)
-        program = self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
-        return _outcome(self._until_carried(self._loaded(program)), begin)
+        begin = time.perf_counter()
+        return _outcome(self._until_carried(self._loaded(self._enough(units_min))), begin)
+
+    def cost_level(self, units_min: float, known_gbp: float, gap_gbp: float,
+                   share: float) -> tuple[Outcome, Served | None]:
+        """Least cost of all sets with so many units, to a gap or in a share of the time left.
+
+        The search has the limits of the network that are known; whatever it finds is put into all
+        of them, which adds some. The set in the answer is cheaper than the known cost.
+        """
+        begin, x, best = time.perf_counter(), self.model.at["x"], None
+        end, bound, size = begin + share * self.left_s, 0.0, -1
+        program = replace(self._enough(units_min), integer=x.ravel())
+        while known_gbp - bound > gap_gbp and time.perf_counter() < end and len(self.found) > size:
+            size, limited = len(self.found), _limited(program, self.found)
+            found = Answer.of(limited.loaded(end - time.perf_counter(), 0.5 * gap_gbp))
+            bound = max(bound, found.bound if np.isfinite(found.bound) else 0.0)
+            if not found.status.has_answer:
+                break
+            served = np.round(found.x[x])
+            carried = self._until_carried(self._loaded(self._of_set(served)))
+            if carried.status == Status.OPTIMAL and carried.value < known_gbp:
+                known_gbp, best = carried.value, served > 0.5
+        return Outcome(Status.OPTIMAL, known_gbp, bound, time.perf_counter() - begin), best
+
+    def _enough(self, units_min: float) -> Program:
+        """Least cost of so many units."""
+        x = self.model.at["x"].reshape(1, -1)
+        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, self.model.size)
+        return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
+
+    def _of_set(self, served: Floats | Served) -> Program:
+        """Least cost of a set."""
+        x, program = self.model.at["x"], self._with_cost(*self.price)
+        program.x_lower[x], program.x_upper[x] = served, served
+        return program
 
     def cheapest(self, served: Served, grace_s: float) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs; it has so much time at least."""
@@ -169,8 +201,7 @@ class NetworkMaster:
 
     def _cheapest(self, served: Served) -> Answer:
         """Cheapest dispatch of a set, with tangents well within the discs or else at them."""
-        x, known, program = self.model.at["x"], self.found, self._with_cost(*self.price)
-        program.x_lower[x], program.x_upper[x] = served, served
+        known, program = self.found, self._of_set(served)
         for inside in INSIDE:
             self.found = list(known)
             answer = self._until_carried(self._loaded(program), EXACT_DISC, inside)

@@ -32,6 +32,9 @@ POLYGON_SIDES = 16
 HELD_REL, HELD_ABS = 1e-6, 1e-5
 """How much the tie-breakers may worsen cost (GBP) and curtailment (kWh)."""
 
+CURTAILMENT_HELD_REL = 1e-7
+"""The same of curtailment, which weighs more: nearly as much as all service in a sunny outage."""
+
 
 @dataclass
 class ModelCache:
@@ -185,7 +188,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: floa
     site = cache.site
     terms = evaluate(site, data, dispatch)
     f2_max = terms.f2 + HELD_REL * abs(terms.f2) + HELD_ABS
-    f3_max = terms.f3 + HELD_REL * terms.f3 + HELD_ABS
+    f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
     model = cache.tie_breakers(data, curtailing)
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
