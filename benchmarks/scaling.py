@@ -39,7 +39,7 @@ STATES = (0.35, 0.6)
 """Mean states of charge."""
 CONFIDENCE = 0.95
 STEP_LIMIT_S = 8.0
-"""Time limit along the buses: a step may take 10 s, answer and AC power flow included."""
+"""Time limit along the buses: a step may take 10 s, and what has begun by then is ended."""
 OUT_OF_MEMORY = "out of memory"
 
 
