@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,11 +114,15 @@ class InNetwork:
         self.search.note(name, outcome)
         return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
 
+    @cached_property
+    def _fleet(self) -> Counts:
+        """The fleet's master; cuts of its first answer serve the second too."""
+        demand = self.cache.demand(self.data, fleets_of(self.data)[0])
+        return Counts(demand, self.data, max(FLEET_SHARE * self.search.left_s, 1.0))
+
     def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
         """Least cost of all sets with so many units, without the network."""
-        demand = self.cache.demand(self.data, fleets_of(self.data)[0])
-        master = Counts(demand, self.data, max(FLEET_SHARE * self.search.left_s, 1.0))
-        return master.cost(units_min, False, found.terms.f2, cost_gap_gbp(found.terms.f2))[0]
+        return self._fleet.cost(units_min, False, found.terms.f2, cost_gap_gbp(found.terms.f2))[0]
 
     def _network_cost(self, units_min: float, _: Candidate) -> Outcome:
         """Least cost of shares of customers with so many units, in the network."""
