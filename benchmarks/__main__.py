@@ -22,7 +22,7 @@ from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
 from benchmarks.windows import Limits, run_windows
 from experiments.terminal import plain_errors, show_report
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 TABLE_WIDTH = 140

@@ -16,9 +16,10 @@ from benchmarks.clock import in_fresh_process, peak_memory_mb, watched
 from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
 from experiments.config import read_config
-from vppres.forecast import ForecastErrors
-from vppres.simulate import RunOptions, run_day
-from vppres.trajectory import Trajectory
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
 
 ERROR_EXPERIMENTS = ("load_error", "load_bias", "pv_error", "pv_bias")
 LATER_RUNS = 3

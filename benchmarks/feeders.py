@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 import vppres
 from benchmarks.instances import packaged
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import InputError, Problem
-from vppres.network import Network
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
-from vppres.units import mw_to_kw
+from vppres.core.errors import InputError, Problem
+from vppres.core.units import mw_to_kw
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
 
-CASE69 = Path(vppres.__file__).parent / "networks" / "data" / "case69.csv"
+CASE69 = Path(vppres.__file__).parent / "feeders" / "data" / "case69.csv"
 BASE_KV = 12.66
 FEEDERS = {33: ("33", 1), 69: ("69", 1), 115: ("115", 1), 273: ("69", 4), 545: ("69", 8),
            1021: ("69", 15)}

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.controllers.base import Observation
-from vppres.errors import InputError, Problem
-from vppres.forecast import Forecaster, ForecastErrors
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import OperatingPoint
+from vppres.core.errors import InputError, Problem
 from vppres.io import find_scenario, read_scenario
-from vppres.model.data import Site, WindowData
-from vppres.model.linearise import OperatingPoint
-from vppres.powerflow import ACPowerFlow
-from vppres.scenario import Scenario
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.scenario import Scenario
 
 FILE = Path(__file__).with_name("instances.csv")
 SCENARIO = "uk-heatwave-2022"
@@ -44,7 +45,7 @@ class Instance:
     load_factor, pv_factor : float
         Multiples of the packaged series.
     load_bias, load_alpha_per_h, pv_bias, pv_alpha_per_h : float
-        Forecast errors, as in :class:`vppres.forecast.ForecastErrors`.
+        Forecast errors, as in :class:`vppres.contract.forecast.ForecastErrors`.
     error_seed : int
         Seed of the random forecast errors.
     offset : int
@@ -145,7 +146,7 @@ def window_data(instance: Instance) -> WindowData:
     point = operating_point(instance.t0 - 1) if instance.offset and instance.t0 > 0 else None
     seen = Observation(instance.t0, forecast, np.clip(soc, b.soc_min, b.soc_max), b.eta_charge,
                        b.eta_discharge, point)
-    return seen.window(Site.of(day), "lossless")
+    return WindowData.of(seen, Site.of(day), "lossless")
 
 
 @cache

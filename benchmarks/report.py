@@ -14,10 +14,10 @@ from jinja2 import Environment
 from matplotlib.figure import Figure
 
 from experiments.tables import template_environment
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
+from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.metrics import versions
-from vppres.plots import save_figure
+from vppres.report.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN, HTML = "report.md", "report.html"

@@ -19,11 +19,12 @@ from benchmarks.clock import Clock, in_fresh_process, limit_memory, peak_memory_
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
 from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
-from vppres.errors import SolveError
-from vppres.model.data import Site, WindowData
-from vppres.plots import BLUE, GREY, RULE_COLOUR
-from vppres.scenario import Scenario
-from vppres.solve.methods import WindowSolver
+from vppres.core.errors import SolveError
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.report.plots import BLUE, GREY, RULE_COLOUR
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
 
 Axis = Literal["buses", "steps", "minutes"]

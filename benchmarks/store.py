@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.jobs import sources_digest
+from vppres.day.metrics import versions
+from vppres.day.trajectory import json_safe
 from vppres.io.atomic import atomic_write_text
-from vppres.metrics import versions
-from vppres.trajectory import json_safe
 
 Row = dict[str, Any]
 

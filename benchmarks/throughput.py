@@ -13,7 +13,8 @@ from rich.progress import Progress
 from benchmarks.day import error_settings
 from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
-from vppres.simulate import RunOptions, run_day
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 
 DAYS = 1000
 

@@ -16,13 +16,13 @@ from rich.progress import Progress
 
 from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.store import Row, Store
-from vppres.errors import SolveError
-from vppres.model.data import Site
-from vppres.model.window import Form, WindowModel, objective_scale
-from vppres.solve.methods import WindowSolver
+from vppres.core.errors import SolveError
+from vppres.model.problem import Form, WindowModel, objective_scale
+from vppres.model.site import Site
+from vppres.solve.dispatch import ModelCache
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import COMPILER, SOLVERS, SolverSpec, run
-from vppres.solve.stages import ModelCache
 
 LICENSED = {"gurobi": {"Threads": 1}, "copt": {"Threads": 1}, "xpress": {"threads": 1}}
 """Solvers with size-limited licences, and what keeps them on one thread as the others are."""

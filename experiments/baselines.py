@@ -23,10 +23,11 @@ from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import show_report
-from vppres.forecast import ForecastErrors
-from vppres.metrics import summarise, versions
-from vppres.plots import BLUE, draw_grid, save_figure
-from vppres.simulate import RunOptions, run_day
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.metrics import summarise, versions
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.report.plots import BLUE, draw_grid, save_figure
 
 Floats = NDArray[np.float64]
 

@@ -19,18 +19,21 @@ from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import show_report
-from vppres.controllers.base import Observation
-from vppres.controllers.estimation import Known
-from vppres.controllers.guard import FALLBACKS, GuardedController, critical_site
-from vppres.controllers.partial_fleet import reduced_observation, site_with
-from vppres.errors import SolveError
-from vppres.faults import FaultInjector, FaultPlan
-from vppres.metrics import resilience, versions
-from vppres.model.data import Site
-from vppres.simulate import Day, RunOptions, make_controller
-from vppres.solve.methods import WindowSolver
+from vppres.contract.observation import Observation
+from vppres.control.guard.estimation import Known
+from vppres.control.guard.guard import FALLBACKS, GuardedController, critical_site
+from vppres.control.guard.partial_fleet import reduced_observation, site_with
+from vppres.core.errors import SolveError
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultInjector, FaultPlan
+from vppres.day.metrics import resilience, versions
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
+from vppres.day.trajectory import StepRecord
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
-from vppres.trajectory import StepRecord
 
 HORIZONS_H = (3.0, 4.0, 5.0)
 WEIGHT_TOLERANCE = 1e-6
@@ -160,7 +163,7 @@ def _best_alone(tier: str, site: Site, known: Known) -> np.ndarray:
     seen: Observation = reduced_observation(known.observation, known.online)
     method, solver = JUDGE
     try:
-        window = seen.window(part, "lossless").first(1)
+        window = WindowData.of(seen, part, "lossless").first(1)
         return np.asarray(WindowSolver(part, method, solver).solve(window).dispatch.served[0])
     except SolveError:
         return np.zeros(len(site.customers))

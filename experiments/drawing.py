@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.results import DayResult
-from vppres.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, draw_grid
+from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, draw_grid
 
 Floats = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from experiments.jobs import Day, Job
 from experiments.results import DayResult
 from experiments.rows import Row, measured
 from experiments.runner import Results
-from vppres.simulate import RunOptions
-from vppres.thermal import ThermalScheme
+from vppres.day.options import RunOptions
+from vppres.physics.thermal import ThermalScheme
 
 LABEL = "fig:3, tab:eff"
 TITLE = "Time-varying battery efficiency"

@@ -30,8 +30,8 @@ from experiments.published import STATEMENTS
 from experiments.results import DayResult
 from experiments.rows import Row, measured_all
 from experiments.runner import Results
-from vppres.forecast import ForecastErrors
-from vppres.simulate import RunOptions
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.options import RunOptions
 
 Floats = NDArray[np.float64]
 Quantity = Callable[[DayResult], float]

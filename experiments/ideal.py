@@ -7,7 +7,7 @@ from experiments.drawing import FULL, MPC
 from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.runner import Results
-from vppres.simulate import RunOptions
+from vppres.day.options import RunOptions
 
 FULL_HORIZON = Job(options=RunOptions(controller="full-horizon"))
 

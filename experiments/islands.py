@@ -11,15 +11,16 @@ import numpy as np
 import pandas as pd
 import typer
 
+from experiments.random_feeders import random_scenario
 from experiments.seeds import Days, FirstSeed
-from tests.random_feeders import random_scenario
-from vppres.errors import VppresError
-from vppres.forecast import ForecastErrors
+from vppres.contract.forecast import ForecastErrors
+from vppres.core.errors import VppresError
+from vppres.day.metrics import resilience
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
-from vppres.metrics import resilience
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.trajectory import Trajectory
+from vppres.scenario.scenario import Scenario
 
 STEPS = 5
 BALANCE_TOLERANCE_KW = 1e-4

@@ -10,22 +10,15 @@ from pathlib import Path
 
 import data.uk_heatwave_2022.build as builder
 import vppres
+from vppres.day.metrics import versions
+from vppres.day.options import RunOptions
 from vppres.io.digest import scenario_digest
-from vppres.metrics import versions
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions
+from vppres.scenario.scenario import Scenario
 
-# What shows, reads or writes results cannot change them.
-PRESENTATION = (
-    "__init__.py", "__main__.py", "assumptions.py", "charts.py", "cli.py", "cli_new.py",
-    "cli_options.py", "cli_progress.py", "cli_sweep.py", "cli_tables.py", "compare.py",
-    "events.py", "findings.py", "finished.py", "io", "key_figures.py", "networks",
-    "new_options.py", "notebook.py", "one_line.py", "pages.py", "plots", "report.py", "schema.py",
-    "schema_tables.py", "sections", "sweep.py", "sweep_page.py", "sweep_parameters.py",
-    "tree_layout.py")
+# Packages that show or read results, and so cannot change them.
+PRESENTATION = ("cli", "explain", "feeders", "io", "live", "report", "studies")
 # What makes the short results of whole days.
-RESULT_FORMAT = (Path(__file__).with_name("shorten.py"),
-                 Path(vppres.__file__).parent / "plots" / "series.py")
+RESULT_FORMAT = (Path(__file__).with_name("shorten.py"),)
 
 
 @dataclass(frozen=True)

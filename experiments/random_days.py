@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.forecast import ForecastErrors
-from vppres.network import Network
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
+from vppres.contract.forecast import ForecastErrors
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from experiments.config import Config
 from experiments.rows import Row, order
 from experiments.runner import Results
 from experiments.tables import template_environment
+from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.metrics import versions
-from vppres.plots import save_figure
+from vppres.report.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 HTML, MARKDOWN = "report.html", "report.md"

@@ -19,7 +19,7 @@ class DayResult:
     Parameters
     ----------
     summary : mapping
-        The figures of :func:`vppres.metrics.summarise`.
+        The figures of :func:`vppres.day.metrics.summarise`.
     steps : mapping of str to list
         One value per step and quantity; ``energy_kwh`` has one more, the end of the day.
     planned : mapping of str to list

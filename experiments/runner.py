@@ -21,8 +21,8 @@ from rich.progress import (
 from experiments.jobs import Job, scenario
 from experiments.results import DayResult
 from experiments.shorten import shorten
+from vppres.day.simulate import run_day
 from vppres.io.atomic import atomic_write_text
-from vppres.simulate import run_day
 
 Results = Mapping[Job, DayResult]
 

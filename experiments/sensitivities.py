@@ -16,8 +16,8 @@ from experiments.jobs import Day, Job
 from experiments.results import DayResult
 from experiments.rows import Row
 from experiments.runner import Results
-from vppres.forecast import ForecastErrors
-from vppres.simulate import RunOptions
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.options import RunOptions
 
 LABEL = "not in the paper"
 TITLE = "Sensitivities"

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from experiments.results import DayResult
-from vppres.forecast import Forecaster, ForecastErrors
-from vppres.metrics import summarise
-from vppres.plots import served_kw, stored_energy_kwh
-from vppres.trajectory import Trajectory, json_safe
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.day.metrics import summarise
+from vppres.day.trajectory import Trajectory, json_safe
+from vppres.report.plots import served_kw, stored_energy_kwh
 
 # Columns of the steps table that are kept as they are.
 STEP_COLUMNS = ("outage", "price_gbp_per_kwh", "p_grid_kw", "losses_kw", "v_min_ac_pu",

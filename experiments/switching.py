@@ -15,10 +15,10 @@ from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.rows import Row
 from experiments.runner import Results
-from vppres.forecast import ForecastErrors
-from vppres.plots import GREEN, GREY, draw_grid
-from vppres.simulate import RunOptions
-from vppres.switching import SwitchingRules
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.options import RunOptions
+from vppres.report.plots import GREEN, GREY, draw_grid
+from vppres.scenario.rules import SwitchingRules
 
 LABEL = "not in the paper"
 TITLE = "Switching rules"

@@ -10,9 +10,9 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markdown_it import MarkdownIt
 
+from vppres.day.trajectory import json_safe
 from vppres.io.atomic import atomic_write_text
-from vppres.pages import embedded_svg
-from vppres.trajectory import json_safe
+from vppres.report.pages import embedded_svg
 
 PAGE = """<!DOCTYPE html>
 <html lang="en-GB">

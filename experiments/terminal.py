@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from vppres.errors import VppresError
+from vppres.core.errors import VppresError
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.model.data import Dispatch, WindowData
-from vppres.model.switching import SwitchingState
-from vppres.scenario import Scenario
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.switching import SwitchingState
+from vppres.model.data import WindowData
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vppres.assets import Batteries, Customers, PVSystems
 from vppres.io import write_scenario
-from vppres.network import Network
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

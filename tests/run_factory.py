@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.network import Network
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
-from vppres.trajectory import Recorder, StepRecord, Trajectory
+from vppres.day.trajectory import Recorder, StepRecord, Trajectory
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 OPTIONS = {"controller": "mpc", "horizon_h": 5.0, "solver": "highs", "method": "decomposed",
            "seed": 7, "errors": {"load_bias": 0.1}, "thermal": "off"}

@@ -10,7 +10,7 @@ from conftest import tiny_scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vppres.errors import InputError
+from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
 from vppres.io.messages import MAX_PROBLEMS_PER_FILE
 

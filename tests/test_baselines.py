@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from run_factory import small_scenario
 
-from vppres.controllers.baselines import ReserveRule
-from vppres.errors import InputError
-from vppres.forecast import ForecastErrors
-from vppres.metrics import summarise
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.trajectory import Trajectory
+from vppres.contract.forecast import ForecastErrors
+from vppres.control.baselines import ReserveRule
+from vppres.core.errors import InputError
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.scenario.scenario import Scenario
 
 
 def served(run: Trajectory) -> list[list[bool]]:

@@ -21,8 +21,8 @@ from benchmarks.scaling import exponent
 from benchmarks.store import Store
 from benchmarks.throughput import rates, throughput_table
 from benchmarks.windows import NOT_ADMITTED
-from vppres.errors import InputError
-from vppres.powerflow import ACPowerFlow
+from vppres.core.errors import InputError
+from vppres.physics.powerflow import ACPowerFlow
 
 INSTANCES = read_instances()
 

@@ -15,7 +15,8 @@ import typer
 from typer.testing import CliRunner, Result
 
 import vppres
-from vppres import cli, simulate
+from vppres.cli import commands as cli
+from vppres.day import simulate
 
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
 
@@ -32,7 +33,7 @@ def names_below(folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("argument", ["--help", "--version"])
 def test_start_loads_no_heavy_library(argument: str) -> None:
-    code = ("import sys\nfrom vppres.cli import app\n"
+    code = ("import sys\nfrom vppres.cli.commands import app\n"
             f"app([{argument!r}], standalone_mode=False)\n"
             f"print('loaded', [name for name in {HEAVY!r} if name in sys.modules])")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -200,7 +201,7 @@ def test_interrupt_while_writing_leaves_nothing(tiny_folder: Path, tmp_path: Pat
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vppres.report.save_figures", interrupt)
+    monkeypatch.setattr("vppres.report.run_folder.save_figures", interrupt)
     result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run")
     assert result.exit_code == 130
     assert names_below(tmp_path) == ["tiny"]
@@ -249,14 +250,15 @@ def test_help_of_every_command_has_an_example(command: str) -> None:
 
 def test_help_is_quick() -> None:
     # Processor time: a busy machine must not fail it.
-    code = ("import time\nfrom vppres.cli import app\napp(['--help'], standalone_mode=False)\n"
+    code = ("import time\nfrom vppres.cli.commands import app\n"
+            "app(['--help'], standalone_mode=False)\n"
             "print(time.process_time())")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout.splitlines()[-1]) < 0.5
 
 
 def test_validate_of_the_packaged_scenario_is_quick() -> None:
-    code = ("import time\nfrom vppres.cli import app\n"
+    code = ("import time\nfrom vppres.cli.commands import app\n"
             "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
             "print(time.process_time())")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

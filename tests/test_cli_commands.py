@@ -20,17 +20,23 @@ from matplotlib.figure import Figure
 from run_factory import small_run, small_scenario
 from test_cli import call
 
-from vppres import sweep, sweep_parameters
-from vppres.compare import read_runs
-from vppres.errors import InfeasibleError, InputError
+from vppres.core.errors import InfeasibleError, InputError
+from vppres.day.options import RunOptions
+from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
-from vppres.plots import FIGURES, RUN_FIGURES
-from vppres.report import write_run
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions
-from vppres.sweep_page import sweep_figure
-from vppres.sweep_parameters import changed, find_parameter, read_range, read_values, value_text
-from vppres.trajectory import Trajectory
+from vppres.report.plots import FIGURES, RUN_FIGURES
+from vppres.report.run_folder import write_run
+from vppres.scenario.scenario import Scenario
+from vppres.studies import sweep, sweep_parameters
+from vppres.studies.compare import read_runs
+from vppres.studies.sweep_page import sweep_figure
+from vppres.studies.sweep_parameters import (
+    changed,
+    find_parameter,
+    read_range,
+    read_values,
+    value_text,
+)
 
 # What a browser would fetch: any source or link that leaves the file, but for links between runs.
 OUTWARD = re.compile(r"""(?:src|href)=["'](?!data:|#)([^"']+)|url\((?!#)|@import""")
@@ -149,7 +155,7 @@ def test_validate_of_nothing_is_an_error() -> None:
 
 def test_validate_is_quick_and_loads_neither_solver_nor_power_flow() -> None:
     heavy = ("cvxpy", "highspy", "matplotlib", "pandapower", "pyscipopt")
-    code = ("import sys\nfrom vppres.cli import app\n"
+    code = ("import sys\nfrom vppres.cli.commands import app\n"
             "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
             f"print('loaded', [name for name in {heavy!r} if name in sys.modules])")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -12,9 +12,9 @@ import pytest
 
 import vppres
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
-from vppres.errors import LimitError
-from vppres.forecast import ForecastErrors
-from vppres.switching import SwitchingRules
+from vppres.contract.forecast import ForecastErrors
+from vppres.core.errors import LimitError
+from vppres.scenario.rules import SwitchingRules
 
 SOC = {"big": 0.5, "small": 0.5}
 
@@ -219,7 +219,7 @@ def test_set_points_say_when_they_are_a_fallback(
     def fails(*_: object) -> None:
         raise LimitError("the solver ran out of time")
 
-    monkeypatch.setattr("vppres.solve.methods.WindowSolver.solve", fails)
+    monkeypatch.setattr("vppres.solve.ladder.WindowSolver.solve", fails)
     second = controller.step(Measurement(controller.times[1], SOC))
     assert second.solve["fallback"] == second.solve["status"] == "previous_plan"
     assert "the solver ran out of time" in second.solve["fallback_reason"]

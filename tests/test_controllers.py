@@ -7,19 +7,23 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from random_feeders import random_scenario
 from test_plant import decision
 
-from vppres.controllers.base import Decision, Observation
-from vppres.controllers.full_horizon import FullHorizonController, PVCheck
-from vppres.errors import InputError
-from vppres.forecast import Forecast, ForecastErrors
-from vppres.model.data import Dispatch, Site
-from vppres.plant import BatteryState, Plant
-from vppres.scenario import Scenario
-from vppres.simulate import Day, RunOptions, make_controller
-from vppres.solve.methods import WindowSolver
-from vppres.solve.stages import ModelCache
+from experiments.random_feeders import random_scenario
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.control.full_horizon import FullHorizonController, PVCheck
+from vppres.core.errors import InputError
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
+from vppres.model.site import Site
+from vppres.plant.plant import BatteryState, Plant
+from vppres.scenario.scenario import Scenario
+from vppres.solve.dispatch import ModelCache
+from vppres.solve.ladder import WindowSolver
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +33,7 @@ ERRORS = ForecastErrors(0.1, 0.05, -0.1, 0.05)
 @pytest.fixture(autouse=True)
 def own_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every solver compiles its own problems, so that runs share nothing but their observations."""
-    monkeypatch.setattr("vppres.solve.methods.shared_cache", ModelCache)
+    monkeypatch.setattr("vppres.solve.ladder.shared_cache", ModelCache)
 
 
 def same(one: Decision, other: Decision) -> bool:

@@ -11,15 +11,20 @@ from checker import check_dispatch
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from vppres.controllers.base import Decision, Observation
-from vppres.controllers.guard import GuardedController
-from vppres.controllers.mpc import MPCController
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.control.guard.guard import GuardedController
+from vppres.control.mpc import MPCController
+from vppres.day.assembly import make_controller
+from vppres.day.metrics import resilience
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day, run_day
+from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
-from vppres.metrics import resilience
-from vppres.model.data import Dispatch, Site, WindowData
-from vppres.scenario import Scenario
-from vppres.simulate import Day, RunOptions, make_controller, run_day
-from vppres.trajectory import Trajectory
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +85,7 @@ def ideal(packaged_day: Scenario) -> IdealDay:
         day.step(listener, t)
     site = Site.of(packaged_day)
     return IdealDay(day.recorder.finish(options.as_record()),
-                    [o.window(site, "lossless") for o, _ in listener.heard],
+                    [WindowData.of(o, site, "lossless") for o, _ in listener.heard],
                     [d.dispatch for _, d in listener.heard])
 
 

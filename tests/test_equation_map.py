@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from vppres.model import constraints, objective
-from vppres.model.data import Site
-from vppres.model.physical import PhysicalParameters
+from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.problem import Form, WindowModel
+from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-from vppres.model.window import Form, WindowModel
-from vppres.scenario import Scenario
+from vppres.scenario.scenario import Scenario
 
 PAGE = Path(__file__).parent.parent / "docs" / "mathematics.md"
 

@@ -25,9 +25,9 @@ from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
 from experiments.terminal import INTERRUPTED
-from vppres.errors import InputError, SolveError
-from vppres.forecast import ForecastErrors
-from vppres.simulate import RunOptions
+from vppres.contract.forecast import ForecastErrors
+from vppres.core.errors import InputError, SolveError
+from vppres.day.options import RunOptions
 
 ROOT = Path(__file__).parents[1]
 SHORT = Job(options=RunOptions(horizon_h=0.0))

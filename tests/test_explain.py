@@ -13,23 +13,25 @@ from conftest import tiny_scenario
 from run_factory import batteries, small_run
 
 import vppres
-from vppres.assets import Customers, PVSystems
+from vppres.day.metrics import reason_figures
+from vppres.day.options import RunOptions
+from vppres.day.phases import phases
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
 from vppres.explain.prices import day_prices, step_prices
 from vppres.explain.recorded import Recorded
 from vppres.explain.words import figure
-from vppres.finished import read_finished, rewrite_report
-from vppres.metrics import reason_figures
-from vppres.model.data import Site, WindowData
-from vppres.model.recovery import Goal, Held, RecoveryModel
-from vppres.network import Network
-from vppres.phases import phases
-from vppres.report import write_run
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.solve.recovery import Recovery, solve_recovery
-from vppres.timegrid import TimeGrid
-from vppres.trajectory import Trajectory
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.report.finished import read_finished, rewrite_report
+from vppres.report.run_folder import write_run
+from vppres.scenario.assets import Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
+from vppres.solve.shadow_prices import Recovery, solve_recovery
 
 SERVICE = Goal(1.0, 0.0, 0.1)
 

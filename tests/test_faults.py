@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_feeders import random_scenario
 from test_plant import decision
 
-from vppres.collapse import realise
-from vppres.controllers.base import Decision, Observation
-from vppres.errors import InputError
-from vppres.faults import (
+from experiments.random_feeders import random_scenario
+from vppres.contract.decision import Decision
+from vppres.contract.forecast import ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.core.errors import InputError
+from vppres.day.assembly import make_controller
+from vppres.day.faults import (
     QUANTITIES,
     SOLVER_FAULTS,
     BatteryTrip,
@@ -21,11 +23,12 @@ from vppres.faults import (
     MeasurementFault,
     SolverOutage,
 )
-from vppres.forecast import ForecastErrors
-from vppres.metrics import summarise
-from vppres.scenario import Scenario
-from vppres.simulate import Day, RunOptions, make_controller, run_day
-from vppres.trajectory import Trajectory
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day, run_day
+from vppres.day.trajectory import Trajectory
+from vppres.plant.collapse import realise
+from vppres.scenario.scenario import Scenario
 
 OPTIONS = RunOptions(horizon_h=2.0, protect_critical=True)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vppres.errors import InputError
-from vppres.forecast import Forecast, Forecaster, ForecastErrors
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
+from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.core.errors import InputError
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 RANDOM = ForecastErrors(load_bias=0.1, load_alpha_per_h=0.02, pv_bias=-0.05, pv_alpha_per_h=0.03)
 DAY = range(0, 6)

@@ -12,25 +12,29 @@ from checker import check_dispatch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from random_feeders import random_window
 from run_factory import small_scenario
 from test_plant import decision
 
-from vppres.controllers.base import Controller, Decision, Observation
-from vppres.controllers.decision_check import violations
-from vppres.controllers.guard import GuardedController, GuardOptions
-from vppres.controllers.mpc import MPCController
-from vppres.controllers.relax import least_slack
-from vppres.controllers.rules import best_subset, carry, rule_dispatch
-from vppres.controllers.step_state import StepState
-from vppres.errors import InfeasibleError, LimitError
-from vppres.forecast import Forecaster, ForecastErrors
-from vppres.model.data import Site, WindowData
-from vppres.network import Network
-from vppres.plant import BatteryState, Plant
-from vppres.scenario import Scenario
-from vppres.simulate import Day, RunOptions, make_controller, run_day
-from vppres.solve.methods import WindowSolver
+from experiments.random_feeders import random_window
+from vppres.contract.decision import Decider, Decision
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.control.guard.check import violations
+from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.guard.relax import least_slack
+from vppres.control.mpc import MPCController
+from vppres.control.rules import best_subset, carry, rule_dispatch
+from vppres.control.step_state import StepState
+from vppres.core.errors import InfeasibleError, LimitError
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day, run_day
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.plant.plant import BatteryState, Plant
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
 Floats = NDArray[np.float64]
@@ -188,7 +192,7 @@ def test_energy_and_missing_batteries_are_refused(tiny: Scenario) -> None:
 class Scripted:
     """A controller that answers or raises as told, step by step."""
 
-    def __init__(self, inner: Controller, script: dict[int, Exception]) -> None:
+    def __init__(self, inner: Decider, script: dict[int, Exception]) -> None:
         self.inner, self.script = inner, script
 
     def horizon_steps(self, t0: int) -> range:
@@ -203,14 +207,14 @@ class Scripted:
 def guarded(scenario: Scenario, script: dict[int, Exception], horizon_h: float = 2.0,
             solver_of: Callable[[Site], WindowSolver] = WindowSolver,
             protect: bool = False) -> GuardedController:
-    def controller_of(site: Site) -> Controller:
+    def controller_of(site: Site) -> Decider:
         return Scripted(MPCController(WindowSolver(site), scenario.grid, horizon_h), script)
 
     return GuardedController(controller_of, solver_of, Site.of(scenario),
                              GuardOptions(TIERS, protect))
 
 
-def played(scenario: Scenario, controller: Controller) -> Day:
+def played(scenario: Scenario, controller: Decider) -> Day:
     """A finished day."""
     day = Day(scenario, RunOptions())
     for t in range(scenario.grid.n_steps):
@@ -357,7 +361,7 @@ def seen_day(scenario: Scenario, change: Callable[[Observation], Observation],
              options: RunOptions) -> Day:
     """A day whose controller sees changed observations."""
     class Veiled(Day):
-        def observe(self, controller: Controller, t: int) -> Observation:
+        def observe(self, controller: Decider, t: int) -> Observation:
             return change(super().observe(controller, t))
 
     day, controller = Veiled(scenario, options), make_controller(scenario, options)

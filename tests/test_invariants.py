@@ -10,15 +10,17 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from random_feeders import random_scenario
 
-from vppres.forecast import ForecastErrors
-from vppres.metrics import resilience
-from vppres.model.linearise import Centre, OperatingPoint, delta_offset
-from vppres.powerflow import ACPowerFlow
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.trajectory import Trajectory
+from experiments.random_feeders import random_scenario
+from vppres.contract.forecast import ForecastErrors
+from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.day.metrics import resilience
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.model.linearise import delta_offset
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

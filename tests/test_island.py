@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_feeders import random_scenario
 from test_plant import decision, state
 
-from vppres.assets import Batteries
-from vppres.controllers.base import Decision
-from vppres.island import (
+from experiments.random_feeders import random_scenario
+from vppres.contract.decision import Decision
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.plant.island import (
     COLLAPSE,
     NO_BALANCE,
     NO_ENERGY,
@@ -24,10 +24,10 @@ from vppres.island import (
     share_out,
     shedding_order,
 )
-from vppres.network import Network
-from vppres.plant import BatteryState, Plant
-from vppres.powerflow import ACPowerFlow
-from vppres.scenario import Scenario
+from vppres.plant.plant import BatteryState, Plant
+from vppres.scenario.assets import Batteries
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 
 T = 3
 """A step of the outage: 65, 45 and 46 kW of demand, 29 and 18.5 kW of sun."""

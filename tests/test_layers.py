@@ -1,9 +1,12 @@
-"""The layers of docs/architecture.md hold in the code: imports are read from the syntax trees."""
+"""The house of docs/architecture.md holds in the code: imports are read from the syntax trees."""
 
 from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -11,8 +14,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vppres"
-ENTRY_POINTS = {"", "__main__"}  # above all layers: the package itself and `python -m vppres`
-OWNERS = {"cvxpy": {"model", "solve"}, "pandapower": {"powerflow", "networks"}}
+LIBRARY_HOMES = {"cvxpy": {"model", "solve"}, "highspy": {"solve"},
+                 "pandapower": {"feeders", "physics"}, "typer": {"cli"},
+                 "matplotlib": {"report", "studies"}}
+MOST_ENTRIES, MOST_LAYERS = 24, 12
+SOLVING = ("cvxpy", "highspy", "pyscipopt", "clarabel",
+           "vppres.model", "vppres.solve", "vppres.control")
 
 
 def module_name(path: Path) -> str:
@@ -23,93 +30,117 @@ def module_name(path: Path) -> str:
 
 TREES = {module_name(path): ast.parse(path.read_text(encoding="utf-8"))
          for path in sorted(PACKAGE.rglob("*.py"))}
+ROOMS = sorted({module.partition(".")[0] for module in TREES} - {""})
 
 
-def layers() -> dict[str, int]:
-    """Position of each module in the table of docs/architecture.md, counted from the top."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| [a-z ]+ \| ([^|]+) \|", text, flags=re.MULTILINE)
-    listed = [re.findall(r"`([\w.]+)`", row) for row in rows]
-    tables = [modules for modules in listed if modules]
-    return {module: level for level, modules in enumerate(tables) for module in modules}
-
-
-def level_of(module: str) -> int:
-    """Level of a module; what the table does not name stands with the lowest of its package."""
-    table = layers()
-    package = module if (PACKAGE / module).is_dir() else module.rpartition(".")[0]
-    inside = [level for name, level in table.items() if package and name.startswith(f"{package}.")]
-    return table[module] if module in table else max(inside)
-
-
-def imports(module: str, tree: ast.AST) -> set[str]:
+@cache
+def imports(module: str) -> frozenset[str]:
     """Absolute names of everything a module imports, inside functions too."""
     found: set[str] = set()
-    for node in ast.walk(tree):
+    for node in ast.walk(TREES[module]):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module}: write imports with the package's name"
             found.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return found
+    return frozenset(found)
 
 
-def own_imports(module: str, tree: ast.AST) -> set[str]:
+def own_imports(module: str) -> set[str]:
     """The package's modules among the imports: ``vppres.model.data.Site`` is ``model.data``."""
-    below = {name.removeprefix("vppres.") for name in imports(module, tree)
+    below = {name.removeprefix("vppres.") for name in imports(module)
              if name.startswith("vppres.")}
     return {name if name in TREES else name.rpartition(".")[0] for name in below} - {module, ""}
 
 
-def without_type_checking(tree: ast.Module) -> ast.Module:
-    """The module without what only a type checker imports."""
-    body = [node for node in tree.body
-            if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")]
-    return ast.Module(body, [])
+def rooms_entered(room: str) -> set[str]:
+    """Rooms that the modules of a room import."""
+    return {other.partition(".")[0] for module in TREES if module.partition(".")[0] == room
+            for other in own_imports(module)} - {room}
 
 
-MODULES = sorted(name for name in TREES if name not in ENTRY_POINTS)
+def documented_floors() -> list[list[str]]:
+    """Rooms of each row of the table in docs/architecture.md, from the ground up."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", text, flags=re.MULTILINE)
+    floors: dict[int, list[str]] = {}
+    for floor, room in rows:
+        floors.setdefault(int(floor), []).append(room)
+    return [floors[floor] for floor in sorted(floors)]
 
 
-def test_table_is_read() -> None:
-    table = layers()
-    assert table["errors"] == 0
-    assert table["errors"] < table["network"] < table["model.data"] < table["powerflow"]
-    assert table["simulate"] < table["cli"] == max(table.values())
+@cache
+def measured_floors() -> dict[str, int]:
+    """Floor of each room: one above the highest room that it enters, counted from 1."""
+    graph = {room: rooms_entered(room) for room in ROOMS}
+    floors: dict[str, int] = {}
+    for room in TopologicalSorter(graph).static_order():  # raises where there is a circle
+        floors[room] = 1 + max((floors[other] for other in graph[room]), default=0)
+    return floors
 
 
-def test_every_module_is_in_the_table() -> None:
-    packages = {name for name in MODULES if (PACKAGE / name.replace(".", "/")).is_dir()}
-    assert set(MODULES) - packages - set(layers()) == set()
+def test_the_top_of_the_package_can_be_taken_in_at_a_glance() -> None:
+    entries = [path for path in PACKAGE.iterdir() if path.name != "__pycache__"]
+    assert len(entries) <= MOST_ENTRIES
 
 
-def test_every_module_of_the_table_exists() -> None:
-    assert set(layers()) - set(MODULES) == set()
+def test_rooms_stand_on_few_floors_without_a_circle() -> None:
+    assert max(measured_floors().values()) <= MOST_LAYERS
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_imports_point_to_the_same_layer_or_above(module: str) -> None:
-    wrong = {other for other in own_imports(module, TREES[module])
-             if level_of(other) > level_of(module)}
+def test_the_table_is_the_house() -> None:
+    measured = measured_floors()
+    listed = {room: floor for floor, rooms in enumerate(documented_floors(), start=1)
+              for room in rooms}
+    assert listed == {room: floor for room, floor in measured.items() if room != "__main__"}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_imports_lead_down(room: str) -> None:
+    floors = measured_floors()
+    wrong = {other for other in rooms_entered(room) if floors[other] >= floors[room]}
     assert wrong == set()
 
 
-def test_imports_have_no_cycle() -> None:
-    # A package imports its parts and is loaded before them, which is no cycle between modules.
-    graph = {module: {other for other in own_imports(module, without_type_checking(TREES[module]))
-                      if not other.startswith(f"{module}.")}
-             for module in MODULES}
-    assert set(TopologicalSorter(graph).static_order()) >= set(MODULES)
+def test_modules_import_in_no_circle() -> None:
+    # A package's face imports its parts and is loaded before them, which is no circle.
+    graph = {module: {other for other in own_imports(module)
+                      if not other.startswith(f"{module}.")} for module in TREES if module}
+    assert set(TopologicalSorter(graph).static_order()) >= set(graph)
 
 
-@pytest.mark.parametrize(("library", "owners"), OWNERS.items())
-def test_library_has_one_home(library: str, owners: set[str]) -> None:
-    importers = {module.partition(".")[0] for module, tree in TREES.items()
-                 if any(name.partition(".")[0] == library for name in imports(module, tree))}
-    assert importers == owners
+def test_plant_and_control_meet_only_at_the_contract() -> None:
+    assert rooms_entered("plant").isdisjoint({"control", "solve", "model"})
+    assert rooms_entered("control").isdisjoint({"plant"})
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Modules that are loaded in a fresh interpreter after a statement."""
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("room", ["plant", "contract", "physics", "scenario", "io"])
+def test_what_is_true_loads_no_solver(room: str) -> None:
+    modules = [name for name in TREES if name == room or name.startswith(f"{room}.")]
+    loaded = loaded_by("\n".join(f"import vppres.{name}" for name in modules))
+    assert {name for name in loaded if name.startswith(SOLVING)} == set()
+
+
+def test_the_package_itself_loads_no_library() -> None:
+    heavy = {"cvxpy", "pandapower", "matplotlib", "plotly", "pandas", "numpy"}
+    assert loaded_by("import vppres").isdisjoint(heavy)
+
+
+@pytest.mark.parametrize(("library", "homes"), LIBRARY_HOMES.items())
+def test_library_has_one_home(library: str, homes: set[str]) -> None:
+    importers = {module.partition(".")[0] for module in TREES
+                 if any(name.partition(".")[0] == library for name in imports(module))}
+    assert importers == homes
 
 
 def test_only_the_command_line_prints() -> None:
     printing = {module for module, tree in TREES.items() for node in ast.walk(tree)
                 if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo")}
-    assert printing == {"cli"}
+    assert printing == {"cli.commands"}

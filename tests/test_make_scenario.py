@@ -12,13 +12,14 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from vppres import cli
-from vppres.errors import InputError
+from vppres.cli import commands as cli
+from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.feeders import ImportedFeeder, import_network
+from vppres.feeders.new_options import NewScenarioOptions, parse_outage, parse_start
+from vppres.feeders.new_scenario import LOAD_SHAPE, assumptions, new_scenario, write_new_scenario
 from vppres.io import read_scenario, scenario_digest
-from vppres.make_scenario import LOAD_SHAPE, assumptions, new_scenario, write_new_scenario
-from vppres.networks import ImportedFeeder, import_network
-from vppres.new_options import NewScenarioOptions, parse_outage, parse_start
-from vppres.simulate import RunOptions, run_day
 
 START = NewScenarioOptions().start
 

@@ -7,27 +7,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from checker import check_dispatch
-from random_feeders import random_window
 
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
-from vppres.forecast import ForecastErrors
+from experiments.random_feeders import random_window
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.io import find_scenario, read_scenario
-from vppres.model.aggregate import AggregateModel
-from vppres.model.data import Dispatch, Site, WindowData
-from vppres.model.demand import DemandModel
-from vppres.model.injections import Injections, Reactance
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.solve.counts import Counts
-from vppres.solve.demand_cuts import Reach
-from vppres.solve.levels import Binaries
-from vppres.solve.methods import WindowSolver
-from vppres.solve.network_master import NetworkMaster
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.dispatch import ModelCache, least_reactive
+from vppres.solve.fleet.counts import Counts
+from vppres.solve.fleet.cuts import Reach
+from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.fleet.masters import Binaries
+from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.master import NetworkMaster
 from vppres.solve.programs import compiled
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
-from vppres.solve.stages import ModelCache, least_reactive
 
 SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
 """Window 54 has weights without a grid, to which counts do not apply."""
@@ -202,7 +205,7 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
     data = day_window(heavy, 18, 4, 0.3)
     usual = WindowSolver(Site.of(heavy)).solve(data)
-    monkeypatch.setattr("vppres.solve.in_network.LARGE", 0)
+    monkeypatch.setattr("vppres.solve.network.decide.LARGE", 0)
     answer = WindowSolver(Site.of(heavy)).solve(data)
     first = answer.stages.index("network_service")
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages[:first])
@@ -243,7 +246,7 @@ def test_a_cheaper_set_in_the_network_is_found(name: str, cheaper_gbp: float,
     found = WindowSolver(Site.of(instances_day())).solve(data)
     assert found.cost_gap_gbp <= 1e-3 * found.terms.f2 + 2e-3
     assert "network_cost_level" in found.stages
-    monkeypatch.setattr("vppres.solve.in_network.is_large", lambda *_: True)
+    monkeypatch.setattr("vppres.solve.network.decide.is_large", lambda *_: True)
     first = WindowSolver(Site.of(instances_day())).solve(data)
     assert "network_cost_level" not in first.stages
     assert first.terms.f1 == pytest.approx(found.terms.f1)

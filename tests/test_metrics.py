@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
 
-from vppres import metrics
-from vppres.trajectory import Trajectory
+from vppres.day import metrics
+from vppres.day.trajectory import Trajectory
 
 CONTRACT = {"resilience", "served_share", "cost_gbp", "import_kwh", "pv_curtailed_kwh",
             "v_min_ac_pu", "v_max_ac_pu", "v_mean_of_min_ac_pu", "v_error_max_pu",

@@ -14,9 +14,9 @@ import pandapower.networks as pp_networks
 import pytest
 import scipy.io
 
-from vppres.errors import InputError
-from vppres.networks import NAMED, ImportedFeeder, import_network
-from vppres.powerflow import ACPowerFlow
+from vppres.core.errors import InputError
+from vppres.feeders import NAMED, ImportedFeeder, import_network
+from vppres.physics.powerflow import ACPowerFlow
 
 # Some of pandapower's own examples warn while they are built.
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")

@@ -11,11 +11,12 @@ import pytest
 import scipy.sparse as sp
 from checker import check_dispatch
 from numpy.typing import NDArray
-from random_feeders import Window, random_scenario, random_window
 
 from experiments.islands import claims_of, imbalance_kw, random_day
-from vppres.controllers.base import Observation
-from vppres.controllers.converged import (
+from experiments.random_feeders import Window, random_scenario, random_window
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.control.converged import (
     LOSS_TOLERANCE_KW,
     SOC_NUDGE,
     VOLTAGE_TOLERANCE_PU,
@@ -25,22 +26,23 @@ from vppres.controllers.converged import (
     physics_of,
     without_power,
 )
-from vppres.errors import InputError, ModelError, NumericalError
-from vppres.forecast import Forecaster, ForecastErrors
+from vppres.core.errors import InputError, ModelError, NumericalError
+from vppres.day.metrics import resilience, summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario, write_scenario
-from vppres.metrics import resilience, summarise
-from vppres.model.aggregate import AggregateModel
-from vppres.model.data import Site, WindowData
-from vppres.model.losses import Sweeps, injections, linearised, lossless
-from vppres.model.window import Form, WindowModel
-from vppres.network import Network
-from vppres.powerflow import ACPowerFlow
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.solve.methods import WindowSolver
+from vppres.model.beyond_paper.losses import Sweeps, injections, linearised, lossless
+from vppres.model.data import WindowData
+from vppres.model.problem import Form, WindowModel
+from vppres.model.site import Site
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from random_feeders import random_scenario
 
-from vppres.controllers.base import Decision
-from vppres.model.data import Dispatch
-from vppres.plant import BatteryState, Plant, Realised
-from vppres.scenario import Scenario
+from experiments.random_feeders import random_scenario
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.plant.plant import BatteryState, Plant, Realised
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
 from run_factory import without_devices as bare
 
-from vppres import plots
-from vppres.network import Network
-from vppres.plots.service import tile_rows
+from vppres.report import plots
+from vppres.report.plots.service import tile_rows
+from vppres.scenario.network import Network
 
 
 def line(figure: Figure, panel: int, label: str):
@@ -131,7 +131,7 @@ def test_equal_runs_give_equal_svg_files(tmp_path):
 
 
 def test_drawing_leaves_pyplot_alone():
-    code = "import sys, vppres.plots; print('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, vppres.report.plots; print('matplotlib.pyplot' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
                             check=True)
     assert answer.stdout.strip() == "False"
@@ -142,14 +142,14 @@ def test_few_customers_have_a_row_each_and_many_share_rows(monkeypatch):
     assert rows.names == ["a", "b", "c"]
     assert rows.tiers == ["critical", "low", "low"]
     assert rows.share.tolist() == np.array(SERVED, dtype=float).T.tolist()
-    monkeypatch.setattr("vppres.plots.service.MAX_ROWS", 2)
+    monkeypatch.setattr("vppres.report.plots.service.MAX_ROWS", 2)
     rows = tile_rows(small_run())
     assert rows.names == ["a", "b c"]
     assert rows.share.tolist() == [[1, 1, 0, 1], [1, 0, 0.5, 1]]
 
 
 def test_large_maps_are_images_within_the_svg(tmp_path, monkeypatch):
-    monkeypatch.setattr("vppres.plots.service.RASTER_ABOVE", 3)
+    monkeypatch.setattr("vppres.report.plots.service.RASTER_ABOVE", 3)
     plots.save_figure(plots.service_by_tier(small_run()), tmp_path / "many")
     assert "<image" in (tmp_path / "many.svg").read_text(encoding="utf-8")
 

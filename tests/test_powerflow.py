@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import vppres
-from vppres.errors import InputError, VerificationError
-from vppres.network import Network
-from vppres.powerflow import ACPowerFlow, ACResult
+from vppres.core.errors import InputError, VerificationError
+from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.scenario.network import Network
 
 Floats = NDArray[np.float64]
 Case = tuple[Network, Floats, Floats]
@@ -42,7 +42,7 @@ def case33(open_lines: tuple[int, ...] = TIE_LINES) -> Case:
 
 
 def case69() -> Case:
-    file = Path(vppres.__file__).parent / "networks" / "data" / "case69.csv"
+    file = Path(vppres.__file__).parent / "feeders" / "data" / "case69.csv"
     table = pd.read_csv(file, comment="#")
     return _case(table, table.rename(columns={"to_bus": "bus"}))
 

@@ -14,15 +14,15 @@ import pandas as pd
 import pytest
 from run_factory import small_run, small_scenario
 
-from vppres import metrics
-from vppres.errors import InputError
+from vppres.core.errors import InputError
+from vppres.core.units import kva_to_a
+from vppres.day import metrics
+from vppres.feeders import import_network
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
-from vppres.network import Network
-from vppres.networks import import_network
-from vppres.powerflow import ACPowerFlow
-from vppres.scenario import Scenario
-from vppres.units import kva_to_a
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
 

@@ -18,18 +18,18 @@ from run_factory import (
     without_devices,
 )
 
-from vppres.assumptions import data_words, option_words, simplifications
-from vppres.events import events_of, sentences_of
-from vppres.findings import findings
-from vppres.key_figures import key_figures
-from vppres.metrics import summarise
-from vppres.network import Network
-from vppres.one_line import drawing, step_states, voltage_edges, worst_step
-from vppres.plots import FIGURES, RUN_FIGURES, save_figures
-from vppres.report import render_report, write_run
-from vppres.sections import SECTIONS
-from vppres.simulate import RunOptions
-from vppres.trajectory import Trajectory, read_run
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.trajectory import Trajectory, read_run
+from vppres.report.assumptions import data_words, option_words, simplifications
+from vppres.report.events import events_of, sentences_of
+from vppres.report.findings import findings
+from vppres.report.key_figures import key_figures
+from vppres.report.one_line import drawing, step_states, voltage_edges, worst_step
+from vppres.report.plots import FIGURES, RUN_FIGURES, save_figures
+from vppres.report.run_folder import render_report, write_run
+from vppres.report.sections import SECTIONS
+from vppres.scenario.network import Network
 
 KEYS = ["overview", "timeline", "service", "feeder", "energy", "network", "solver", "assumptions"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from run_factory import day_run, day_scenario
 
-from vppres.report import write_run
+from vppres.report.run_folder import write_run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

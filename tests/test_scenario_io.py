@@ -15,9 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vppres import schema, schema_tables
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import InputError
+from vppres.core.errors import InputError
 from vppres.io import (
     atomic_folder,
     atomic_write_text,
@@ -25,11 +23,14 @@ from vppres.io import (
     packaged_scenarios,
     read_scenario,
     scenario_digest,
+    schema,
+    schema_tables,
     write_scenario,
 )
-from vppres.network import Network
-from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
-from vppres.timegrid import TimeGrid
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 ROOT = Path(__file__).parents[1]
 SERIES = ("load_kw", "pv_kw", "price_gbp_per_kwh", "temperature_c", "grid_limit_kw")
@@ -367,7 +368,7 @@ def test_json_schema_states_units_bounds_and_required_keys() -> None:
 
 
 def test_reading_loads_no_solver_power_flow_or_plot_library() -> None:
-    code = ("import sys, vppres.schema, vppres.io; "
+    code = ("import sys, vppres.io.schema, vppres.io; "
             "print([m for m in ('cvxpy', 'pandapower', 'matplotlib') if m in sys.modules])")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, check=True,
                           capture_output=True)

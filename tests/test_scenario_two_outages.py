@@ -12,7 +12,7 @@ import pytest
 from data.two_outages_cigre_mv import build as builder
 from vppres import RunOptions, Scenario, find_scenario, load_scenario, run_day
 from vppres.io import scenario_digest, write_scenario
-from vppres.timegrid import TimeGrid
+from vppres.scenario.timegrid import TimeGrid
 
 NAME = "two-outages-cigre-mv"
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from data.uk_heatwave_2022 import build as builder
 from data.uk_heatwave_2022 import published, series
 from data.uk_heatwave_2022.build import build, feeder
-from vppres.errors import InputError
+from vppres.core.errors import InputError
 from vppres.io import find_scenario, read_scenario, scenario_digest
-from vppres.scenario import Scenario
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 PACKAGED = "uk-heatwave-2022"

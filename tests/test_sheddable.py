@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vppres.errors import InputError
+from vppres.core.errors import InputError
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.io import read_scenario, write_scenario
-from vppres.metrics import summarise
-from vppres.scenario import Scenario
-from vppres.sheddable import split_sheddable
-from vppres.simulate import RunOptions, run_day
-from vppres.switching import SwitchingRules
+from vppres.scenario.parts import split_sheddable
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
 
 
 def in_parts(scenario: Scenario, *steps: int) -> Scenario:

@@ -13,10 +13,12 @@ from experiments import campaign
 from experiments.baselines import CONTROLLERS, Estimate, Run, column, figure, write_report
 from experiments.campaign import StepToJudge, judge, run_one
 from experiments.random_days import RandomDay, random_day, small_day
-from vppres.faults import FaultPlan
-from vppres.forecast import ForecastErrors
+from vppres.contract.forecast import ForecastErrors
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultPlan
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
 from vppres.io.digest import scenario_digest
-from vppres.simulate import Day, RunOptions, make_controller
 
 
 def small(seed: int) -> RandomDay:

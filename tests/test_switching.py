@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from checker import check_dispatch
 from numpy.typing import NDArray
-from random_feeders import random_state, random_window
 from test_windows import (
     CHECKER_TOLERANCE,
     DARK,
@@ -22,24 +21,26 @@ from test_windows import (
     window,
 )
 
-from vppres.cold_load import ColdLoad
-from vppres.controllers.base import Observation, OnePass
-from vppres.controllers.switching import plan_with_rules
-from vppres.errors import InfeasibleError, InputError
-from vppres.forecast import Forecast, ForecastErrors
+from experiments.random_feeders import random_state, random_window
+from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.moves import Moves
+from vppres.contract.observation import Observation
+from vppres.contract.switching import RuleSteps, SwitchingState
+from vppres.control.planner import OnePass, plan_with_rules
+from vppres.core.errors import InfeasibleError, InputError
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
-from vppres.metrics import summarise
-from vppres.model import switching_rules
-from vppres.model.data import Site
-from vppres.model.moves import Moves
-from vppres.model.switching import RuleSteps, SwitchingState
-from vppres.model.window import Form, WindowModel
-from vppres.scenario import Scenario
-from vppres.simulate import RunOptions, run_day
-from vppres.solve.methods import METHODS, WindowSolver
+from vppres.model.beyond_paper import switching as switching_rules
+from vppres.model.problem import Form, WindowModel
+from vppres.model.site import Site
+from vppres.physics.cold_load import ColdLoad
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.switching import SwitchingRules
-from vppres.trajectory import Trajectory
 
 Flags = NDArray[np.bool_]
 

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vppres.assets import Batteries
-from vppres.errors import InputError
-from vppres.thermal import (
+from vppres.core.errors import InputError
+from vppres.physics.thermal import (
     Power,
     Step,
     ThermalScheme,
@@ -22,6 +21,7 @@ from vppres.thermal import (
     step_euler,
     step_exact,
 )
+from vppres.scenario.assets import Batteries
 
 
 def batteries(r_theta_c_per_kw: list[float], c_theta_kwh_per_c: list[float]) -> Batteries:

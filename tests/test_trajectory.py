@@ -19,9 +19,9 @@ from run_factory import (
     without_devices,
 )
 
-from vppres.errors import InputError
+from vppres.core.errors import InputError
+from vppres.day.trajectory import Recorder, Trajectory, read_run, write_tables
 from vppres.io.scenario_writer import write_scenario
-from vppres.trajectory import Recorder, Trajectory, read_run, write_tables
 
 CONTRACT = {
     "steps": ["time", "outage", "price_gbp_per_kwh", "p_grid_kw", "q_grid_kvar", "losses_kw",

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vppres.network import Network
-from vppres.tree_layout import TreeLayout, tree_layout
+from vppres.report.tree_layout import TreeLayout, tree_layout
+from vppres.scenario.network import Network
 
 
 def network(parents: list[int]) -> Network:

@@ -12,18 +12,19 @@ import pandas as pd
 import pytest
 from checker import check_dispatch
 from numpy.typing import NDArray
-from random_feeders import Window, random_window
 
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import InfeasibleError, InputError, LimitError, ModelError, NumericalError
+from experiments.random_feeders import Window, random_window
+from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError, NumericalError
 from vppres.io import find_scenario, read_scenario
-from vppres.model.data import Site, WindowData
-from vppres.model.window import require_dpp
-from vppres.network import Network
-from vppres.scenario import Scenario
-from vppres.solve.methods import METHODS, WindowSolver
+from vppres.model.data import WindowData
+from vppres.model.problem import require_dpp
+from vppres.model.site import Site
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vppres.cli import main
+from vppres.cli.commands import main
 
 if __name__ == "__main__":
     main()

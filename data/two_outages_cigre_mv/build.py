@@ -17,11 +17,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import vppres
+from vppres.feeders import import_network
+from vppres.feeders.new_options import NewScenarioOptions
+from vppres.feeders.new_scenario import new_scenario
 from vppres.io import write_scenario
-from vppres.make_scenario import new_scenario
-from vppres.networks import import_network
-from vppres.new_options import NewScenarioOptions
-from vppres.scenario import Scenario
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

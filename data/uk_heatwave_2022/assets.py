@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from data.uk_heatwave_2022 import published
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
+from vppres.scenario.assets import Batteries, Customers, PVSystems
 
 Floats = NDArray[np.float64]
 Names = NDArray[np.object_]

@@ -15,13 +15,13 @@ import vppres
 from data.uk_heatwave_2022 import published
 from data.uk_heatwave_2022.assets import draw_batteries, draw_customers, draw_pv
 from data.uk_heatwave_2022.series import load_and_pv_kw, price_gbp_per_kwh, temperature_c
-from vppres.errors import InputError, Problem
-from vppres.frozen import freeze
+from vppres.core.errors import InputError, Problem
+from vppres.core.frozen import freeze
+from vppres.core.units import mw_to_kw
 from vppres.io import write_scenario
-from vppres.network import Network
-from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
-from vppres.timegrid import TimeGrid
-from vppres.units import mw_to_kw
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from data.uk_heatwave_2022 import published
-from vppres.errors import InputError, Problem
-from vppres.frozen import freeze
+from vppres.core.errors import InputError, Problem
+from vppres.core.frozen import freeze
 
 Floats = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
 from vppres.model.data import Floats
-from vppres.solve.recovery import ShadowPrices
-from vppres.trajectory import Trajectory
+from vppres.solve.shadow_prices import ShadowPrices
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
 SHADOW_PRICES = ("time", "constraint", "item", "unit", "weighted_h", "gbp")
@@ -41,7 +41,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
     -------
     Trajectory
         The same run with the tables ``explanations`` and ``shadow_prices``, which
-        :func:`vppres.report.write_run` writes and ``docs/explanations.md`` defines.
+        :func:`vppres.report.run_folder.write_run` writes and ``docs/explanations.md`` defines.
     """
     explanations: list[Row] = []
     prices: list[Row] = []

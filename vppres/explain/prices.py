@@ -8,8 +8,8 @@ import numpy as np
 
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
-from vppres.model.recovery import Goal, Held, RecoveryModel
-from vppres.solve.recovery import Recovery, solve_recovery
+from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
+from vppres.solve.shadow_prices import Recovery, solve_recovery
 
 WORTH = 1e-6
 """Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""

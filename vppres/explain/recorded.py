@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vppres.forecast import Forecast, Forecaster, ForecastErrors
-from vppres.model.data import Floats, Site, WindowData
-from vppres.model.linearise import Centre, OperatingPoint, delta_offset
-from vppres.model.recovery import Held
-from vppres.switching import SwitchingRules
-from vppres.trajectory import Trajectory
+from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.day.trajectory import Trajectory
+from vppres.model.data import Floats, WindowData
+from vppres.model.linearise import delta_offset
+from vppres.model.site import Site
+from vppres.scenario.rules import SwitchingRules
+from vppres.solve.shadow_price_model import Held
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
+from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.model.data import Floats
-from vppres.phases import Phase
-from vppres.solve.recovery import ShadowPrices
+from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
 Driver = Scarce | Literal["priority", "switching_rule", "price", "preparation", "surplus", "supply",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.assets import Names
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.model.data import Floats
+from vppres.scenario.assets import Names
 
 SCARCE: dict[Binding, str] = {
     "energy": "the energy in store", "power": "the batteries' power",

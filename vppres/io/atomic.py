@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
 
 RUN_MARK = "summary.json"
 

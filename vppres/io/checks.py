@@ -8,11 +8,11 @@ from collections.abc import Callable, Collection, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres import schema
-from vppres.errors import Problem
+from vppres.core.errors import Problem
+from vppres.io import schema
 from vppres.io.messages import did_you_mean
 from vppres.io.tables import Table
-from vppres.network import BusId
+from vppres.scenario.network import BusId
 
 # Series are written with few digits: a peak may exceed its rating by this share.
 RATING_TOLERANCE = 1e-3

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.network import Network
-from vppres.scenario import Scenario
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 
 
 def scenario_digest(scenario: Scenario) -> str:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from vppres.io.atomic import atomic_write_text
+from vppres.io.schema import ScenarioFile
 from vppres.io.settings import SCENARIO_FILE
-from vppres.schema import ScenarioFile
 
 SCHEMA_FILE = "scenario.schema.json"
 DIRECTIVE = f"#:schema ./{SCHEMA_FILE}\n"

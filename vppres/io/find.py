@@ -6,12 +6,12 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.io.settings import SCENARIO_FILE
 
 if TYPE_CHECKING:
-    from vppres.scenario import Scenario
+    from vppres.scenario.scenario import Scenario
 
 
 def load_scenario(name_or_folder: str | Path) -> Scenario:
@@ -32,7 +32,7 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
     >>> load_scenario("uk-heatwave-2022").grid.n_steps
     24
     """
-    from vppres.io.scenario_folder import read_scenario  # pandas loads slowly
+    from vppres.io.scenario_folder import read_scenario
 
     return read_scenario(find_scenario(name_or_folder))
 

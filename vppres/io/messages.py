@@ -10,8 +10,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from vppres import schema
-from vppres.errors import Problem
+from vppres.core.errors import Problem
+from vppres.io import schema
 
 MAX_PROBLEMS_PER_FILE = 50
 _MAX_VALUE_LENGTH = 60

@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from vppres import schema
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import InputError, Problem
-from vppres.io import checks
+from vppres.core.errors import InputError, Problem
+from vppres.io import checks, schema
 from vppres.io.messages import in_order
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
-from vppres.network import BusId, Network, check_radial
-from vppres.scenario import ControllerDefaults, ObjectiveWeights, Scenario
-from vppres.switching import SwitchingRules
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import BusId, Network, check_radial
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 
 Floats = NDArray[np.float64]
 

@@ -12,16 +12,16 @@ import tomli_w
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ValidationError
 
-from vppres import schema
-from vppres.assets import Batteries, Customers
-from vppres.errors import InputError
+from vppres.core.errors import InputError
+from vppres.io import schema
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
-from vppres.network import BusId
-from vppres.scenario import Scenario
-from vppres.switching import SwitchingRules
+from vppres.scenario.assets import Batteries, Customers
+from vppres.scenario.network import BusId
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
-from vppres import schema
-from vppres.errors import Problem
+from vppres.core.errors import Problem
+from vppres.io import schema
 from vppres.io.messages import shown
 from vppres.io.settings import iso
 from vppres.io.tables import Table
-from vppres.timegrid import TimeGrid
+from vppres.scenario.timegrid import TimeGrid
 
 Floats = NDArray[np.float64]
 

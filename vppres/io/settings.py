@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
-from vppres import schema
-from vppres.errors import Problem
+from vppres.core.errors import Problem
+from vppres.core.units import minutes_to_h
+from vppres.io import schema
 from vppres.io.messages import problems_of
 from vppres.io.tables import read_text
-from vppres.scenario import Scenario
-from vppres.timegrid import TimeGrid
-from vppres.units import minutes_to_h
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -13,8 +13,8 @@ import pandas as pd
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
-from vppres import schema
-from vppres.errors import Problem
+from vppres.core.errors import Problem
+from vppres.io import schema
 from vppres.io.messages import did_you_mean, problems_of, shown
 
 R = TypeVar("R", bound=BaseModel)

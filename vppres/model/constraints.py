@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.model.data import Site
+from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 Named = dict[str, cp.Constraint]

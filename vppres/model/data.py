@@ -3,72 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from vppres.assets import Batteries, Customers, PVSystems
-from vppres.errors import ModelError
-from vppres.frozen import content_key
-from vppres.model.moves import Moves
-from vppres.model.switching import SwitchingData
-from vppres.network import Network
-from vppres.scenario import ObjectiveWeights, Scenario
+from vppres.contract.moves import Moves
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.contract.switching import SwitchingData
+from vppres.core.errors import ModelError
+from vppres.model.linearise import delta_offset
+from vppres.model.site import Site
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Site:
-    """What stays the same from step to step: network, assets, weights and step length."""
-
-    network: Network
-    customers: Customers
-    pv: PVSystems
-    batteries: Batteries
-    weights: ObjectiveWeights
-    dt_h: float
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> Site:
-        """Site of a scenario."""
-        return cls(scenario.network, scenario.customers, scenario.pv, scenario.batteries,
-                   scenario.objective, scenario.grid.dt_h)
-
-    @cached_property
-    def key(self) -> str:
-        """Digest of the content: sites of equal content have equal problems."""
-        return f"{self.dt_h} " + content_key(self.weights, self.network, self.customers, self.pv,
-                                             self.batteries)
-
-    @cached_property
-    def customer_bus(self) -> sp.csr_array:
-        """Shape (N, C): places customers on their buses."""
-        return self.network.place(self.customers.bus)
-
-    @cached_property
-    def battery_bus(self) -> sp.csr_array:
-        """Shape (N, B): places batteries on their buses."""
-        return self.network.place(self.batteries.bus)
-
-    @cached_property
-    def owner(self) -> NDArray[np.int64]:
-        """Shape (P,): position of each PV system's customer."""
-        return self.pv.owner(self.customers)
-
-    @cached_property
-    def pv_customer(self) -> sp.csr_array:
-        """Shape (C, P): places PV systems on their customers."""
-        count = len(self.pv)
-        return sp.csr_array((np.ones(count), (self.owner, np.arange(count))),
-                            shape=(len(self.customers), count))
-
-    @cached_property
-    def pv_bus(self) -> sp.csr_array:
-        """Shape (N, P): places PV systems on their owners' buses."""
-        return sp.csr_array(self.customer_bus @ self.pv_customer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +85,25 @@ class WindowData:
     switching: SwitchingData | None = None
     moves: Moves | None = None
 
+    @classmethod
+    def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
+        """The window that an observation shows, linearised at its last AC point."""
+        forecast, switching = observation.forecast, observation.switching
+        n_steps = len(forecast.price_gbp_per_kwh)
+        offset = delta_offset(site.network, observation.operating_point, centre)
+        return cls(
+            load_kw=forecast.load_kw,
+            pv_kw=forecast.pv_kw,
+            price_gbp_per_kwh=forecast.price_gbp_per_kwh,
+            grid_limit_kw=forecast.grid_limit_kw,
+            soc=observation.soc,
+            eta_charge=observation.eta_charge,
+            eta_discharge=observation.eta_discharge,
+            delta_pu2=np.tile(offset, (n_steps, 1)),
+            switching=None if switching is None else switching.window(n_steps),
+            moves=observation.moves,
+        )
+
     @property
     def physical(self) -> bool:
         """Whether the window's problem is that of physical mode."""
@@ -206,72 +172,3 @@ class WindowData:
         if self.physics is not None:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Dispatch:
-    """A dispatch of W steps as plain arrays, after the paper's Table "Optimization Variables".
-
-    ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
-    dispatch of a form without network has NaN in place of reactive power, flows and voltages.
-    """
-
-    served: NDArray[np.bool_]
-    pv_self_kw: Floats
-    pv_export_kw: Floats
-    pv_curtailed_kw: Floats
-    pv_q_kvar: Floats
-    charge_kw: Floats
-    discharge_kw: Floats
-    batt_q_kvar: Floats
-    soc: Floats
-    p_grid_kw: Floats
-    q_grid_kvar: Floats
-    v_pu: Floats
-    p_flow_kw: Floats
-    q_flow_kvar: Floats
-
-    @property
-    def n_steps(self) -> int:
-        """Number of steps W."""
-        return len(self.p_grid_kw)
-
-
-@dataclass(frozen=True)
-class Terms:
-    """The terms of the objective (paper, Section 3.3), summed over a window.
-
-    ``f6`` is the price of switching actions in weighted customer hours, which the paper has not.
-    """
-
-    f1: float
-    f2: float
-    f3: float
-    f4: float
-    f5: float
-    f6: float = 0.0
-
-    def total(self, weights: ObjectiveWeights) -> float:
-        """The objective F."""
-        return (self.upper_levels(weights)
-                - weights.lambda_l * self.f4 - weights.lambda_q * self.f5)
-
-    def upper_levels(self, weights: ObjectiveWeights) -> float:
-        """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
-        return (self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
-                - self.f6)
-
-
-def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
-    """Objective terms of a dispatch, recomputed from its arrays."""
-    flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
-    use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
-    use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
-    return Terms(
-        f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
-        f2=float(data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h),
-        f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
-        f4=float((flow2 @ site.network.r_ohm).sum()),
-        f5=float(use),
-        f6=data.switching.price(dispatch.served) if data.switching else 0.0,
-    )

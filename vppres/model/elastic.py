@@ -8,9 +8,10 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.model.constraints import squared_voltage_within
-from vppres.model.data import Site, WindowData
-from vppres.model.window import Form, WindowModel, require_dpp
-from vppres.network import Network
+from vppres.model.data import WindowData
+from vppres.model.problem import Form, WindowModel, require_dpp
+from vppres.model.site import Site
+from vppres.scenario.network import Network
 
 ROUNDING_PU = 1e-3
 """Limits are widened to the next multiple, so that windows with like needs share problems."""

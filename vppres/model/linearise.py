@@ -8,40 +8,13 @@ same injections match the lossless flows of the model and are about three times 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.network import Network
+from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.scenario.network import Network
 
 Floats = NDArray[np.float64]
-Centre = Literal["lossless", "literal", "none"]
-CENTRES: tuple[Centre, ...] = ("lossless", "literal", "none")
-
-
-@dataclass(frozen=True, eq=False)
-class OperatingPoint:
-    """An AC solution: voltages, sending-end flows, and the net injections that caused it.
-
-    Parameters
-    ----------
-    v_pu : array, shape (N,)
-        Voltage magnitudes.
-    p_flow_kw, q_flow_kvar : array, shape (L,)
-        Sending-end flows, losses included.
-    p_injection_kw, q_injection_kvar : array, shape (N,)
-        Net injections of all buses but the slack bus's supply.
-    """
-
-    v_pu: Floats
-    p_flow_kw: Floats
-    q_flow_kvar: Floats
-    p_injection_kw: Floats
-    q_injection_kvar: Floats
-
-
 def delta_offset(network: Network, point: OperatingPoint | None,
                  centre: Centre = "lossless") -> Floats:
     """Offset of each line in pu², zero before the first AC solution.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
-from vppres.model.data import Site
+from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 

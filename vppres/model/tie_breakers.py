@@ -11,12 +11,14 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
+from vppres.contract.dispatch import Dispatch
 from vppres.model import constraints as families
 from vppres.model import objective as terms
-from vppres.model.data import Dispatch, Floats, Site, WindowData
-from vppres.model.physical import PhysicalParameters
+from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.data import Floats, WindowData
+from vppres.model.problem import disc_sides, require_dpp
+from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-from vppres.model.window import disc_sides, require_dpp
 
 
 class TieBreakerModel:

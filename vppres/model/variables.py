@@ -9,8 +9,10 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.model.data import Dispatch, Floats, Site, WindowData
-from vppres.model.switching_rules import ColdLoad
+from vppres.contract.dispatch import Dispatch
+from vppres.model.beyond_paper.switching import ColdLoad
+from vppres.model.data import Floats, WindowData
+from vppres.model.site import Site
 
 Mode = Literal["integer", "relaxed", "fixed"]
 

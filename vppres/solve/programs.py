@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from vppres.errors import NumericalError
+from vppres.core.errors import NumericalError
 from vppres.model.data import Floats
 from vppres.solve.result import Status
 from vppres.solve.solvers import COMPILER

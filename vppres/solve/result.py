@@ -8,8 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.errors import InfeasibleError, LimitError, NumericalError, SolveError, UnboundedError
-from vppres.model.data import Dispatch, Terms
+from vppres.contract.dispatch import Dispatch
+from vppres.core.errors import (
+    InfeasibleError,
+    LimitError,
+    NumericalError,
+    SolveError,
+    UnboundedError,
+)
+from vppres.model.terms import Terms
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.model.data import Dispatch, Terms
+from vppres.contract.dispatch import Dispatch
+from vppres.model.terms import Terms
 from vppres.solve.result import Outcome, SolveLimits, Status
 
 GRACE_S = 5.0

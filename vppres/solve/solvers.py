@@ -11,7 +11,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from vppres.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem
 from vppres.solve.result import Outcome, Status
 
 COMPILER = cp.settings.COO_CANON_BACKEND

@@ -1,0 +1,318 @@
+"""The command line: the only module that prints.
+
+Libraries that are slow to load are imported inside the commands, so that ``vppres --help`` answers
+at once.
+"""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from vppres.cli import new_options as cli_new
+from vppres.cli import sweep_options as cli_sweep
+from vppres.cli.options import DayCommand, Debug, Json, Quiet, RunFolder, ScenarioName, run_options
+from vppres.cli.progress import progress_bar, run_with_bar
+from vppres.cli.tables import (
+    comparison_table,
+    content_of,
+    error_panel,
+    figures_table,
+    problem_record,
+    sweep_table,
+    validation_text,
+)
+from vppres.core.errors import InputError, Problem, VppresError
+
+if TYPE_CHECKING:
+    from vppres.studies.sweep import Outcome
+
+INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+RESULTS = Path("results")
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
+                  help="Dispatch a virtual power plant through an outage.")
+
+
+def main() -> None:
+    """Entry point of the console script and of ``python -m vppres``."""
+    app(prog_name="vppres")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        import vppres
+
+        typer.echo(f"vppres {vppres.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[bool, typer.Option(
+        "--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """Dispatch a virtual power plant through an outage."""
+
+
+# The arguments of a typer command are its options, hence their number.
+@app.command(cls=DayCommand,
+             epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1")
+def run(
+    context: typer.Context,
+    scenario: ScenarioName,
+    out: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
+    explain: Annotated[bool, typer.Option(
+        help="Find a reason for every action and the shadow prices after the day.")] = True,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a scenario's day and write a run folder."""
+    with _plain_errors(debug):
+        from vppres.explain.day import explain_day
+        from vppres.io.atomic import check_target
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+        from vppres.report.run_folder import write_run
+
+        day = read_scenario(find_scenario(scenario))
+        options = run_options(day, context.obj)
+        folder = out or RESULTS / f"{day.name}-{options.controller}"
+        check_target(folder)  # before the work, not after it
+        done = run_with_bar(day, options, quiet)
+        summary = write_run(explain_day(done) if explain else done, folder)
+        if as_json:
+            _print_json({"folder": str(folder), "summary": summary})
+            return
+        Console().print(figures_table(summary, day.title))
+        typer.echo(f"Written to {folder}")
+
+
+@app.command(epilog="Example: vppres validate ./my-feeder")
+def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False) -> None:
+    """Check a scenario and list all its problems with their cures; the status is 2 if it has any.
+
+    The problems are sorted by file and row.
+    """
+    with _plain_errors(debug):
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+
+        folder = find_scenario(scenario)
+        problems: tuple[Problem | str, ...] = ()
+        content: dict[str, Any] | None = None
+        try:
+            content = content_of(read_scenario(folder))
+        except InputError as error:
+            problems = error.problems
+        if as_json:
+            _print_json({"folder": str(folder), "valid": not problems, "content": content,
+                         "problems": [problem_record(problem) for problem in problems]})
+        else:
+            typer.echo(validation_text(problems, content))
+    if problems:
+        raise typer.Exit(InputError.exit_status)
+
+
+@app.command(epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html")
+def report(
+    run_folder: RunFolder,
+    out: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="HTML file; report.html in the run folder if not given.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Draw the figures of a finished run again and write its report as one HTML file."""
+    with _plain_errors(debug):
+        from vppres.report.finished import read_finished, rewrite_report
+        from vppres.report.run_folder import REPORT_FILE
+
+        file = out or run_folder / REPORT_FILE
+        rewrite_report(read_finished(run_folder), file)
+        typer.echo(f"Written to {file}")
+
+
+@app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
+def compare(
+    run_folders: Annotated[list[Path], typer.Argument(
+        metavar="RUN_FOLDER RUN_FOLDER...", help="Two or more folders that run wrote.")],
+    out: Annotated[Path, typer.Option(
+        metavar="FILE|DIR", help="A file that ends in .html, or a folder for comparison.html."),
+    ] = RESULTS,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Lay runs of the same day side by side in one HTML file, with differences to the first."""
+    with _plain_errors(debug):
+        from vppres.report.pages import write_page
+        from vppres.studies.compare import (
+            COMPARISON_FILE,
+            compared_figures,
+            comparison_record,
+            read_runs,
+            render_comparison,
+        )
+
+        runs = read_runs(run_folders)
+        file = out if out.suffix == ".html" else out / COMPARISON_FILE
+        write_page(file, render_comparison(runs))
+        if as_json:
+            _print_json({"report": str(file), **comparison_record(runs)})
+            return
+        Console().print(comparison_table(list(runs), compared_figures(runs)))
+        typer.echo(f"Written to {file}")
+
+
+@app.command(cls=DayCommand,
+             epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
+                    "--out results/horizons")
+def sweep(
+    context: typer.Context,
+    scenario: ScenarioName,
+    param: cli_sweep.Param,
+    out: cli_sweep.Out,
+    values: cli_sweep.Values = None,
+    range_: cli_sweep.Range = None,
+    jobs: cli_sweep.Jobs = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Run a scenario for several values of one parameter, in parallel.
+
+    Each run is a run folder; a table (summary.csv) and a page (sweep.html) hold all of them.
+    """
+    with _plain_errors(debug):
+        from vppres.io.atomic import check_target
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+        from vppres.studies.sweep import cases_of, outcome_records, run_cases
+        from vppres.studies.sweep_page import write_sweep_page
+        from vppres.studies.sweep_parameters import chosen_values, find_parameter
+
+        day = read_scenario(find_scenario(scenario))
+        parameter = find_parameter(param, day)
+        cases = cases_of(parameter, chosen_values(parameter, values, range_), day,
+                         run_options(day, context.obj))
+        check_target(out)
+        with progress_bar(quiet) as bar:
+            task = bar.add_task(parameter.name, total=len(cases))
+            outcomes = run_cases(
+                cases, out, jobs, lambda done, _: bar.update(task, completed=done),
+                lambda found, folder: write_sweep_page(parameter.name, day, found, folder))
+        if as_json:
+            _print_json({"folder": str(out), "parameter": parameter.name,
+                         **outcome_records(outcomes)})
+        else:
+            Console().print(sweep_table(parameter.name, outcomes))
+            typer.echo(f"Written to {out}")
+    _report_failures(parameter.name, outcomes)
+
+
+@app.command(epilog="Example: vppres new case33bw ./my-feeder --outage 12:00..18:00")
+def new(
+    network: cli_new.NetworkName,
+    folder: cli_new.NewFolder,
+    source: cli_new.From = None,
+    open_branch: cli_new.Open = None,
+    outage: cli_new.Outages = None,
+    start: cli_new.Start = "2025-07-01T00:00Z",
+    step_minutes: cli_new.StepMinutes = 60.0,
+    days: cli_new.Days = 1,
+    seed: cli_new.DrawSeed = 0,
+    tier_shares: cli_new.TierShares = (0.2, 0.3, 0.5),
+    pv: cli_new.PV = "auto",
+    pv_share_of_peak: cli_new.PVShareOfPeak = 0.5,
+    pv_share_of_buses: cli_new.PVShareOfBuses = 0.8,
+    battery_kwh_per_peak_kw: cli_new.BatterySize = 0.625,
+    price: cli_new.Price = "time-of-use",
+    v_slack: cli_new.SlackVoltage = None,
+    debug: Debug = False,
+) -> None:
+    """Make an editable scenario folder from a network."""
+    with _plain_errors(debug):
+        from vppres.feeders import import_network
+        from vppres.feeders.new_options import NewScenarioOptions, parse_outage, parse_start
+        from vppres.feeders.new_scenario import write_new_scenario
+        from vppres.io.atomic import check_target
+
+        check_target(folder)  # before the work, not after it
+        begin = parse_start(start)
+        options = NewScenarioOptions(
+            start=begin, step_minutes=step_minutes, days=days, seed=seed, tier_shares=tier_shares,
+            outages=tuple(parse_outage(text, begin) for text in outage or ()),
+            pv=pv, pv_share_of_peak=pv_share_of_peak, pv_share_of_buses=pv_share_of_buses,
+            battery_kwh_per_peak_kw=battery_kwh_per_peak_kw, price=price, v_slack_pu=v_slack)
+        feeder = import_network(network, source, open_branch or ())
+        for note in write_new_scenario(feeder, options, folder):
+            typer.echo(f"- {note}")
+        typer.echo(f"Written to {folder}")
+
+
+@app.command(epilog="Example: vppres schema > my-feeder/scenario.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of scenario.toml, for editors that complete it."""
+    with _plain_errors(debug=False):
+        from vppres.io.editor import schema_text
+
+        typer.echo(schema_text(), nl=False)
+
+
+@app.command(epilog="Example: vppres scenarios --json")
+def scenarios(as_json: Json = False) -> None:
+    """List the scenarios that come with the package."""
+    with _plain_errors(debug=False):
+        from vppres.io.find import find_scenario, packaged_scenarios
+
+        names = packaged_scenarios()
+        if as_json:
+            _print_json([{"name": name, "folder": str(find_scenario(name))} for name in names])
+            return
+        for name in names:
+            typer.echo(name)
+
+
+@contextmanager
+def _plain_errors(debug: bool) -> Iterator[None]:
+    """Turn every exception into a sentence on stderr and an exit status."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
+    except VppresError as error:
+        _fail(str(error), error.exit_status, debug)
+    except Exception as error:
+        _fail(f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
+              "traceback.", 1, debug)
+
+
+def _fail(message: str, status: int, debug: bool) -> NoReturn:
+    """End the command; with ``debug`` the traceback takes the place of the bare message."""
+    console = Console(stderr=True)
+    if console.is_terminal and not debug:
+        console.print(error_panel(message))
+    else:
+        typer.echo(traceback.format_exc() if debug else message, err=True)
+    raise typer.Exit(status)
+
+
+def _print_json(record: object) -> None:
+    typer.echo(json.dumps(record, indent=2, allow_nan=False))
+
+
+def _report_failures(name: str, outcomes: Sequence[Outcome]) -> None:
+    """Say on stderr which runs failed and end with status 1, if any did."""
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    for outcome in failed:
+        typer.echo(f"{name} = {outcome.value}: {outcome.error}", err=True)
+    if failed:
+        raise typer.Exit(1)

@@ -1,0 +1,115 @@
+"""What the command line shows: tables for people, records for machines. Nothing here prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from vppres.core.errors import Problem
+
+if TYPE_CHECKING:
+    from vppres.scenario.scenario import Scenario
+    from vppres.studies.compare import ComparedFigure
+    from vppres.studies.sweep import Outcome
+
+# Key of the summary, words, format, unit; in the order of the printed table.
+FIGURES = (
+    ("resilience", "resilience", ".4f", ""),
+    ("cost_gbp", "cost of the import", ",.2f", "GBP"),
+    ("import_kwh", "imported energy", ",.1f", "kWh"),
+    ("pv_curtailed_kwh", "curtailed PV energy", ",.2f", "kWh"),
+    ("v_min_ac_pu", "lowest AC voltage", ".4f", "pu"),
+    ("v_max_ac_pu", "highest AC voltage", ".4f", "pu"),
+    ("v_error_max_pu", "largest voltage error of the model", ".4f", "pu"),
+    ("corrections", "corrected steps", "d", ""),
+    ("fallbacks", "steps with a fallback", "d", ""),
+    ("gap_max", "largest optimality gap", ".2e", ""),
+)
+
+
+def content_of(day: Scenario) -> dict[str, Any]:
+    """What a sound scenario holds, in numbers."""
+    return {"name": day.name, "title": day.title, "buses": day.network.n_buses,
+            "customers": len(day.customers), "pv_systems": len(day.pv),
+            "batteries": len(day.batteries), "steps": day.grid.n_steps,
+            "step_minutes": float(day.grid.step_minutes), "outage_steps": int(day.outage.sum())}
+
+
+def problem_record(problem: Problem | str) -> dict[str, Any]:
+    """A problem as JSON can hold it; the value as text, since it may be anything."""
+    if isinstance(problem, str):
+        return {"file": None, "row": None, "field": None, "value": None, "message": problem,
+                "cure": None}
+    return {"file": problem.where, "row": problem.row, "field": problem.field,
+            "value": None if problem.value is None else str(problem.value),
+            "message": problem.message, "cure": problem.cure}
+
+
+def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
+    """One line per problem and their number, or what the sound scenario holds."""
+    if content is None:
+        count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
+        return "\n".join([*map(str, problems), count])
+    return ("{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
+            "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
+            "them without grid.".format_map(content))
+
+
+def error_panel(message: str) -> Panel:
+    """An error for a terminal, in the style of those of wrong usage."""
+    return Panel(Text(message), title="Error", title_align="left", border_style="red")
+
+
+def figures_table(summary: dict[str, Any], title: str) -> Table:
+    """Key figures of a run; what is not defined is left out."""
+    table = Table(title=title, show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column()
+    for key, words, form, unit in FIGURES:
+        if summary[key] is not None:
+            table.add_row(words, format(summary[key], form), unit)
+    for tier, share in summary["served_share"].items():
+        if share is not None:
+            table.add_row(f"served in the outage, {tier}", f"{share:.1%}", "")
+    table.add_row("solve time", f"{summary['solve_s']['total']:.1f}", "s")
+    return table
+
+
+def comparison_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -> Table:
+    """Every figure of every run, with the difference to the first run below it."""
+    table = Table()
+    table.add_column("")
+    for label in labels:
+        table.add_column(label, justify="right", overflow="fold")
+    table.add_column("")
+    for row in figures:
+        (first, _), *others = row.texts
+        table.add_row(row.words, first, *(f"{value}\n({change})" for value, change in others),
+                      row.unit)
+    return table
+
+
+def sweep_table(name: str, outcomes: Sequence[Outcome]) -> Table:
+    """The figures of each run that are most asked for; failures are reported after it."""
+    from vppres.studies.sweep_parameters import value_text
+
+    table = Table()
+    table.add_column(name, justify="right", no_wrap=True)
+    for words in ("resilience", "cost (GBP)", "import (kWh)", "lowest AC voltage (pu)", "time (s)"):
+        table.add_column(words, justify="right", overflow="fold")
+    for outcome in outcomes:
+        if outcome.summary is None:
+            table.add_row(value_text(outcome.value), "failed")
+            continue
+        figures = outcome.summary
+        resilience = figures["resilience"]
+        table.add_row(value_text(outcome.value),
+                      "" if resilience is None else f"{resilience:.4f}",
+                      f"{figures['cost_gbp']:,.2f}", f"{figures['import_kwh']:,.1f}",
+                      f"{figures['v_min_ac_pu']:.4f}", f"{figures['solve_s']['total']:.1f}")
+    return table

@@ -1,0 +1,75 @@
+"""What a controller answers, and what answers so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+
+
+@dataclass(frozen=True)
+class SolveInfo:
+    """How a decision was found, for the record."""
+
+    objective: float = np.nan
+    bound: float = np.nan
+    gap: float = np.nan
+    gap_abs: float = np.nan
+    gap_service: float = np.nan
+    gap_cost_gbp: float = np.nan
+    status: str = "not_solved"
+    solve_s: float = 0.0
+    solver_s: float = 0.0
+    compilations: int = 0
+    stages: str = ""
+    passes: int = 1
+    switching_relaxed: bool = False
+    moved_kw: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Set-points of one step: row ``row`` of a dispatch.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        The plan that the step is taken from.
+    row : int
+        The step's row in the plan.
+    info : SolveInfo
+        How the plan was found; empty where an old plan is followed.
+    corrected : bool
+        Whether a plan was overruled for this step.
+    reason : str
+        Why it was.
+    fallback : str
+        What took the place of the controller's own answer, ``none`` if nothing did.
+    fallback_reason : str
+        Why it had to, and what it leaves open.
+    estimated : str
+        Measurements that were estimated and batteries that are out, in words.
+    """
+
+    dispatch: Dispatch
+    row: int = 0
+    info: SolveInfo = field(default_factory=SolveInfo)
+    corrected: bool = False
+    reason: str = ""
+    fallback: str = "none"
+    fallback_reason: str = ""
+    estimated: str = ""
+
+
+class Decider(Protocol):
+    """Whatever decides one step at a time: controllers, and the guard around them."""
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps for which it wants a forecast at step ``t0``."""
+
+    def decide(self, observation: Observation) -> Decision:
+        """Set-points of step ``observation.t0``."""

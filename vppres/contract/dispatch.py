@@ -1,0 +1,39 @@
+"""A dispatch as plain arrays: the common language of models, controllers and plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dispatch:
+    """A dispatch of W steps as plain arrays, after the paper's Table "Optimization Variables".
+
+    ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
+    dispatch of a form without network has NaN in place of reactive power, flows and voltages.
+    """
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    charge_kw: Floats
+    discharge_kw: Floats
+    batt_q_kvar: Floats
+    soc: Floats
+    p_grid_kw: Floats
+    q_grid_kvar: Floats
+    v_pu: Floats
+    p_flow_kw: Floats
+    q_flow_kvar: Floats
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps W."""
+        return len(self.p_grid_kw)

@@ -1,0 +1,161 @@
+"""What a controller may know of the steps ahead: the actual series with forecast errors (paper).
+
+A forecast error is a bias that holds in full from the next step on and a random error whose
+standard deviation grows with the distance. The current step is known exactly; prices, grid
+availability and temperature are known perfectly, as in the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.core.errors import InputError, Problem
+from vppres.core.frozen import freeze_fields
+from vppres.scenario.scenario import Scenario
+
+Floats = NDArray[np.float64]
+Kind = Literal["load", "pv"]
+
+STREAM_OF_KIND: dict[Kind, int] = {"load": 0, "pv": 1}
+"""Last entry of the key of a random stream. Changing it changes every seeded result."""
+
+
+@dataclass(frozen=True)
+class ForecastErrors:
+    """Size of the forecast errors, all zero by default.
+
+    Parameters
+    ----------
+    load_bias, pv_bias : float
+        Share by which the forecast is too high (negative: too low), from -1.
+    load_alpha_per_h, pv_alpha_per_h : float
+        Growth of the relative standard deviation per hour ahead.
+    """
+
+    load_bias: float = 0.0
+    load_alpha_per_h: float = 0.0
+    pv_bias: float = 0.0
+    pv_alpha_per_h: float = 0.0
+
+    def __post_init__(self) -> None:
+        problems = []
+        for name in (f.name for f in fields(self)):
+            value = getattr(self, name)
+            lowest = -1.0 if name.endswith("bias") else 0.0
+            if not (np.isfinite(value) and value >= lowest):
+                problems.append(Problem("forecast errors",
+                                        f"must be a number not below {lowest:g}",
+                                        "Give a share, for example 0.05.", field=name, value=value))
+        if problems:
+            raise InputError(problems)
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Forecast of a window of W steps; the arrays are read-only.
+
+    Parameters
+    ----------
+    load_kw : array, shape (W, C)
+        Demand of each customer if served.
+    pv_kw : array, shape (W, P)
+        Available power of each PV system.
+    price_gbp_per_kwh, grid_limit_kw, temperature_c : array, shape (W,)
+        Import price, largest import, ambient temperature.
+    """
+
+    load_kw: Floats
+    pv_kw: Floats
+    price_gbp_per_kwh: Floats
+    grid_limit_kw: Floats
+    temperature_c: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, load_kw=float, pv_kw=float, price_gbp_per_kwh=float,
+                      grid_limit_kw=float, temperature_c=float)
+
+
+class Forecaster:
+    """Forecasts of a scenario's day.
+
+    The errors are drawn afresh at every cycle ``t0``, each step and kind from its own stream, keyed
+    by seed, ``t0``, step and kind. A forecast therefore depends neither on the length of the window
+    nor on what was asked before.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual day.
+    errors : ForecastErrors
+        Size of the errors.
+    seed : int
+        Seed of all streams, not negative.
+
+    Raises
+    ------
+    InputError
+        If the seed is negative.
+    """
+
+    def __init__(self, scenario: Scenario, errors: ForecastErrors, seed: int) -> None:
+        if seed < 0:
+            raise InputError(Problem("options", "must not be negative", "Give a whole number from "
+                                     "zero.", field="seed", value=seed))
+        self.scenario = scenario
+        self.errors = errors
+        self.seed = seed
+
+    def at(self, t0: int, steps: range) -> Forecast:
+        """What is known at the beginning of step ``t0``.
+
+        Parameters
+        ----------
+        t0 : int
+            The current step.
+        steps : range
+            Steps to forecast, none before ``t0`` or after the end of the day.
+
+        Returns
+        -------
+        Forecast
+            ``W = len(steps)``.
+
+        Raises
+        ------
+        InputError
+            If a step lies outside ``t0 .. T - 1``.
+        """
+        rows = self._checked(t0, steps)
+        s, e = self.scenario, self.errors
+        load_error = e.load_bias + e.load_alpha_per_h * self._spread("load", t0, rows)
+        pv_error = e.pv_bias + e.pv_alpha_per_h * self._spread("pv", t0, rows)
+        load = np.maximum(s.load_kw[rows] * (1.0 + load_error), 0.0)
+        pv = np.clip(s.pv_kw[rows] * (1.0 + pv_error), 0.0, s.pv.p_max_kw)
+        ahead = (rows > t0)[:, np.newaxis]
+        return Forecast(np.where(ahead, load, s.load_kw[rows]), np.where(ahead, pv, s.pv_kw[rows]),
+                        s.price_gbp_per_kwh[rows], s.grid_limit_kw[rows], s.temperature_c[rows])
+
+    def _checked(self, t0: int, steps: range) -> NDArray[np.int64]:
+        """The steps as an array, none of them in the past or after the day."""
+        rows = np.array(steps, dtype=np.int64)
+        last = self.scenario.grid.n_steps - 1
+        outside = rows[(rows < t0) | (rows > last)]
+        if len(outside):
+            raise InputError(Problem("forecast", f"lies outside {t0} .. {last}",
+                                     "Ask for steps from the current one to the last of the day.",
+                                     field="step", value=int(outside[0])))
+        return rows
+
+    def _spread(self, kind: Kind, t0: int, rows: NDArray[np.int64]) -> Floats:
+        """Standard normal draws times the hours ahead, shape (W, items)."""
+        items = len(self.scenario.customers if kind == "load" else self.scenario.pv)
+        spread = np.empty((len(rows), items))
+        for row, step in enumerate(rows):
+            key = np.random.SeedSequence([self.seed, t0, int(step), STREAM_OF_KIND[kind]])
+            draws = np.random.Generator(np.random.PCG64(key)).standard_normal(items)
+            spread[row] = draws * (step - t0) * self.scenario.grid.dt_h
+        return spread

@@ -1,0 +1,51 @@
+"""What a controller may know at the beginning of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.forecast import Forecast
+from vppres.contract.moves import Moves
+from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.switching import SwitchingState
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What may be known at the beginning of a step: forecasts and measurements, no future truth.
+
+    Parameters
+    ----------
+    t0 : int
+        The step to decide on.
+    forecast : Forecast
+        Forecast of the window; its first step is the actual one.
+    soc, eta_charge, eta_discharge : array, shape (B,)
+        Measured state of charge and efficiencies.
+    operating_point : OperatingPoint or None
+        Last AC operating point, None before the first.
+    switching : SwitchingState, optional
+        Switching rules and what was really served so far; None without rules.
+    moves : Moves, optional
+        The plan before, where the controller is to stay near it.
+    battery_kw : array, shape (B,), optional
+        Measured charging power of the step before, negative where discharged.
+    online : array of bool, shape (B,), optional
+        Batteries that report to be able to work; all if not given.
+    """
+
+    t0: int
+    forecast: Forecast
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    operating_point: OperatingPoint | None = None
+    switching: SwitchingState | None = None
+    moves: Moves | None = None
+    battery_kw: Floats | None = None
+    online: NDArray[np.bool_] | None = None

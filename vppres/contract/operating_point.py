@@ -1,0 +1,34 @@
+"""An AC operating point, around which the next window is linearised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Centre = Literal["lossless", "literal", "none"]
+CENTRES: tuple[Centre, ...] = ("lossless", "literal", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """An AC solution: voltages, sending-end flows, and the net injections that caused it.
+
+    Parameters
+    ----------
+    v_pu : array, shape (N,)
+        Voltage magnitudes.
+    p_flow_kw, q_flow_kvar : array, shape (L,)
+        Sending-end flows, losses included.
+    p_injection_kw, q_injection_kvar : array, shape (N,)
+        Net injections of all buses but the slack bus's supply.
+    """
+
+    v_pu: Floats
+    p_flow_kw: Floats
+    q_flow_kvar: Floats
+    p_injection_kw: Floats
+    q_injection_kvar: Floats

@@ -1,0 +1,207 @@
+"""Switching rules of a window as data, and the customers' state that they start from.
+
+Everything here is arithmetic on arrays; :mod:`vppres.model.beyond_paper.switching` states
+the same rules for the solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.scenario.rules import SwitchingRules
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+UNLIMITED = 1e6
+"""Actions left where there is no limit."""
+
+
+@dataclass(frozen=True)
+class RuleSteps:
+    """What of the rules shapes a compiled problem, in steps.
+
+    Parameters
+    ----------
+    served, unserved : int
+        Minimum times, at least 1, which is no rule.
+    cold : int
+        Steps of higher demand after a restoration, 0 for none.
+    """
+
+    served: int = 1
+    unserved: int = 1
+    cold: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingData:
+    """Rules of one window of W steps and C customers.
+
+    Parameters
+    ----------
+    steps : RuleSteps
+        Minimum times and cold load in steps.
+    served_before : array of bool, shape (C,)
+        Who was served in the step before the window.
+    served_min, served_max : array of bool, shape (W, C)
+        Who must be served, and who may be, because of what happened before the window.
+    actions_left : array, shape (C,)
+        Actions that each customer has left.
+    price_per_action : float
+        In weighted customer hours.
+    cold_factor : float
+        Demand after a restoration as a multiple of the usual one.
+    cold_before : array of bool, shape (W, C)
+        Whose demand would be higher for a restoration before the window, if still served.
+    """
+
+    steps: RuleSteps
+    served_before: Flags
+    served_min: Flags
+    served_max: Flags
+    actions_left: Floats
+    price_per_action: float
+    cold_factor: float
+    cold_before: Flags
+
+    def first(self, n_steps: int) -> SwitchingData:
+        """The rules of the window's first steps."""
+        return replace(self, **{name: getattr(self, name)[:n_steps]
+                                for name in ("served_min", "served_max", "cold_before")})
+
+    def without_duties(self) -> SwitchingData:
+        """The rules without what the past demands of the service: nobody has to be served."""
+        return replace(self, served_min=np.zeros_like(self.served_min),
+                       actions_left=np.full_like(self.actions_left, UNLIMITED))
+
+    def in_the_dark(self, dark: Flags) -> SwitchingData:
+        """The rules where nobody can be served in some steps, (W,): no duty can be kept then."""
+        if not dark.any():
+            return self
+        return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
+
+    def changes(self, served: Flags) -> tuple[Flags, Flags]:
+        """Who is switched on, and who off, at the beginning of each step, (W, C) each."""
+        before = np.vstack([self.served_before, served[:-1]])
+        return served & ~before, before & ~served
+
+    def price(self, served: Flags) -> float:
+        """Price of a service, in weighted customer hours: two actions for each switching off."""
+        return 2.0 * self.price_per_action * float(self.changes(served)[1].sum())
+
+    def demand_factor(self, served: Flags) -> Floats:
+        """Demand of each customer as a multiple of the usual one under a service, (W, C)."""
+        on, _ = self.changes(served)
+        cold = self.cold_before | _within(on, self.steps.cold)
+        return np.where(served & cold, self.cold_factor, 1.0)
+
+    def broken(self, served: Flags) -> Flags:
+        """Who breaks a rule, shape (C,)."""
+        on, off = self.changes(served)
+        broken = (self.served_min & ~served) | (served & ~self.served_max)
+        broken |= _within(on, self.steps.served) & ~served
+        broken |= _within(off, self.steps.unserved) & served
+        beyond = on.sum(axis=0) + off.sum(axis=0) > self.actions_left
+        return np.asarray(broken.any(axis=0) | beyond)
+
+    def connected(self, unlimited: Flags) -> Flags:
+        """Who may be taken as served without loss where the import has no limit, (W, C).
+
+        Those served before the window up to its first limited step, and everyone after the last
+        limited step; where minimum times unserved, actions or cold load matter, nobody
+        (``docs/method.md``).
+        """
+        limited = (self.actions_left < UNLIMITED).any()
+        if self.steps.unserved > 1 or self.steps.cold or limited:
+            return np.zeros_like(self.served_max)
+        prefix = np.cumprod(unlimited).astype(bool)[:, None] & self.served_before
+        suffix = np.cumprod(unlimited[::-1])[::-1].astype(bool)[:, None]
+        return np.asarray((prefix | suffix) & self.served_max)
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingState:
+    """What the rules need to know of the past, from what was really served.
+
+    Parameters
+    ----------
+    rules : SwitchingRules
+        The rules.
+    dt_h : float
+        Length of a step in h.
+    served : array of bool, shape (C,)
+        Who was served in the last step.
+    since_h : array, shape (C,)
+        Time since the last action in h, infinite where there was none.
+    actions : array, shape (C,)
+        Actions so far.
+    duties : bool
+        Whether the past demands anything of the service.
+    """
+
+    rules: SwitchingRules
+    dt_h: float
+    served: Flags
+    since_h: Floats
+    actions: Floats
+    duties: bool = True
+
+    @classmethod
+    def start(cls, rules: SwitchingRules, dt_h: float, n_customers: int) -> SwitchingState:
+        """Everyone is served, and has been for long."""
+        return cls(rules, dt_h, np.ones(n_customers, dtype=bool), np.full(n_customers, np.inf),
+                   np.zeros(n_customers))
+
+    def advance(self, served: Flags) -> SwitchingState:
+        """The state after a step."""
+        changed = served != self.served
+        return replace(self, served=served.copy(), actions=self.actions + changed,
+                       since_h=np.where(changed, 0.0, self.since_h) + self.dt_h)
+
+    @property
+    def restored(self) -> Flags:
+        """Who is served after an interruption, (C,)."""
+        return np.asarray(self.served & np.isfinite(self.since_h))
+
+    def window(self, n_steps: int) -> SwitchingData:
+        """The rules of the window that begins now."""
+        rules, step = self.rules, np.arange(n_steps)[:, None]
+        # A customer restored for good stays served for as long as any window looks.
+        served_h = np.inf if rules.stay_restored else rules.min_served_h
+        shape = RuleSteps(
+            served=n_steps if rules.stay_restored else self._steps(served_h, n_steps),
+            unserved=self._steps(rules.min_unserved_h, n_steps),
+            cold=self._steps(rules.cold_load_h, n_steps) if rules.cold else 0)
+        cold_h = max(rules.cold_load_h, self.dt_h) if rules.cold else 0.0
+        most = rules.max_actions_per_customer
+        left = UNLIMITED if most is None else np.maximum(most - self.actions, 0.0)
+        data = SwitchingData(
+            steps=shape, served_before=self.served,
+            served_min=self.restored & (step < self._left(served_h)),
+            served_max=self.served | (step >= self._left(rules.min_unserved_h)),
+            actions_left=np.broadcast_to(left, self.served.shape).astype(float),
+            price_per_action=rules.price_per_action, cold_factor=rules.cold_load_factor,
+            cold_before=self.restored & (step < self._left(cold_h)))
+        return data if self.duties else data.without_duties()
+
+    def _steps(self, hours: float, n_steps: int) -> int:
+        """Steps of a minimum time, at least 1; more than the window has makes no difference."""
+        return min(max(SwitchingRules.steps(hours, self.dt_h), 1), n_steps)
+
+    def _left(self, hours: float) -> Floats:
+        """Steps that a time since the last action still lasts, (C,)."""
+        if np.isinf(hours):
+            return np.where(np.isfinite(self.since_h), np.inf, 0.0)
+        return np.ceil((hours - self.since_h) / self.dt_h - 1e-9)
+
+
+def _within(actions: Flags, steps: int) -> Flags:
+    """Whether there was an action in the last ``steps`` steps, the present one included."""
+    found = np.zeros_like(actions)
+    for back in range(min(steps, len(actions))):
+        found[back:] |= actions[:len(actions) - back]
+    return found

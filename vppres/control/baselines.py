@@ -1,0 +1,124 @@
+"""What a dispatch has to beat: batteries left alone, and a reserve that is charged by rule.
+
+The third baseline, perfect information, is the full horizon with the actual day as its forecast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decision, SolveInfo
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.control.rules import Carried, rule_dispatch
+from vppres.control.step_state import StepState
+from vppres.core.errors import InputError, Problem
+from vppres.model.site import Site
+from vppres.scenario.timegrid import TimeGrid
+
+
+class IdleController:
+    """Batteries do nothing; an island is served by tier as far as PV power goes.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    tiers : sequence of str
+        Names of the tiers, the most important first.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    """
+
+    def __init__(self, site: Site, tiers: Sequence[str], centre: Centre = "lossless") -> None:
+        self.site, self.tiers, self.centre = site, tiers, centre
+
+    def horizon_steps(self, t0: int) -> range:
+        """The current step alone."""
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Serve what the grid and PV power carry."""
+        state = StepState.of(self.site, observation, self.centre).idle()
+        return _decision(rule_dispatch(state, self.tiers), "idle")
+
+
+@dataclass(frozen=True)
+class ReserveRule:
+    """When and how far a reserve is charged.
+
+    Parameters
+    ----------
+    soc : float or None
+        State of charge that is kept for an announced outage; the batteries' highest if None.
+    notice_h : float
+        How long before an outage it is announced, in h.
+    """
+
+    soc: float | None = None
+    notice_h: float = 6.0
+
+    def __post_init__(self) -> None:
+        problems = []
+        if self.soc is not None and not 0.0 <= self.soc <= 1.0:
+            problems.append(Problem("options", "must lie between 0 and 1", "Give a share of the "
+                                    "capacity, for example 0.8.", field="reserve_soc",
+                                    value=self.soc))
+        if not (np.isfinite(self.notice_h) and self.notice_h >= 0):
+            problems.append(Problem("options", "must be zero or positive", "Give hours.",
+                                    field="notice_h", value=self.notice_h))
+        if problems:
+            raise InputError(problems)
+
+
+class ReserveController:
+    """Charge to a level when an outage is announced; in the island serve by tier, greedily.
+
+    Without an announcement the batteries rest. Import limits come before charging, and a customer
+    before both.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    grid : TimeGrid
+        The day's steps.
+    tiers : sequence of str
+        Names of the tiers, the most important first.
+    rule : ReserveRule
+        Level and notice.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    """
+
+    def __init__(self, site: Site, grid: TimeGrid, tiers: Sequence[str],
+                 rule: ReserveRule | None = None, centre: Centre = "lossless") -> None:
+        self.site, self.grid, self.tiers, self.centre = site, grid, tiers, centre
+        self.rule = rule or ReserveRule()
+
+    def horizon_steps(self, t0: int) -> range:
+        """The steps of which an outage is announced."""
+        return self.grid.window(t0, self.rule.notice_h)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Charge if an outage is announced, and serve what can be carried."""
+        state = StepState.of(self.site, observation, self.centre)
+        announced = bool((observation.forecast.grid_limit_kw <= 0.0).any())
+        charge_kw = self._missing_kw(state) if announced and not state.island else None
+        return _decision(rule_dispatch(state, self.tiers, charge_kw), "reserve")
+
+    def _missing_kw(self, state: StepState) -> NDArray[np.float64]:
+        """Charging power that would reach the level within the step, (B,)."""
+        b = self.site.batteries
+        level = b.soc_max if self.rule.soc is None else np.minimum(self.rule.soc, b.soc_max)
+        missing_kwh = np.maximum(level - state.soc, 0.0) * b.energy_kwh
+        return np.asarray(missing_kwh / (state.eta_charge * self.site.dt_h))
+
+
+def _decision(carried: Carried, status: str) -> Decision:
+    """A rule's dispatch as a decision; what it leaves open is its reason."""
+    return Decision(carried.dispatch, 0, SolveInfo(status=status), reason=carried.shortage)

@@ -1,0 +1,263 @@
+"""Windows of physical mode: solve, AC power flow of the candidate, linearise there, solve again.
+
+The first solve decides who is served, at the AC points of the plan before. The passes after it
+solve the continuous part for that set, at the AC points of the last candidate, until model and AC
+agree in every step or the passes are used up. The set is decided anew only where the losses leave
+it no dispatch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.core.errors import InfeasibleError, NumericalError
+from vppres.model.beyond_paper.losses import ACPoints, Sweeps, injections, linearised, lossless
+from vppres.model.data import Physics, WindowData
+from vppres.model.site import Site
+from vppres.model.terms import evaluate
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import WindowSolution
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+VOLTAGE_TOLERANCE_PU = 1e-4
+LOSS_TOLERANCE_KW = 1.0
+DEFAULT_PASSES = 4
+DEFAULT_HEADROOM = 0.1
+LARGEST_RESERVE = 0.5
+"""Share of a battery's usable energy that its reserve may take up."""
+
+SOC_NUDGE = 1e-6
+"""What is added to a measured SoC before a window counts as infeasible."""
+
+_NO_POWER_KW = 1e-6
+_MAX_DECISIONS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """What a step was linearised at: offset, active and reactive loss of each line, (L,) each."""
+
+    offset_pu2: Floats
+    loss_kw: Floats
+    loss_kvar: Floats
+
+
+class ConvergedPlanner:
+    """Plans windows that AC agrees with.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the windows.
+    headroom : float, optional
+        Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
+    passes : int, optional
+        Largest number of solves and AC power flows of a window; 0 plans without losses in plain
+        LinDistFlow.
+    """
+
+    def __init__(self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM,
+                 passes: int = DEFAULT_PASSES) -> None:
+        self.solver, self.headroom, self.passes = solver, headroom, passes
+        self._known: dict[int, tuple[bool, _Line]] = {}
+        self._sweeps: dict[int, Sweeps] = {}
+
+    def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
+        """Solution of the observed window, or of its first steps.
+
+        Raises
+        ------
+        SolveError
+            If no dispatch was found, not even without losses.
+        """
+        site, t0 = self.solver.site, observation.t0
+        whole = WindowData.of(observation, site, "none")
+        whole = whole if n_steps is None else whole.first(n_steps)
+        physics = physics_of(site, whole, self.headroom)
+        dark = dark_steps(site, whole)
+        start = lossless(without_power(whole, dark), physics)
+        if self.passes == 0:
+            return in_the_dark(site, whole, dark, self.solver.solve(start))
+        data, solution = self._decide(self._guessed(t0, start), start)
+        reached, solution = self._converge(data, solution)
+        self._remember(t0, reached)
+        return in_the_dark(site, whole, dark, solution)
+
+    def _decide(self, data: WindowData,
+                start: WindowData) -> tuple[WindowData, WindowSolution]:
+        """Served set and first candidate; the stages say where it took a second attempt.
+
+        A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
+        one step later: the search with binaries finds its served set again, the linear problem
+        calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
+        dispatch at all, the window is solved without losses.
+        """
+        b = self.solver.site.batteries
+        nudged = replace(data, soc=np.minimum(data.soc + SOC_NUDGE, b.soc_max))
+        try:
+            return data, self.solver.solve(data)
+        except (InfeasibleError, NumericalError):
+            pass
+        try:
+            return nudged, _marked("nudged", self.solver.solve(nudged))
+        except (InfeasibleError, NumericalError):
+            return start, _marked("lossless", self.solver.solve(start))
+
+    def _converge(self, data: WindowData,
+                  solution: WindowSolution) -> tuple[WindowData, WindowSolution]:
+        """The candidate at which model and AC meet, and the window linearised there."""
+        decided, decisions, solve_s, solver_s = solution, 1, solution.solve_s, solution.solver_s
+        passes = 1
+        points = self.ac_points(data, solution.dispatch)
+        while passes < self.passes and not agree(data, solution.dispatch, points):
+            closer = linearised(data, self.solver.site.network, points)
+            again = self.solver.solve_served(closer, solution.dispatch.served)
+            if again is None:
+                if decisions == _MAX_DECISIONS:
+                    break
+                decisions += 1
+                try:
+                    again = decided = self.solver.solve(closer)
+                except (InfeasibleError, NumericalError):
+                    break
+            data, solution, passes = closer, again, passes + 1
+            solve_s, solver_s = solve_s + again.solve_s, solver_s + again.solver_s
+            points = self.ac_points(data, solution.dispatch)
+        reached = linearised(data, self.solver.site.network, points)
+        return reached, replace(decided, dispatch=solution.dispatch, terms=solution.terms,
+                                loss_kw=solution.loss_kw, passes=passes, solve_s=solve_s,
+                                solver_s=solver_s)
+
+    def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
+        """AC points of a candidate, in an island with its reference at the battery's bus."""
+        physics, network = data.require_physics(), self.solver.site.network
+        p, q = injections(self.solver.site, data.for_service(dispatch.served), dispatch)
+        found = None
+        for bus in np.unique(physics.reference):
+            sweeps = self._sweeps.setdefault(int(bus), Sweeps(network, int(bus)))
+            part = sweeps.solve(p, q)
+            found = part if found is None else found.where(physics.reference == bus, part)
+        assert found is not None
+        return found
+
+    def _guessed(self, t0: int, start: WindowData) -> WindowData:
+        """The window at what is known of each step, or of the last step like it before."""
+        physics = start.require_physics()
+        rows = {"offset_pu2": start.delta_pu2.copy(), "loss_kw": physics.loss_kw.copy(),
+                "loss_kvar": physics.loss_kvar.copy()}
+        last: dict[bool, _Line] = {}
+        for step in sorted(self._known):
+            if step < t0:
+                last[self._known[step][0]] = self._known[step][1]
+        for row, bus in enumerate(physics.reference):
+            island = bool(bus > 0)
+            known = self._known.get(t0 + row)
+            if known is not None and known[0] == island:
+                last[island] = known[1]
+            if island in last:
+                for name, values in rows.items():
+                    values[row] = getattr(last[island], name)
+        return replace(start, delta_pu2=rows["offset_pu2"],
+                       physics=replace(physics, loss_kw=rows["loss_kw"],
+                                       loss_kvar=rows["loss_kvar"]))
+
+    def _remember(self, t0: int, data: WindowData) -> None:
+        """Keep what each step was linearised at; the next window starts there."""
+        physics = data.require_physics()
+        for row in range(data.n_steps):
+            self._known[t0 + row] = (bool(physics.reference[row] > 0), _Line(
+                data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]))
+
+
+def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
+    return replace(solution, stages=(attempt, *solution.stages))
+
+
+def agree(data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
+    """Whether voltages and losses of model and AC agree in every step, or AC has no answer."""
+    if not points.converged.all():
+        return bool(~points.converged.any())
+    off_pu = np.abs(dispatch.v_pu - points.v_pu).max()
+    off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw).max()
+    return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
+
+
+def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
+    """Reference, headroom and reserve of a window, without losses."""
+    b, W = site.batteries, data.n_steps
+    island = data.grid_limit_kw <= 0.0
+    reference = np.zeros(W, dtype=int)
+    if b.formers.any():
+        largest = int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))
+        reference[island] = site.network.bus_index[b.bus[largest]]
+    share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
+    headroom_kw = np.where(island[:, None], share_kw, 0.0)
+    zero = np.zeros((W, site.network.n_lines))
+    return Physics(zero, zero, reference, headroom_kw,
+                   _reserve(site, data, headroom_kw))
+
+
+def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
+    """Reserve for the headroom of the island steps that remain, as far as it can be had."""
+    b, dt_h = site.batteries, site.dt_h
+    usable = b.soc_max - b.soc_min
+    wanted = np.zeros_like(headroom_kw)
+    later = np.zeros(len(b))
+    for t in range(data.n_steps - 1, -1, -1):
+        later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
+        wanted[t] = np.minimum(later / (data.eta_discharge * b.energy_kwh),
+                               LARGEST_RESERVE * usable)
+    # What cannot be in the battery must not be asked for: the window would have no dispatch.
+    reach = np.maximum(data.soc - b.soc_min, 0.0)
+    charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
+    for t in range(data.n_steps):
+        if data.grid_limit_kw[t] > 0.0:
+            free = np.isinf(data.grid_limit_kw[t])
+            reach = np.minimum(reach + charge, usable) if free else reach
+        else:
+            wanted[t] = np.minimum(wanted[t], reach)
+            reach = np.where(headroom_kw[t] > 0, wanted[t], reach)
+    return wanted
+
+
+def dark_steps(site: Site, data: WindowData) -> Flags:
+    """Island steps in which nobody can form the grid, (W,).
+
+    Without a grid-forming battery that is every one; with empty ones those before the grid is back.
+    """
+    b = site.batteries
+    island = data.grid_limit_kw <= 0.0
+    if not b.formers.any():
+        return island
+    held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
+    able = bool((held_kw[b.formers] > _NO_POWER_KW).any())
+    return np.zeros_like(island) if able else np.logical_and.accumulate(island)
+
+
+def without_power(data: WindowData, dark: Flags) -> WindowData:
+    """The window with nothing to serve and no sun in its dark steps."""
+    lit = ~dark[:, None]
+    return replace(data, load_kw=data.load_kw * lit, pv_kw=data.pv_kw * lit,
+                   switching=data.switching and data.switching.in_the_dark(dark))
+
+
+def in_the_dark(site: Site, whole: WindowData, dark: Flags,
+                solution: WindowSolution) -> WindowSolution:
+    """The solution with nobody served and all PV power curtailed in the dark steps."""
+    if not dark.any():
+        return solution
+    plan = solution.dispatch
+    dispatch = replace(plan, served=plan.served & ~dark[:, None], pv_curtailed_kw=np.where(
+        dark[:, None], whole.pv_kw, plan.pv_curtailed_kw))
+    curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h
+    lost = ((plan.served[dark] @ site.customers.weight).sum() * site.dt_h
+            + site.weights.lambda_curt * curtailed_kwh)
+    return replace(solution, dispatch=dispatch, terms=evaluate(site, whole, dispatch),
+                   objective=solution.objective - lost, bound=solution.bound - lost)

@@ -1,0 +1,180 @@
+"""Full-horizon optimisation (paper, Section 4.1): plan the day once, follow the plan, correct."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decision, SolveInfo
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.ladder import WindowSolver
+
+Floats = NDArray[np.float64]
+PVCheck = Literal["absorbing", "literal"]
+PV_CHECKS: tuple[PVCheck, ...] = ("absorbing", "literal")
+
+SOC_TOLERANCE = 1e-6
+POWER_TOLERANCE_KW = 1e-3
+BALANCE_TOLERANCE_KW = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Actual:
+    """Row ``t`` of a plan beside what is measured when it is due; (C,), (P,) and (B,) arrays."""
+
+    plan: Dispatch
+    t: int
+    load_kw: Floats
+    pv_kw: Floats
+    grid_limit_kw: float
+    observation: Observation
+    window: WindowData
+    loss_kw: float = 0.0
+
+    @property
+    def battery_kw(self) -> Floats:
+        return np.asarray(self.plan.charge_kw[self.t] - self.plan.discharge_kw[self.t])
+
+
+class FullHorizonController:
+    """One plan for the whole day, three feasibility checks at every step, one-step corrections.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the plan and the corrections.
+    grid : TimeGrid
+        The day's steps.
+    pv_check : {"absorbing", "literal"}
+        ``literal``: the planned split must equal the actual PV power and respect the actual load.
+        ``absorbing``: planned service and battery set-points stand and the split follows the actual
+        PV power; only batteries, inverters and the grid balance can be violated.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the corrections.
+    planner : Planner, optional
+        Plans the windows; one solve at the centre if not given.
+    """
+
+    def __init__(self, solver: WindowSolver, grid: TimeGrid, pv_check: PVCheck = "absorbing",
+                 centre: Centre = "lossless", planner: Planner | None = None) -> None:
+        self.solver, self.grid, self.centre = solver, grid, centre
+        self.planner = planner or OnePass(solver, centre)
+        self.literal = pv_check == "literal"
+        self.plan: Dispatch | None = None
+        self.loss_kw: Floats | None = None
+        self.first = 0
+
+    def horizon_steps(self, t0: int) -> range:
+        """The rest of the day while there is no plan, then the step itself."""
+        return range(t0, self.grid.n_steps if self.plan is None else t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Follow the plan if it passes the checks, otherwise correct the step."""
+        info = SolveInfo(status="planned")
+        window = WindowData.of(observation, self.solver.site, self.centre)
+        if self.plan is None:
+            solution = self.planner.plan(observation)
+            self.plan, self.loss_kw = solution.dispatch, solution.loss_kw
+            self.first = observation.t0
+            info = solve_info(solution, self.solver.cache.compilations)
+        f, row = observation.forecast, observation.t0 - self.first
+        now = window.first(1).for_service(self.plan.served[row:row + 1])
+        actual = _Actual(self.plan, row, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
+                         observation, now,
+                         0.0 if self.loss_kw is None else float(self.loss_kw[row]))
+        reasons = self.violations(actual)
+        if not reasons:
+            return Decision(self.plan, row, info)
+        return self._correct(observation, "; ".join(reasons))
+
+    def _correct(self, observation: Observation, reason: str) -> Decision:
+        """Optimise the step alone (H = 0) with actual values."""
+        solution, relaxed = plan_with_rules(self.planner, observation, 1)
+        info = solve_info(solution, self.solver.cache.compilations, relaxed)
+        return Decision(solution.dispatch, 0, info, True, reason)
+
+    def violations(self, actual: _Actual) -> list[str]:
+        """Names of the checks that the planned step fails, with the worst item of each."""
+        site = self.solver.site
+        checks = (_check_battery(site, actual), self._check_pv(site, actual),
+                  _check_grid(site, actual), _check_switching(site, actual))
+        return [text for text in checks if text]
+
+    def _check_pv(self, site: Site, actual: _Actual) -> str:
+        """PV power distribution feasibility, in the reading that was chosen."""
+        plan, t = actual.plan, actual.t
+        if self.literal:
+            through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
+            split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
+            beyond = plan.pv_self_kw[t] - actual.load_kw[site.owner]
+            apparent = np.hypot(through, plan.pv_q_kvar[t])
+            excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
+        else:
+            # Reactive power gives way to active power in the inverter itself.
+            through = actual.pv_kw - np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
+            excess = through - site.pv.s_max_kva
+        return _worst("pv", site.pv.id, excess, POWER_TOLERANCE_KW, "kW")
+
+
+def _check_battery(site: Site, actual: _Actual) -> str:
+    """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
+    o, b = actual.observation, site.batteries
+    power = actual.battery_kw
+    apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
+    disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
+    stored = o.eta_charge * np.maximum(power, 0) - np.maximum(-power, 0) / o.eta_discharge
+    soc = o.soc + stored * site.dt_h / b.energy_kwh
+    outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
+    return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
+
+
+def _check_grid(site: Site, actual: _Actual) -> str:
+    """Grid import feasibility: what the AC power flow imports, net of its losses.
+
+    Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
+    it; losses count as far as the plan has paid for them. A surplus that cannot be exported
+    violates as a shortage does.
+    """
+    plan, t = actual.plan, actual.t
+    served = plan.served[t]
+    # What an owner consumes cannot be curtailed.
+    own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
+    curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
+    needed = (actual.load_kw @ served + actual.loss_kw + actual.battery_kw.sum()
+              - (actual.pv_kw - curtailed).sum())
+    limit = actual.grid_limit_kw
+    if needed > limit + BALANCE_TOLERANCE_KW:
+        return f"grid import: {needed - limit:.1f} kW above what the grid gives"
+    if needed < -BALANCE_TOLERANCE_KW:
+        return f"grid import: {-needed:.1f} kW surplus that cannot be exported"
+    return ""
+
+
+def _check_switching(site: Site, actual: _Actual) -> str:
+    """Whether the planned service obeys the switching rules after what was really served."""
+    rules = actual.window.switching
+    if rules is None:
+        return ""
+    broken = rules.broken(actual.plan.served[actual.t:actual.t + 1])
+    if not broken.any():
+        return ""
+    first = site.customers.id[np.argmax(broken)]
+    return f"switching rules: {broken.sum()} customers may not be switched as planned ({first})"
+
+
+def _worst(check: str, names: NDArray[np.object_], excess: Floats, tolerance: float,
+           unit: str) -> str:
+    """Text on the item with the largest excess, empty if all are within the tolerance."""
+    if len(excess) == 0 or excess.max() <= tolerance:
+        return ""
+    i = int(np.argmax(excess))
+    return f"{check}: {names[i]} by {excess[i]:.3g} {unit}"

@@ -1,0 +1,1 @@
+"""A guard around any controller: checks, estimates and fallbacks."""

@@ -1,0 +1,182 @@
+"""Whether a decision can be carried out in its step: plain numpy, apart from model and plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.control.step_state import StepState
+from vppres.model.site import Site
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far a decision may be off before it is refused.
+
+    Parameters
+    ----------
+    power_kw, power_share : float
+        On ratings, absolute and as a share of the rating.
+    soc : float
+        On the state of charge at the end of the step, as a share of capacity.
+    balance_kw : float
+        On the active balance of the step.
+    loss_share : float
+        Share of the power flowing that a plan may set aside for losses; the paper's has none.
+    v_pu : float
+        On the voltages of the plan.
+    """
+
+    power_kw: float = 0.01
+    power_share: float = 1e-3
+    soc: float = 1e-4
+    balance_kw: float = 1.0
+    loss_share: float = 0.0
+    v_pu: float = 1e-4
+
+
+PAPER = Tolerances()
+
+
+def violations(decision: Decision, state: StepState, within: Tolerances = PAPER,
+               v_limits_pu: tuple[float, float] | None = None) -> list[str]:
+    """What is wrong with a decision, each in words; empty if it can be carried out.
+
+    Parameters
+    ----------
+    decision : Decision
+        What a controller answered.
+    state : StepState
+        The step as it is known.
+    within : Tolerances, optional
+        How far it may be off.
+    v_limits_pu : tuple of float, optional
+        Limits of the plan's voltages; those of the network if not given.
+    """
+    odd = _shapes(decision, state.site)
+    if odd:
+        return odd
+    net = state.site.network
+    lowest, highest = v_limits_pu or (net.v_min_pu, net.v_max_pu)
+    row = _Row.of(decision)
+    found = (_service(row), _battery_power(row, state, within), _energy(row, state, within),
+             _pv(row, state, within), _balance(row, state, within),
+             _voltage(row, (lowest, highest), within))
+    return [text for text in found if text]
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """The step's row of the plan, as floats."""
+
+    served: Floats
+    curtailed_kw: Floats
+    pv_q_kvar: Floats
+    charge_kw: Floats
+    discharge_kw: Floats
+    batt_q_kvar: Floats
+    v_pu: Floats
+
+    @classmethod
+    def of(cls, decision: Decision) -> _Row:
+        plan, row = decision.dispatch, decision.row
+        return cls(np.asarray(plan.served[row], dtype=float), plan.pv_curtailed_kw[row],
+                   plan.pv_q_kvar[row], plan.charge_kw[row], plan.discharge_kw[row],
+                   plan.batt_q_kvar[row], plan.v_pu[row])
+
+
+def _shapes(decision: Decision, site: Site) -> list[str]:
+    """Arrays of the wrong size or with values that are not numbers."""
+    sizes = {"served": len(site.customers), "v_pu": site.network.n_buses,
+             **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
+             **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"),
+                             len(site.batteries)),
+             **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"),
+                             len(site.pv))}
+    found = []
+    for field in fields(Dispatch):
+        values = np.asarray(getattr(decision.dispatch, field.name))
+        shape = values.shape[1:]
+        wanted = (sizes[field.name],) if field.name in sizes else ()
+        if not 0 <= decision.row < len(values) or shape != wanted:
+            found.append(f"{field.name} has shape {values.shape}")
+        elif not np.isfinite(values[decision.row].astype(float)).all():
+            found.append(f"{field.name} is not finite")
+    return found
+
+
+def _service(row: _Row) -> str:
+    partly = np.minimum(np.abs(row.served), np.abs(row.served - 1.0))
+    return "a customer is neither served nor not" if partly.max(initial=0.0) > 1e-6 else ""
+
+
+def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
+    """Signs, ratings, exclusivity, discs; a battery that is out takes nothing."""
+    b = state.site.batteries
+    most = np.minimum(b.p_max_kw, b.s_max_kva) * state.online
+    slack = within.power_kw + within.power_share * b.s_max_kva
+    power = np.maximum(row.charge_kw, row.discharge_kw)
+    beyond = np.max([power - most, -row.charge_kw, -row.discharge_kw,
+                     np.minimum(row.charge_kw, row.discharge_kw),
+                     np.hypot(row.charge_kw - row.discharge_kw, row.batt_q_kvar)
+                     - b.s_max_kva], axis=0)
+    return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
+
+
+def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
+    """State of charge at the end of the step."""
+    b = state.site.batteries
+    stored_kwh = (state.eta_charge * row.charge_kw
+                  - row.discharge_kw / state.eta_discharge) * state.site.dt_h
+    end = state.soc + stored_kwh / b.energy_kwh
+    # What was outside before may stay there, but not move further out.
+    beyond = np.maximum(end - np.maximum(b.soc_max, state.soc),
+                        np.minimum(b.soc_min, state.soc) - end)
+    return _worst("battery energy", b.id, beyond - within.soc, beyond, "of capacity")
+
+
+def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
+    pv = state.site.pv
+    slack = within.power_kw + within.power_share * pv.s_max_kva
+    beyond = np.maximum(-row.curtailed_kw, np.abs(row.pv_q_kvar) - pv.s_max_kva)
+    return _worst("pv", pv.id, beyond - slack, beyond, "kVA")
+
+
+def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
+    """What import has to be, against what the grid gives; nothing can be exported."""
+    usable = state.usable_pv_kw
+    own = np.minimum((state.load_kw * row.served)[state.site.owner], usable)
+    # The plant lets an owner use its own power first; no more passes than the inverter's rating.
+    forced = state.pv_kw - usable
+    curtailed = np.clip(row.curtailed_kw, forced, forced + usable - own)
+    taken = float(state.load_kw @ row.served + row.charge_kw.sum())
+    given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
+    losses_kw = within.loss_share * max(taken, given)
+    short, surplus = taken - given - state.grid_limit_kw, given - taken
+    if short > within.balance_kw:
+        return f"balance: {short:.1f} kW short"
+    if surplus > within.balance_kw + losses_kw:
+        return f"balance: {surplus:.1f} kW surplus"
+    return ""
+
+
+def _voltage(row: _Row, limits_pu: tuple[float, float], within: Tolerances) -> str:
+    v = row.v_pu[1:]  # the slack bus is given
+    outside = np.maximum(limits_pu[0] - v, v - limits_pu[1])
+    worst = int(np.argmax(outside))
+    return f"voltage: {v[worst]:.4f} pu" if outside[worst] > within.v_pu else ""
+
+
+def _worst(check: str, names: NDArray[np.object_], excess: Floats, beyond: Floats,
+           unit: str) -> str:
+    """Text on the item that is furthest beyond its tolerance, empty if none is."""
+    if len(excess) == 0 or excess.max() <= 0:
+        return ""
+    i = int(np.argmax(excess))
+    return f"{check}: {names[i]} by {beyond[i]:.3g} {unit}"

@@ -1,0 +1,296 @@
+"""A controller that always answers: it checks another's decisions and falls back in a fixed order.
+
+An infeasible window has its voltage limits widened, then is cut to the step alone. Whatever else
+goes wrong (a solver that dies, is late, or answers garbage) is answered by the previous plan, then
+by a rule. ``docs/operation.md`` states the order and what the record says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vppres.contract.decision import Decider, Decision, SolveInfo
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.control.full_horizon import FullHorizonController
+from vppres.control.guard.check import PAPER, Tolerances, violations
+from vppres.control.guard.estimation import Estimator, Known
+from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
+from vppres.control.guard.relax import relaxed_answers
+from vppres.control.planner import solve_info
+from vppres.control.rules import carry, rule_dispatch
+from vppres.control.step_state import Bools, Floats, StepState
+from vppres.core.errors import InfeasibleError
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.solve.ladder import WindowSolver
+
+FALLBACKS = ("none", "voltage", "service", "previous_plan", "rule", "critical")
+"""What may take the place of the controller's own answer, as named in the record."""
+
+ControllerOf = Callable[[Site], Decider]
+SolverOf = Callable[[Site], WindowSolver]
+
+
+@dataclass(frozen=True)
+class GuardOptions:
+    """How a guard answers.
+
+    Parameters
+    ----------
+    tiers : tuple of str
+        Names of the tiers, the most important first.
+    protect_critical : bool
+        Whether a customer of the first tier is served in every step that can serve it, whatever the
+        plan would rather save the energy for.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    within : Tolerances
+        What passes as a decision that can be carried out.
+    """
+
+    tiers: tuple[str, ...]
+    protect_critical: bool = False
+    centre: Centre = "lossless"
+    within: Tolerances = PAPER
+
+
+class GuardedController:
+    """Wraps a controller so that every step has an answer that can be carried out.
+
+    Parameters
+    ----------
+    controller_of : callable
+        Makes the wrapped controller for a site: once for the whole fleet, and once for each part of
+        it that is left when batteries are out.
+    solver_of : callable
+        Makes the solver of the fallbacks for a site.
+    site : Site
+        The whole fleet's site.
+    options : GuardOptions
+        Tiers and tolerances.
+
+    Attributes
+    ----------
+    inner : Decider
+        The wrapped controller of the whole fleet.
+    known : Known or None
+        What the last decision took for true.
+    """
+
+    def __init__(self, controller_of: ControllerOf, solver_of: SolverOf, site: Site,
+                 options: GuardOptions) -> None:
+        self.site, self.options = site, options
+        self.inner = controller_of(site)
+        self.known: Known | None = None
+        self._controller_of, self._solver_of = controller_of, solver_of
+        self._parts: dict[bytes, Decider] = {}
+        self._critical: dict[bytes, WindowSolver] = {}
+        self._estimator = Estimator(site)
+        self._plan: tuple[Dispatch, int] | None = None  # with the step of its first row
+
+    @property
+    def plan(self) -> Dispatch | None:
+        """The wrapped controller's plan of the day, if it has one."""
+        return self.inner.plan if isinstance(self.inner, FullHorizonController) else None
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps for which the wrapped controller wants a forecast."""
+        return self.inner.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
+        self.known = known = self._estimator.known(observation)
+        state = StepState.of(self.site, known.observation, self.options.centre, known.online)
+        decision = self._checked_answer(known, state)
+        if self.options.protect_critical:
+            decision = self._critical_first(decision, known, state)
+        plan, row = decision.dispatch, decision.row
+        self._estimator.commanded(plan.charge_kw[row], plan.discharge_kw[row])
+        return replace(decision, estimated=known.estimated)
+
+    def _checked_answer(self, known: Known, state: StepState) -> Decision:
+        """The wrapped controller's answer, or the first fallback that passes the check."""
+        before = self.plan
+        decision = self._answer_or_fallback(known, state)
+        if decision.fallback != "none" and (self.plan is None or self.plan is not before):
+            # What a controller remembers of a step that failed may be garbage too. A plan of the
+            # day is kept, unless it was made in this very step.
+            self.inner = self._controller_of(self.site)
+            self._parts.clear()
+        return decision
+
+    def _answer_or_fallback(self, known: Known, state: StepState) -> Decision:
+        try:
+            decision = self._answer(known)
+            reasons = violations(decision, state, self.options.within)
+            if not reasons:
+                self._keep(decision, known.observation.t0)
+                return decision
+            reason = "refused: " + "; ".join(reasons)
+        except InfeasibleError as error:
+            reason = _words(error)
+            found, reason = self._relaxed(known, state, reason)
+            if found is not None:
+                return found
+        except Exception as error:
+            # Whatever a solver raises: a step without an answer is worse than any of it.
+            reason = _words(error)
+        return self._without_solver(known, state, reason)
+
+    def _answer(self, known: Known) -> Decision:
+        """What the wrapped controller says, for the batteries that are there.
+
+        A plan of the day is kept as it is: what it asks of a battery that is out fails the check.
+        """
+        if known.online.all() or isinstance(self.inner, FullHorizonController):
+            return self.inner.decide(known.observation)
+        key = known.online.tobytes()
+        if key not in self._parts:
+            self._parts[key] = self._controller_of(site_with(self.site, known.online))
+        decision = self._parts[key].decide(reduced_observation(known.observation, known.online))
+        return replace(decision, dispatch=whole_fleet(decision.dispatch, known.online,
+                                                      known.observation.soc))
+
+    def _keep(self, decision: Decision, t0: int) -> None:
+        """Remember a plan that goes beyond its step, for steps that find no other."""
+        if decision.row + 1 < decision.dispatch.n_steps:
+            self._plan = decision.dispatch, t0 - decision.row
+
+    def _relaxed(self, known: Known, state: StepState,
+                 reason: str) -> tuple[Decision | None, str]:
+        """Fallback of an infeasible window, None if there is none, and the reasons so far."""
+        site = site_with(self.site, known.online)
+        seen = reduced_observation(known.observation, known.online)
+        data = WindowData.of(seen, site, self.options.centre)
+        for name, answer in relaxed_answers(site, data, self._solver_of):
+            try:
+                solution, limits_pu, words = answer()
+            except Exception as error:
+                reason += f"; {name}: {_words(error)}"
+                continue
+            dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)
+            decision = Decision(dispatch, 0, solve_info(solution, 0), fallback=name,
+                                fallback_reason=f"{reason}; {words}")
+            wrong = violations(decision, state, self.options.within, limits_pu)
+            if not wrong:
+                return decision, reason
+            reason += f"; {name} refused: {'; '.join(wrong)}"
+        return None, reason
+
+    def _without_solver(self, known: Known, state: StepState, reason: str) -> Decision:
+        """The previous plan where it can be carried out, otherwise the rule."""
+        planned = self._planned(known, state, reason)
+        return planned if planned is not None else self._rule(state, reason)
+
+    def _planned(self, known: Known, state: StepState, reason: str) -> Decision | None:
+        """The step of the last good plan, its balance closed by what is measured now."""
+        if self._plan is None:
+            return None
+        plan, row = self._plan[0], known.observation.t0 - self._plan[1]
+        if not 0 <= row < plan.n_steps:
+            return None
+        carried = carry(state, np.asarray(plan.served[row], dtype=bool),
+                        plan.charge_kw[row] - plan.discharge_kw[row])
+        if carried is None or carried.shortage:
+            return None
+        decision = Decision(carried.dispatch, 0, SolveInfo(status="previous_plan"),
+                            fallback="previous_plan", fallback_reason=reason)
+        net = self.site.network
+        wrong = violations(decision, state, self.options.within, (net.v_min_ac_pu, net.v_max_ac_pu))
+        return None if wrong else decision
+
+    def _rule(self, state: StepState, reason: str) -> Decision:
+        """Dispatch by rule."""
+        carried = rule_dispatch(state, self.options.tiers)
+        words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
+        return Decision(carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule",
+                        fallback_reason=words)
+
+    def _critical_first(self, decision: Decision, known: Known, state: StepState) -> Decision:
+        """The step alone, critical customers first, where that serves more of them."""
+        served = self._critical_weight(decision.dispatch.served[decision.row])
+        all_of_them = self._critical_weight(np.ones(len(self.site.customers)))
+        if decision.fallback == "rule" or served >= all_of_them - 1e-9:
+            return decision
+        answers = [self._step_alone(known, state)]
+        # The rule is asked too: it knows nothing of solvers, and so not of their mistakes.
+        by_rule = self._rule(state, "the rule serves more")
+        if not violations(by_rule, state, self.options.within):
+            answers.append(by_rule)
+        alone = max(answers, key=lambda answer: self._critical_weight(answer.dispatch.served[0]))
+        possible = self._critical_weight(alone.dispatch.served[0])
+        if possible <= served + 1e-9:
+            return decision
+        words = [decision.fallback_reason, f"the plan serves {served:g} of the critical weight, "
+                 f"the step alone {possible:g}", alone.fallback_reason]
+        return replace(self._with_critical(decision, alone, state), fallback="critical",
+                       fallback_reason="; ".join(word for word in words if word))
+
+    def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
+        """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
+
+        The step alone would serve everyone it can and leave no energy for the steps to come.
+        """
+        plan, row, tier = decision.dispatch, decision.row, self.site.customers.tier
+        wanted_kw = plan.charge_kw[row] - plan.discharge_kw[row]
+        first = alone.dispatch.served[0] & (tier == self.options.tiers[0])
+        for lowest in range(len(self.options.tiers), 0, -1):
+            kept = np.isin(tier, self.options.tiers[1:lowest]) & plan.served[row]
+            carried = carry(state, first | kept, wanted_kw)
+            if carried is None or carried.shortage:
+                continue
+            found = Decision(carried.dispatch, 0, SolveInfo(status="critical"))
+            if not violations(found, state, self.options.within):
+                return found
+        return alone
+
+    def _step_alone(self, known: Known, state: StepState) -> Decision:
+        """The one-step problem with the first tier above everything else; the rule if it fails."""
+        try:
+            solver = self._critical_solver(known.online)
+            seen = reduced_observation(known.observation, known.online)
+            solution = solver.solve(WindowData.of(seen, solver.site, self.options.centre).first(1))
+            decision = Decision(whole_fleet(solution.dispatch, known.online,
+                                            known.observation.soc),
+                                0, solve_info(solution, 0))
+            wrong = violations(decision, state, self.options.within)
+            return self._rule(state, "; ".join(wrong)) if wrong else decision
+        except Exception as error:
+            return self._rule(state, _words(error))
+
+    def _critical_solver(self, online: Bools) -> WindowSolver:
+        """Solver of the one-step problem that puts the first tier above everything else."""
+        key = online.tobytes()
+        if key not in self._critical:
+            site = critical_site(site_with(self.site, online), self.options.tiers[0])
+            self._critical[key] = self._solver_of(site)
+        return self._critical[key]
+
+    def _critical_weight(self, served: Bools | Floats) -> float:
+        """Weight of the served customers of the first tier."""
+        first = self.site.customers.tier == self.options.tiers[0]
+        return float(self.site.customers.weight[first] @ np.asarray(served, dtype=float)[first])
+
+
+def critical_site(site: Site, tier: str) -> Site:
+    """The site with one customer of a tier worth more than all others together.
+
+    Its one-step window says who of the tier can be served at all.
+    """
+    first, weight = site.customers.tier == tier, site.customers.weight
+    if not first.any():
+        return site
+    factor = np.ceil(weight[~first].sum() / weight[first].min()) + 1.0
+    return replace(site, customers=replace(
+        site.customers, weight=np.where(first, weight * factor, weight)))
+
+
+def _words(error: Exception) -> str:
+    """An exception in a line."""
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -1,0 +1,86 @@
+"""What is given up for an infeasible window, in order: voltage limits, then all but this step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+
+from vppres.model.data import WindowData
+from vppres.model.elastic import ElasticModel, widened, with_limits
+from vppres.model.site import Site
+from vppres.scenario.network import Network
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import WindowSolution
+from vppres.solve.solvers import run_conic
+
+SolverOf = Callable[[Site], WindowSolver]
+# Solution, the voltage limits it holds, and what was given up in words.
+Answer = tuple[WindowSolution, tuple[float, float], str]
+
+ELASTIC_TIME_S = 20.0
+SLACK_MARGIN_PU2 = 1e-4
+"""Added to the least slack, which interior points find within their tolerance."""
+
+
+def relaxed_answers(site: Site, data: WindowData,
+                    solver_of: SolverOf) -> Iterator[tuple[str, Callable[[], Answer]]]:
+    """Fallbacks of an infeasible window by name, each to be called in turn until one answers.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window that has no feasible dispatch.
+    solver_of : callable
+        Makes the solver of a site.
+    """
+    yield "voltage", partial(_with_ac_limits, site, data, solver_of)
+    yield "voltage", partial(_elastic, site, data, solver_of)
+    yield "service", partial(_step_alone, site, data, solver_of)
+
+
+def least_slack(site: Site, data: WindowData) -> float:
+    """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
+
+    Raises
+    ------
+    SolveError
+        If not even free voltages leave one.
+    """
+    model = ElasticModel(site, data.n_steps)
+    model.fill(data)
+    outcome = run_conic(model.problem, ELASTIC_TIME_S)
+    outcome.require_answer(f"The window of {data.n_steps} steps without voltage limits")
+    return max(outcome.value, 0.0)
+
+
+def _with_ac_limits(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
+    """The window with the limits that the AC voltages must hold in place of the tighter ones."""
+    net = site.network
+    return _solved(with_limits(net, min(net.v_min_pu, net.v_min_ac_pu),
+                               max(net.v_max_pu, net.v_max_ac_pu)), site, data, solver_of)
+
+
+def _elastic(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
+    """The window with limits as wide as they have to be."""
+    slack = least_slack(site, data) + SLACK_MARGIN_PU2
+    return _solved(widened(site.network, slack), site, data, solver_of)
+
+
+def _step_alone(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
+    """The first step without rules of switching: whoever cannot be served in it is let go."""
+    alone = replace(data.first(1), switching=None)
+    solution, limits_pu, words = _elastic(site, alone, solver_of)
+    return solution, limits_pu, f"the step alone, {words}"
+
+
+def _solved(network: Network, site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
+    solution = solver_of(replace(site, network=network)).solve(data)
+    v = solution.dispatch.v_pu[0, 1:]
+    net = site.network
+    beyond = max(float((net.v_min_pu - v).max()), float((v - net.v_max_pu).max()), 0.0)
+    words = (f"voltage limits widened to {network.v_min_pu:.3f} .. {network.v_max_pu:.3f} pu, "
+             f"this step {beyond:.4f} pu beyond its own")
+    return solution, (network.v_min_pu, network.v_max_pu), words

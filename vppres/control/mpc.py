@@ -1,0 +1,75 @@
+"""Model predictive control (paper, Section 4.2): solve the window, carry out its first step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.moves import Moves
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.ladder import WindowSolver
+
+
+class MPCController:
+    """Receding horizon ``t0 .. t0 + H``, cut at the end of the day.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the windows; compiled problems are kept between steps.
+    grid : TimeGrid
+        The day's steps.
+    horizon_h : float
+        Prediction horizon H in h; 0 looks at the current step only.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    planner : Planner, optional
+        Plans the windows; one solve at the centre if not given.
+    move_weight : float, optional
+        What moving a battery by its rated power away from the plan before is worth, in kW of line
+        losses.
+    """
+
+    def __init__(self, solver: WindowSolver, grid: TimeGrid, horizon_h: float,
+                 centre: Centre = "lossless", planner: Planner | None = None,
+                 move_weight: float = 0.0) -> None:
+        self.solver, self.grid, self.horizon_h, self.centre = solver, grid, horizon_h, centre
+        self.planner = planner or OnePass(solver, centre)
+        self.move_weight = move_weight
+        self._last: tuple[int, Dispatch] | None = None
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps of the window at ``t0``."""
+        return self.grid.window(t0, self.horizon_h)
+
+    def decide(self, observation: Observation) -> Decision:
+        """Solve the observed window and take its first step."""
+        before = self._before(observation)
+        if self.move_weight > 0:
+            observation = replace(observation, moves=before)
+        solution, relaxed = plan_with_rules(self.planner, observation)
+        plan = solution.dispatch
+        moved_kw = np.nan
+        if before is not None:
+            now_kw = plan.charge_kw[0] - plan.discharge_kw[0]
+            moved_kw = float(np.abs(now_kw - before.planned_kw[0]).sum())
+        self._last = observation.t0, plan
+        info = solve_info(solution, self.solver.cache.compilations, relaxed)
+        return Decision(plan, 0, replace(info, moved_kw=moved_kw))
+
+    def _before(self, observation: Observation) -> Moves | None:
+        """What the plan before had foreseen for the window, None if it does not reach it."""
+        if self._last is None:
+            return None
+        t0, plan = self._last
+        ago = observation.t0 - t0
+        if not 0 < ago < plan.n_steps:
+            return None
+        n_steps = len(observation.forecast.price_gbp_per_kwh)
+        return Moves.of(plan.charge_kw - plan.discharge_kw, ago, n_steps, self.move_weight)

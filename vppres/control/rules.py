@@ -1,0 +1,250 @@
+"""Dispatch of one step by rule, without a solver: the answer that is always there.
+
+Who is served is decided by tier, then by weight per kW. PV power comes first, then import, then the
+batteries; a surplus is stored, then curtailed. Active balance, ratings and state of charge always
+hold. The first tier is not let go for reactive power or voltages: what they lack is said instead,
+and nobody else is added who would make it worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.control.step_state import Bools, Floats, StepState, network_state, one_step
+from vppres.solve.fleet.relaxation import weight_grid
+
+POWER_TOLERANCE_KW = 1e-6
+ROUNDING_KW = 1e-9
+VOLTAGE_TOLERANCE_PU = 1e-6
+SEARCH_NODES = 20_000
+"""Where the search for the best first tier stops; equal weights need as many as customers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """A dispatch of one step and what it leaves open.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        One row.
+    reactive_short_kvar : float
+        Reactive power that nobody can supply.
+    voltage_excess_pu : float
+        How far the worst bus lies outside the limits of the AC voltages.
+    """
+
+    dispatch: Dispatch
+    reactive_short_kvar: float
+    voltage_excess_pu: float
+
+    @property
+    def shortage(self) -> str:
+        """What is left open in words, empty if nothing is."""
+        words = []
+        if self.reactive_short_kvar > POWER_TOLERANCE_KW:
+            words.append(f"{self.reactive_short_kvar:.1f} kvar short")
+        if self.voltage_excess_pu > VOLTAGE_TOLERANCE_PU:
+            words.append(f"voltage {self.voltage_excess_pu:.4f} pu outside the AC limits")
+        return ", ".join(words)
+
+    def no_worse_than(self, other: Carried) -> bool:
+        """Whether neither reactive power nor voltage is further off than in another dispatch."""
+        return (self.reactive_short_kvar <= max(other.reactive_short_kvar, POWER_TOLERANCE_KW)
+                and self.voltage_excess_pu <= max(other.voltage_excess_pu, VOLTAGE_TOLERANCE_PU))
+
+
+def rule_dispatch(state: StepState, tiers: Sequence[str],
+                  battery_kw: Floats | None = None) -> Carried:
+    """Serve by tier, then by weight per kW, what can be carried in this step.
+
+    Parameters
+    ----------
+    state : StepState
+        The step.
+    tiers : sequence of str
+        Names of the tiers, the most important first.
+    battery_kw : array, shape (B,), optional
+        Wanted charging power, negative to discharge; given up where service needs it.
+    """
+    wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
+    customers = state.site.customers
+    first = customers.tier == tiers[0]
+    for power in (wanted, 0.0 * wanted):  # no customer is let go for a battery's sake
+        everyone = carry(state, np.ones(len(customers), dtype=bool), power)
+        if everyone is not None and not everyone.shortage:
+            return everyone
+    wanted = 0.0 * wanted
+    served = np.zeros(len(customers), dtype=bool)
+    served[first] = best_subset(customers.weight[first], state.load_kw[first], state.capacity_kw)
+    best = carry(state, served, wanted)
+    assert best is not None  # the subset fits the capacity, and nobody at all always does
+    for c in service_order(state, tiers):
+        if not served[c] and not first[c]:
+            tried = served.copy()
+            tried[c] = True
+            found = carry(state, tried, wanted)
+            if found is not None and found.no_worse_than(best):
+                served, best = tried, found
+    return best
+
+
+def service_order(state: StepState, tiers: Sequence[str]) -> NDArray[np.int64]:
+    """Positions of the customers by tier, then by weight per kW, shape (C,)."""
+    customers = state.site.customers
+    rank = np.array([list(tiers).index(tier) for tier in customers.tier], dtype=int)
+    per_kw = customers.weight / np.maximum(state.load_kw, 1e-9)
+    return np.lexsort((-per_kw, rank))
+
+
+def best_subset(weights: Floats, loads_kw: Floats, capacity_kw: float) -> Bools:
+    """The subset of largest weight that fits a capacity: branch and bound on the knapsack.
+
+    Examples
+    --------
+    >>> best_subset(np.array([1.0, 1.0, 1.5]), np.array([3.0, 4.0, 5.0]), 7.0)
+    array([ True,  True, False])
+    """
+    order = np.argsort(-weights / np.maximum(loads_kw, 1e-9), kind="stable")
+    w, load = weights[order], loads_kw[order]
+    unit = weight_grid(weights)
+    best_value, best_set = -1.0, np.zeros(len(w), dtype=bool)
+    stack = [(0, capacity_kw + ROUNDING_KW, 0.0, np.zeros(len(w), dtype=bool))]
+    for _ in range(SEARCH_NODES):
+        if not stack:
+            break
+        i, left_kw, value, chosen = stack.pop()
+        if value > best_value:
+            best_value, best_set = value, chosen
+        if i == len(w) or _bound(w[i:], load[i:], left_kw, value, unit) <= best_value + 1e-9:
+            continue
+        stack.append((i + 1, left_kw, value, chosen))
+        if load[i] <= left_kw:
+            taken = chosen.copy()
+            taken[i] = True
+            stack.append((i + 1, left_kw - load[i], value + w[i], taken))
+    result = np.zeros(len(w), dtype=bool)
+    result[order] = best_set
+    return result
+
+
+def _bound(weights: Floats, loads_kw: Floats, left_kw: float, value: float, unit: float) -> float:
+    """Value with the first item that does not fit taken in part, rounded down to the unit."""
+    taken_kw = np.concatenate([[0.0], np.cumsum(loads_kw)])
+    share = np.clip((left_kw - taken_kw[:-1]) / np.maximum(loads_kw, 1e-9), 0.0, 1.0)
+    bound = value + float(weights @ share)
+    return unit * np.floor(bound / unit + 1e-9) if unit else bound
+
+
+def carry(state: StepState, served: Bools, battery_kw: Floats) -> Carried | None:
+    """Dispatch of a served set with batteries near what is wanted of them.
+
+    Parameters
+    ----------
+    state : StepState
+        The step.
+    served : array of bool, shape (C,)
+        Who is supplied.
+    battery_kw : array, shape (B,)
+        Wanted charging power, negative to discharge; moved as far as the balance needs.
+
+    Returns
+    -------
+    Carried or None
+        None if PV, batteries and grid cannot carry the demand.
+    """
+    own = state.own_kw(served)
+    need_kw = float(state.load_kw @ served - state.usable_pv_kw.sum())
+    wanted = np.clip(battery_kw, -state.discharge_max_kw, state.charge_max_kw)
+    battery, left_kw = _close(state, wanted, need_kw)
+    if left_kw > POWER_TOLERANCE_KW:
+        return None
+    curtailed = _shared(max(-left_kw, 0.0), state.usable_pv_kw - own)
+    export = state.usable_pv_kw - own - curtailed
+    battery = _without_circle(battery, float(state.load_kw @ served - own.sum()))
+    grid_kw = max(need_kw + float(battery.sum() + curtailed.sum()), 0.0)
+    return _with_network(state, served, (own, export), battery, grid_kw)
+
+
+def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats, float]:
+    """Battery power that closes the balance, and what it leaves: short if positive, else surplus.
+
+    Import takes what it can first. Then a shortage ends charging before it discharges more, and a
+    surplus ends discharging before it charges more.
+    """
+    battery = wanted_kw
+    short_kw = need_kw + float(battery.sum()) - state.grid_limit_kw
+    for lowest in (np.minimum(battery, 0.0), -state.discharge_max_kw):
+        step = _shared(max(short_kw, 0.0), battery - lowest)
+        battery, short_kw = battery - step, short_kw - float(step.sum())
+    surplus_kw = -(need_kw + float(battery.sum()))
+    for highest in (np.maximum(battery, 0.0), state.charge_max_kw):
+        step = _shared(max(surplus_kw, 0.0), highest - battery)
+        battery, surplus_kw = battery + step, surplus_kw - float(step.sum())
+    return battery, short_kw if short_kw > 0 else -max(surplus_kw, 0.0)
+
+
+def _shared(total: float, room: Floats) -> Floats:
+    """A total, or as much of it as there is room for, in proportion to the room."""
+    space = float(room.sum())
+    return room * min(total / space, 1.0) if space > 0 and total > 0 else np.zeros_like(room)
+
+
+def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
+    """Cancel charging of one battery from another: no more is discharged than customers take."""
+    charge, discharge = np.maximum(battery_kw, 0.0), np.maximum(-battery_kw, 0.0)
+    excess_kw = max(float(discharge.sum()) - demand_kw, 0.0)
+    return charge - _shared(excess_kw, charge) - (discharge - _shared(excess_kw, discharge))
+
+
+def _with_network(state: StepState, served: Bools, pv_kw: tuple[Floats, Floats],
+                  battery_kw: Floats, grid_kw: float) -> Carried:
+    """Add reactive power, flows and voltages to the active powers."""
+    site, (own, export) = state.site, pv_kw
+    load_kvar = state.load_kw * served * site.customers.q_per_p
+    pv_q, batt_q, short_kvar = _reactive(state, load_kvar, own + export, battery_kw)
+    p = (site.pv_bus @ (own + export) - site.battery_bus @ battery_kw
+         - site.customer_bus @ (state.load_kw * served))
+    q = site.pv_bus @ pv_q + site.battery_bus @ batt_q - site.customer_bus @ load_kvar
+    p_flow, q_flow, v_pu = network_state(state, p, q)
+    charge, discharge = np.maximum(battery_kw, 0.0), np.maximum(-battery_kw, 0.0)
+    stored_kwh = (state.eta_charge * charge - discharge / state.eta_discharge) * site.dt_h
+    net = site.network
+    outside = np.maximum(v_pu[1:] - net.v_max_ac_pu, net.v_min_ac_pu - v_pu[1:])
+    dispatch = one_step(
+        served=served, pv_self_kw=own, pv_export_kw=export,
+        pv_curtailed_kw=state.pv_kw - own - export, pv_q_kvar=pv_q, charge_kw=charge,
+        discharge_kw=discharge, batt_q_kvar=batt_q, p_grid_kw=grid_kw,
+        q_grid_kvar=0.0 if state.island else -float(q.sum()), v_pu=v_pu, p_flow_kw=p_flow,
+        q_flow_kvar=q_flow,
+        soc=np.vstack([state.soc, state.soc + stored_kwh / site.batteries.energy_kwh]))
+    return Carried(dispatch, short_kvar, max(float(outside.max()), 0.0))
+
+
+def _reactive(state: StepState, load_kvar: Floats, pv_kw: Floats,
+              battery_kw: Floats) -> tuple[Floats, Floats, float]:
+    """Reactive power of PV and batteries, and what an island lacks.
+
+    Inverters supply the demand at their own bus. In an island the rest is shared by what is left of
+    their ratings; with a grid it is imported.
+    """
+    site, n_pv = state.site, len(pv_kw)
+    ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva * state.online])
+    room = np.sqrt(np.maximum(ratings**2 - np.concatenate([pv_kw, battery_kw])**2, 0.0))
+    bus = np.concatenate([site.pv_bus.T @ np.arange(site.network.n_buses),
+                          site.battery_bus.T @ np.arange(site.network.n_buses)]).astype(int)
+    demand = site.customer_bus @ load_kvar
+    at_bus = np.bincount(bus, room, site.network.n_buses)
+    share = np.divide(demand, at_bus, out=np.zeros_like(demand), where=at_bus > 0)
+    q = room * np.minimum(share, 1.0)[bus]
+    short_kvar = 0.0
+    if state.island:
+        missing = max(float(demand.sum() - q.sum()), 0.0)
+        more = _shared(missing, room - q)
+        q, short_kvar = q + more, missing - float(more.sum())
+    return q[:n_pv], q[n_pv:], short_kvar

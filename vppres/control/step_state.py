@@ -1,0 +1,121 @@
+"""One step as it is known, and what devices can do in it: plain numpy, no solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.model.data import WindowData
+from vppres.model.linearise import delta_offset
+from vppres.model.site import Site
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class StepState:
+    """The step to decide on.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    load_kw, pv_kw : array, shape (C,) and (P,)
+        Demand and available PV power.
+    grid_limit_kw : float
+        Largest import, 0 in an outage.
+    soc, eta_charge, eta_discharge : array, shape (B,)
+        State of charge and efficiencies.
+    offset_pu2 : array, shape (L,)
+        Offset of the delta form of LinDistFlow.
+    online : array of bool, shape (B,)
+        Batteries that can be used.
+    """
+
+    site: Site
+    load_kw: Floats
+    pv_kw: Floats
+    grid_limit_kw: float
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    offset_pu2: Floats
+    online: Bools
+
+    @classmethod
+    def of(cls, site: Site, seen: Observation, centre: Centre = "lossless",
+           online: Bools | None = None) -> StepState:
+        """The first step of an observation; all batteries are online if nothing else is said."""
+        f, every = seen.forecast, np.ones(len(site.batteries), dtype=bool)
+        load_kw = f.load_kw[0]
+        if seen.switching is not None:  # demand is higher for those who would be restored now
+            window = WindowData.of(seen, site, centre).first(1)
+            load_kw = window.for_service(np.ones((1, len(load_kw)), dtype=bool)).load_kw[0]
+        return cls(site, load_kw, f.pv_kw[0], float(f.grid_limit_kw[0]), seen.soc,
+                   seen.eta_charge, seen.eta_discharge,
+                   delta_offset(site.network, seen.operating_point, centre),
+                   every if online is None else online)
+
+    @property
+    def island(self) -> bool:
+        """Whether the grid gives nothing."""
+        return self.grid_limit_kw <= 0.0
+
+    @cached_property
+    def usable_pv_kw(self) -> Floats:
+        """PV power that the inverters can pass, (P,)."""
+        return np.minimum(self.pv_kw, self.site.pv.s_max_kva)
+
+    @cached_property
+    def charge_max_kw(self) -> Floats:
+        """Largest charging power by rating and room, (B,)."""
+        b = self.site.batteries
+        room_kwh = np.maximum(b.soc_max - self.soc, 0.0) * b.energy_kwh
+        most = np.minimum(b.active_max_kw, room_kwh / (self.eta_charge * self.site.dt_h))
+        return np.where(self.online, most, 0.0)
+
+    @cached_property
+    def discharge_max_kw(self) -> Floats:
+        """Largest discharging power by rating and stored energy, (B,)."""
+        b = self.site.batteries
+        held_kwh = np.maximum(self.soc - b.soc_min, 0.0) * b.energy_kwh
+        most = np.minimum(b.active_max_kw, held_kwh * self.eta_discharge / self.site.dt_h)
+        return np.where(self.online, most, 0.0)
+
+    @property
+    def capacity_kw(self) -> float:
+        """Demand that PV, batteries and grid can carry together."""
+        return float(self.usable_pv_kw.sum() + self.discharge_max_kw.sum() + self.grid_limit_kw)
+
+    def idle(self) -> StepState:
+        """The same step with every battery off."""
+        return replace(self, online=np.zeros_like(self.online))
+
+    def own_kw(self, served: Bools) -> Floats:
+        """Self-consumption of each PV system for a served set, (P,)."""
+        return np.minimum((self.load_kw * served)[self.site.owner], self.usable_pv_kw)
+
+
+def network_state(state: StepState, p_kw: Floats, q_kvar: Floats
+                  ) -> tuple[Floats, Floats, Floats]:
+    """Lossless flows (L,) twice, and voltages (N,) in pu, for the injections of all buses (N,)."""
+    net = state.site.network
+    p_flow, q_flow = -(net.downstream @ p_kw), -(net.downstream @ q_kvar)
+    rise = state.offset_pu2 - 2 * (net.r_pu2_per_kw * p_flow + net.x_pu2_per_kvar * q_flow)
+    u = net.v_slack_pu**2 + net.downstream.T @ rise
+    return p_flow, q_flow, np.sqrt(np.maximum(u, 0.0))
+
+
+def one_step(**rows: Floats | Bools | float) -> Dispatch:
+    """A dispatch of one step from its rows; ``soc`` has its two rows already."""
+    arrays: dict[str, Any] = {name: value if name == "soc" else np.asarray(value)[np.newaxis]
+                              for name, value in rows.items()}
+    return Dispatch(**arrays)

@@ -1,0 +1,1 @@
+"""What everything stands on: typed errors, units, read-only arrays, HTML for notebooks."""

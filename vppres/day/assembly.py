@@ -1,0 +1,73 @@
+"""The controller that the options of a run name, put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vppres.contract.decision import Decider
+from vppres.control.baselines import IdleController, ReserveController
+from vppres.control.converged import ConvergedPlanner
+from vppres.control.full_horizon import FullHorizonController
+from vppres.control.guard.check import Tolerances
+from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.mpc import MPCController
+from vppres.day.faults import FaultInjector, FaultySolver
+from vppres.day.options import RunOptions
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
+
+PLANNED_LOSSES = 0.1
+"""Share of the power flowing beyond which the losses of a physical plan are no losses."""
+
+
+def make_controller(scenario: Scenario, options: RunOptions,
+                    faults: FaultInjector | None = None) -> Decider:
+    """The controller that the options name, with problems that are yet to be compiled.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its site, steps and tiers; no series of it reaches the controller.
+    options : RunOptions
+        Which controller, and whether it is guarded.
+    faults : FaultInjector, optional
+        What befalls its solvers.
+    """
+    site = Site.of(scenario)
+
+    def solver_of(part: Site) -> WindowSolver:
+        solver = WindowSolver(part, options.method, options.solver, options.limits,
+                              options.polygon_sides)
+        return solver if faults is None else FaultySolver(solver, faults)
+
+    def controller_of(part: Site) -> Decider:
+        return _plain_controller(part, scenario, options, solver_of)
+
+    if not options.guard:
+        return controller_of(site)
+    # A rule does not plan for voltages, and must not be replaced by another rule for them.
+    v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
+    losses = PLANNED_LOSSES if options.mode == "physical" else 0.0
+    guard = GuardOptions(scenario.tiers, options.protect_critical, options.centre,
+                         Tolerances(v_pu=v_pu, loss_share=losses))
+    return GuardedController(controller_of, solver_of, site, guard)
+
+
+def _plain_controller(site: Site, scenario: Scenario, options: RunOptions,
+                      solver_of: Callable[[Site], WindowSolver]) -> Decider:
+    """A controller without guard for the whole fleet or a part of it."""
+    grid, centre = scenario.grid, options.centre
+    if options.controller == "idle":
+        return IdleController(site, scenario.tiers, centre)
+    if options.controller == "reserve":
+        return ReserveController(site, grid, scenario.tiers, options.reserve, centre)
+    solver = solver_of(site)
+    planner = (ConvergedPlanner(solver, options.headroom, options.passes)
+               if options.mode == "physical" else None)
+    if options.controller == "mpc":
+        return MPCController(solver, grid, options.horizon_h, centre, planner,
+                             options.switching.move_weight)
+    return FullHorizonController(solver, grid, options.pv_check, centre, planner)

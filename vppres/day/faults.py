@@ -1,0 +1,334 @@
+"""What goes wrong in a simulated day: solvers, measurements, batteries and forecasts; seeded.
+
+Faults are put between plant and controller: a solver that is wrapped, an observation that is
+changed before the controller sees it, a set-point that a battery does not follow. Neither the plant
+nor the solving code knows of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decision
+from vppres.contract.forecast import ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.core.errors import InfeasibleError, InputError, LimitError, Problem
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import WindowSolution
+
+Floats = NDArray[np.float64]
+
+SolverFault = Literal["killed", "timed_out", "infeasible", "nan", "out_of_range", "wrong_shape"]
+Quantity = Literal["soc", "load", "pv"]
+SOLVER_FAULTS: tuple[SolverFault, ...] = get_args(SolverFault)
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+PV_FORECAST_OFF = 0.5
+
+
+class SolverKilledError(RuntimeError):
+    """What a solver that dies raises: nothing that vppres would raise itself."""
+
+
+@dataclass(frozen=True)
+class SolverOutage:
+    """A solver that fails in one step.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``SOLVER_FAULTS``.
+    every_call : bool
+        Whether every solve of the step fails; otherwise only the first.
+    """
+
+    kind: SolverFault
+    every_call: bool = True
+
+
+@dataclass(frozen=True)
+class MeasurementFault:
+    """Measurements that are missing or frozen over the steps ``[start, end)``.
+
+    Parameters
+    ----------
+    quantity : {"soc", "load", "pv"}
+        What is measured.
+    frozen : bool
+        Whether the last reading is repeated; otherwise there is none (NaN).
+    start, end : int
+        First step, and first step after it.
+    items : tuple of int, optional
+        Positions of the items in question; all if not given.
+    """
+
+    quantity: Quantity
+    frozen: bool
+    start: int
+    end: int
+    items: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True)
+class BatteryTrip:
+    """A battery that is out over the steps ``[start, end)``.
+
+    Parameters
+    ----------
+    battery : int
+        Position in the table of batteries.
+    start, end : int
+        First step, and first step after it.
+    silent : bool
+        Whether telemetry still reports it as there; it shows only by what it does not do.
+    """
+
+    battery: int
+    start: int
+    end: int
+    silent: bool = False
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """Everything that goes wrong in a day.
+
+    Parameters
+    ----------
+    solver : mapping of int to SolverOutage
+        By step.
+    measurements : tuple of MeasurementFault
+        In any order; where two meet, the later one counts.
+    trips : tuple of BatteryTrip
+        Batteries that are out.
+    pv_bias : float
+        Added to the bias of the PV forecast for the whole day.
+    """
+
+    solver: Mapping[int, SolverOutage] = field(default_factory=dict)
+    measurements: tuple[MeasurementFault, ...] = ()
+    trips: tuple[BatteryTrip, ...] = ()
+    pv_bias: float = 0.0
+
+    @classmethod
+    def draw(cls, scenario: Scenario, seed: int) -> FaultPlan:
+        """A day's faults, drawn: each kind appears on about every other day.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            The day.
+        seed : int
+            Seed; the same seed and scenario give the same faults.
+        """
+        rng = np.random.default_rng([seed, 20220719])
+        steps = scenario.grid.n_steps
+        failing = np.flatnonzero(rng.random(steps) < rng.choice([0.0, 0.1, 0.3]))
+        solver = {int(t): SolverOutage(rng.choice(np.array(SOLVER_FAULTS)).item(),
+                                       bool(rng.random() < 0.7)) for t in failing}
+        measurements = tuple(_draw_measurement(rng, scenario, quantity)
+                             for quantity in QUANTITIES if rng.random() < 0.4)
+        n_batteries = len(scenario.batteries)
+        trips = ((_draw_trip(rng, n_batteries, steps),)
+                 if n_batteries and rng.random() < 0.5 else ())
+        bias = float(rng.choice([0.0, -PV_FORECAST_OFF, PV_FORECAST_OFF]))
+        return cls(solver, measurements, trips, bias)
+
+    def forecast_errors(self, errors: ForecastErrors) -> ForecastErrors:
+        """Forecast errors with the day's own on top, and no bias below -1."""
+        return replace(errors, pv_bias=max(errors.pv_bias + self.pv_bias, -1.0))
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse faults of items that the scenario does not have.
+
+        Raises
+        ------
+        InputError
+            With every fault that names an item outside its table.
+        """
+        sizes = {"soc": len(scenario.batteries), "load": len(scenario.customers),
+                 "pv": len(scenario.pv)}
+        named = [(m.quantity, i) for m in self.measurements for i in m.items or ()]
+        named += [("soc", trip.battery) for trip in self.trips]
+        problems = [Problem("faults", "is not in the scenario",
+                            f"Give a position from 0 to {sizes[name] - 1}.", field=name, value=i)
+                    for name, i in named if not 0 <= i < sizes[name]]
+        if problems:
+            raise InputError(problems)
+
+
+class FaultInjector:
+    """Carries out a plan of faults while a day runs.
+
+    Parameters
+    ----------
+    plan : FaultPlan
+        What goes wrong.
+    scenario : Scenario
+        The day.
+    """
+
+    def __init__(self, plan: FaultPlan, scenario: Scenario) -> None:
+        plan.check(scenario)
+        self.plan, self.scenario = plan, scenario
+        self.step, self._calls = 0, 0
+        self._frozen: dict[MeasurementFault, Floats] = {}
+
+    def solver_fault(self) -> SolverFault | None:
+        """What befalls the solve that is about to begin, None if nothing does."""
+        self._calls += 1
+        outage = self.plan.solver.get(self.step)
+        if outage is None or (self._calls > 1 and not outage.every_call):
+            return None
+        return outage.kind
+
+    def observe(self, true: Observation) -> Observation:
+        """What the controller gets to see of an observation."""
+        self.step, self._calls = true.t0, 0
+        seen = replace(true, online=self._online(true.t0, silent_too=False))
+        for fault in self.plan.measurements:
+            if fault.start <= true.t0 < fault.end:
+                seen = _with_readings(seen, fault, self._reading(fault, true))
+        return seen
+
+    def actuate(self, t: int, decision: Decision) -> Decision:
+        """The set-points that reach the batteries; those that are out follow none."""
+        online = self.online(t)
+        if online.all():
+            return decision
+        plan = decision.dispatch
+        still = {}
+        for name in ("charge_kw", "discharge_kw", "batt_q_kvar"):
+            values = np.array(getattr(plan, name), dtype=float)
+            values[decision.row] *= online
+            still[name] = values
+        return replace(decision, dispatch=replace(plan, **still))
+
+    def online(self, t: int) -> NDArray[np.bool_]:
+        """Batteries that are really there at a step, (B,)."""
+        return self._online(t, silent_too=True)
+
+    def _online(self, t: int, silent_too: bool) -> NDArray[np.bool_]:
+        """Batteries that are there, (B,); those that tripped silently are if not asked for."""
+        online = np.ones(len(self.scenario.batteries), dtype=bool)
+        for trip in self.plan.trips:
+            if trip.start <= t < trip.end and (silent_too or not trip.silent):
+                online[trip.battery] = False
+        return online
+
+    def _reading(self, fault: MeasurementFault, true: Observation) -> Floats:
+        """Readings of the fault's quantity, (C,), (P,) or (B,)."""
+        values = np.array(_quantity(true, fault.quantity))
+        if fault.frozen:
+            values = self._frozen.setdefault(fault, values)
+            return values
+        return np.full_like(values, np.nan)
+
+
+class FaultySolver(WindowSolver):
+    """A solver that fails when the day's faults say so.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        The one that works.
+    injector : FaultInjector
+        Says when it does not.
+    """
+
+    def __init__(self, solver: WindowSolver, injector: FaultInjector) -> None:
+        self.method, self.limits, self.spec = solver.method, solver.limits, solver.spec
+        self.sides, self.cache, self._injector = solver.sides, solver.cache, injector
+
+    def solve(self, data: WindowData) -> WindowSolution:
+        """Solve a window, or fail at it."""
+        fault = self._injector.solver_fault()
+        _fail(fault)
+        solution = super().solve(data)
+        return solution if fault is None else _garbled(solution, fault, self.site)
+
+    def solve_served(self, data: WindowData, served: NDArray[np.bool_]) -> WindowSolution | None:
+        """Dispatch of a served set, or a failure."""
+        fault = self._injector.solver_fault()
+        _fail(fault)
+        solution = super().solve_served(data, served)
+        if fault is None or solution is None:
+            return solution
+        return _garbled(solution, fault, self.site)
+
+
+def _fail(fault: SolverFault | None) -> None:
+    """Raise what a solver without an answer raises."""
+    if fault == "killed":
+        raise SolverKilledError("the solver's process was killed")
+    if fault == "timed_out":
+        raise LimitError("The window was not solved before the time limit.")
+    if fault == "infeasible":
+        raise InfeasibleError("The window has no feasible dispatch.")
+
+
+def _garbled(solution: WindowSolution, fault: SolverFault, site: Site) -> WindowSolution:
+    """A solution whose values no one may carry out."""
+    plan = solution.dispatch
+    changed: dict[str, Any] = {}
+    if fault == "nan":
+        changed = {"served": np.full(plan.served.shape, np.nan)}
+    elif fault == "out_of_range":
+        changed = {"served": np.ones(plan.served.shape, dtype=bool),
+                   "charge_kw": plan.charge_kw + 10.0 * site.batteries.p_max_kw,
+                   "pv_q_kvar": plan.pv_q_kvar - 10.0 * site.pv.s_max_kva,
+                   "v_pu": 2.0 * plan.v_pu}
+    else:
+        changed = {"served": plan.served[:, 1:]}
+    return replace(solution, dispatch=replace(plan, **changed))
+
+
+def _quantity(seen: Observation, quantity: Quantity) -> Floats:
+    if quantity == "soc":
+        return seen.soc
+    rows = seen.forecast.load_kw if quantity == "load" else seen.forecast.pv_kw
+    return np.asarray(rows[0])
+
+
+def _with_readings(seen: Observation, fault: MeasurementFault, reading: Floats) -> Observation:
+    """The observation with the fault's items at other readings."""
+    values = np.array(_quantity(seen, fault.quantity))
+    items = slice(None) if fault.items is None else np.array(fault.items, dtype=int)
+    values[items] = reading[items]
+    if fault.quantity == "soc":
+        return replace(seen, soc=values)
+    name = f"{fault.quantity}_kw"
+    rows = np.array(getattr(seen.forecast, name))
+    rows[0] = values
+    return replace(seen, forecast=replace(seen.forecast, **{name: rows}))
+
+
+def _draw_measurement(rng: Generator, scenario: Scenario, quantity: Quantity) -> MeasurementFault:
+    """A fault of some hours, of all items or of about a third of them."""
+    count = {"soc": len(scenario.batteries), "load": len(scenario.customers),
+             "pv": len(scenario.pv)}[quantity]
+    start, end = _draw_interval(rng, scenario.grid.n_steps)
+    some = tuple(int(i) for i in np.flatnonzero(rng.random(count) < 1 / 3))
+    return MeasurementFault(quantity, bool(rng.random() < 0.5), start, end,
+                            some if rng.random() < 0.5 else None)
+
+
+def _draw_trip(rng: Generator, n_batteries: int, n_steps: int) -> BatteryTrip:
+    """A battery out for some hours or the rest of the day, reported or silently."""
+    start, end = _draw_interval(rng, n_steps)
+    return BatteryTrip(int(rng.integers(n_batteries)), start,
+                       n_steps if rng.random() < 0.5 else end, bool(rng.random() < 0.3))
+
+
+def _draw_interval(rng: Generator, n_steps: int) -> tuple[int, int]:
+    """Some steps from anywhere in the day on, at least one and at most a third of the day."""
+    start = int(rng.integers(n_steps))
+    return start, min(n_steps, start + int(rng.integers(1, max(n_steps // 3, 1) + 1)))

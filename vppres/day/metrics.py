@@ -1,0 +1,256 @@
+"""Trajectory to numbers: the figures of ``summary.json``, each a pure function of the record."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vppres.core.units import kva_to_a
+from vppres.day.switching_figures import switching_figures
+from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
+from vppres.io.digest import scenario_digest
+
+PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
+MPC = "mpc"
+
+Floats = NDArray[np.float64]
+
+
+def summarise(trajectory: Trajectory) -> dict[str, Any]:
+    """Every figure of ``summary.json``, safe for JSON: what is not defined is None.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A finished run.
+
+    Returns
+    -------
+    dict
+        Keys as in the run folder's contract. The shares and the resilience are None without an
+        outage step, and the island figures likewise.
+    """
+    summary = {
+        "resilience": resilience(trajectory),
+        "served_share": served_share(trajectory, outage=True),
+        "served_share_connected": served_share(trajectory, outage=False),
+        "cost_gbp": cost_gbp(trajectory),
+        "import_kwh": import_kwh(trajectory),
+        "pv_curtailed_kwh": pv_curtailed_kwh(trajectory),
+        **voltage_figures(trajectory),
+        **line_figures(trajectory),
+        **island_figures(trajectory),
+        **switching_figures(trajectory),
+        "corrections": int(trajectory.steps["corrected"].sum()),
+        **operation_figures(trajectory),
+        "solve_s": solve_times(trajectory),
+        "gap_max": trajectory.steps["gap"].max(),
+        **{name: trajectory.options[name] for name in OPTIONS},
+        "horizon_h": horizon_h(trajectory),
+        "options": {name: value for name, value in trajectory.options.items()
+                    if name not in OPTIONS},
+        "versions": versions(),
+        "input_digest": scenario_digest(trajectory.scenario),
+    }
+    if trajectory.explanations is not None:
+        summary |= reason_figures(trajectory.explanations)
+    if trajectory.planned is not None:
+        summary["resilience_planned"] = resilience_planned(trajectory)
+    safe: dict[str, Any] = json_safe(summary)
+    return safe
+
+
+def resilience(trajectory: Trajectory) -> float | None:
+    """Weighted share of service in the outage (paper, Performance Metrics); None without outage.
+
+    ``R = sum_t sum_c w_c x(t, c) / sum_t sum_c w_c`` over the outage steps ``t``.
+    """
+    rows = _customers(trajectory, outage=True)
+    total = float(rows["weight"].sum())
+    return float((rows["weight"] * rows["served"]).sum()) / total if total else None
+
+
+def resilience_planned(trajectory: Trajectory) -> float | None:
+    """The resilience that the plan promised; None without a plan or an outage."""
+    in_outage = trajectory.steps["outage"].to_numpy(bool)
+    if trajectory.planned is None or not in_outage.any():
+        return None
+    weight = trajectory.scenario.customers.weight
+    served = np.asarray(trajectory.planned["served"], dtype=float)[in_outage]
+    return float(served.mean(axis=0) @ weight / weight.sum())
+
+
+def served_share(trajectory: Trajectory, outage: bool) -> dict[str, float | None]:
+    """Share of customer-steps served, for each tier, over the outage or the connected steps.
+
+    ``sum_t sum_c x(t, c) / sum_t sum_c 1`` over the customers ``c`` of the tier. None where there
+    is no such step or no such customer.
+    """
+    share = _customers(trajectory, outage).groupby("tier")["served"].mean()
+    return {tier: float(share[tier]) if tier in share.index else None
+            for tier in trajectory.scenario.tiers}
+
+
+def service_by_tier(trajectory: Trajectory) -> pd.DataFrame:
+    """Share of customers served, shape (T, tiers): one row per step, one column per tier."""
+    share = trajectory.customers.pivot_table(index="time", columns="tier", values="served",
+                                             aggfunc="mean", observed=False)
+    present = [tier for tier in trajectory.scenario.tiers if tier in share.columns]
+    return share[present].astype(float)
+
+
+def service_by_customer(trajectory: Trajectory) -> pd.DataFrame:
+    """One row per customer: hours without supply and energy not supplied, over the whole run.
+
+    Returns
+    -------
+    DataFrame
+        ``id``, ``bus``, ``tier``, ``unserved_h``, ``unserved_kwh``, in the scenario's order.
+    """
+    dt_h = trajectory.scenario.grid.dt_h
+    rows = trajectory.customers
+    missing = ~rows["served"].astype(bool)
+    lost = rows.assign(unserved_h=missing * dt_h, unserved_kwh=missing * rows["p_load_kw"] * dt_h)
+    return lost.groupby("id", sort=False).agg(
+        bus=("bus", "first"), tier=("tier", "first"),
+        unserved_h=("unserved_h", "sum"), unserved_kwh=("unserved_kwh", "sum")).reset_index()
+
+
+def cost_gbp(trajectory: Trajectory) -> float:
+    """Cost of the imported energy: ``sum_t rho(t) P_grid(t) dt`` over grid-available steps (AC)."""
+    steps = _connected(trajectory)
+    return float((steps["price_gbp_per_kwh"] * steps["p_grid_kw"]).sum()
+                 * trajectory.scenario.grid.dt_h)
+
+
+def import_kwh(trajectory: Trajectory) -> float:
+    """Imported energy in kWh: ``sum_t P_grid(t) dt`` over grid-available steps (AC)."""
+    return float(_connected(trajectory)["p_grid_kw"].sum() * trajectory.scenario.grid.dt_h)
+
+
+def pv_curtailed_kwh(trajectory: Trajectory) -> float:
+    """Curtailed PV energy in kWh over the whole run."""
+    return float(trajectory.pv["curtailed_kw"].sum() * trajectory.scenario.grid.dt_h)
+
+
+def voltage_figures(trajectory: Trajectory) -> dict[str, float]:
+    """Extremes of the AC voltages, mean of the hourly lowest, and the optimisation's largest error.
+
+    ``v_mean_of_min_ac_pu = mean_t min_n V_ac(t, n)``;
+    ``v_error_max_pu = max_t max_n |V_model(t, n) - V_ac(t, n)|``.
+    """
+    steps = trajectory.steps
+    return {"v_min_ac_pu": float(steps["v_min_ac_pu"].min()),
+            "v_max_ac_pu": float(steps["v_max_ac_pu"].max()),
+            "v_mean_of_min_ac_pu": float(steps["v_min_ac_pu"].mean()),
+            "v_error_max_pu": float(steps["v_error_pu"].max())}
+
+
+def line_current_a(trajectory: Trajectory) -> Floats:
+    """Current of each line in the AC power flow, shape (T, L).
+
+    ``I = |S| / (sqrt(3) V)`` with power and voltage at the sending end; without shunts it is the
+    same along the line. Zero where a bus has no voltage.
+    """
+    net, lines = trajectory.scenario.network, trajectory.lines
+    shape = (len(trajectory.steps), net.n_lines)
+    s_kva = np.hypot(lines["p_ac_kw"].to_numpy(float), lines["q_ac_kvar"].to_numpy(float))
+    v_pu = trajectory.buses["v_ac_pu"].to_numpy(float).reshape(shape[0], -1)[:, net.parent]
+    live = np.nan_to_num(v_pu) > 0
+    current = kva_to_a(s_kva.reshape(shape), np.where(live, v_pu, 1.0) * net.base_kv)
+    return np.where(live, current, 0.0)
+
+
+def line_loading(trajectory: Trajectory) -> Floats:
+    """Current of each line as a share of its rating, shape (T, L); NaN for lines without one."""
+    rating = trajectory.scenario.network.i_max_a
+    return line_current_a(trajectory) / np.where(np.isfinite(rating), rating, np.nan)
+
+
+def line_figures(trajectory: Trajectory) -> dict[str, float | None]:
+    """Largest line current in A, and largest loading of any line that has a rating."""
+    loading = line_loading(trajectory)
+    rated = np.isfinite(loading).any()
+    return {"line_current_max_a": float(line_current_a(trajectory).max()),
+            "line_loading_max": float(np.nanmax(loading)) if rated else None}
+
+
+def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
+    """What the slack bus has to balance although the grid is dead, at its largest.
+
+    The optimisation's island is lossless; the AC power flow draws the losses, and any mismatch,
+    from the slack bus. ``import`` is active power into the feeder, ``export`` a surplus that has
+    nowhere to go (both at least 0), ``reactive`` the absolute value in kvar. None without outage.
+    """
+    island = trajectory.steps[trajectory.steps["outage"].astype(bool)]
+    if island.empty:
+        return {"island_import_max_kw": None, "island_export_max_kw": None,
+                "island_reactive_max_kvar": None}
+    return {"island_import_max_kw": max(0.0, float(island["p_grid_kw"].max())),
+            "island_export_max_kw": max(0.0, float(-island["p_grid_kw"].min())),
+            "island_reactive_max_kvar": float(island["q_grid_kvar"].abs().max())}
+
+
+def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:
+    """How many actions have a reason, and how often each drove one.
+
+    An action is a customer not served in a step, a battery that moved by more than 1 kW, or a PV
+    system curtailed by more than that. ``explained_share`` is None where there is none.
+    """
+    actions = explanations[explanations["item"] != "step"]
+    explained = actions["driver"] != "unexplained"
+    drivers = {action: rows["driver"].value_counts().sort_index().to_dict()
+               for action, rows in actions.groupby("action")}
+    return {"explained_share": float(explained.mean()) if len(actions) else None,
+            "drivers": drivers}
+def operation_figures(trajectory: Trajectory) -> dict[str, Any]:
+    """How many steps had a fallback, in all and by kind, an estimate, and no AC solution."""
+    steps = trajectory.steps
+    kinds = steps.loc[steps["fallback"] != "none", "fallback"]
+    return {"fallbacks": len(kinds),
+            "fallbacks_by_kind": {str(kind): int(n) for kind, n in kinds.value_counts().items()},
+            "estimated_steps": int((steps["estimated"] != "").sum()),
+            "ac_failures": int((steps["ac_failed"] != "").sum())}
+
+
+def solve_times(trajectory: Trajectory) -> dict[str, float]:
+    """Total, median, 95th percentile and largest time of a decision, in s."""
+    seconds = trajectory.steps["solve_s"]
+    return {"total": float(seconds.sum()), "median": float(seconds.median()),
+            "p95": float(seconds.quantile(0.95)), "max": float(seconds.max())}
+
+
+def horizon_h(trajectory: Trajectory) -> float | None:
+    """Prediction horizon in h; None for controllers other than the MPC, which have none."""
+    if trajectory.options["controller"] != MPC:
+        return None
+    return float(trajectory.options["horizon_h"])
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of the packages a result depends on; None for one that is not installed."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+
+
+def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:
+    """Rows of the customers' table in the outage, or out of it."""
+    steps = trajectory.steps
+    times = steps.loc[steps["outage"] == outage, "time"]
+    return trajectory.customers[trajectory.customers["time"].isin(times)]
+
+
+def _connected(trajectory: Trajectory) -> pd.DataFrame:
+    """Steps with a grid."""
+    return trajectory.steps[~trajectory.steps["outage"].astype(bool)]
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,172 @@
+"""The closed loop: observe, decide, actuate, verify, record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decider, Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.switching import SwitchingState
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultInjector, FaultPlan
+from vppres.day.options import PERFECT, RunOptions
+from vppres.day.trajectory import Recorder, StepRecord, Trajectory
+from vppres.physics.powerflow import shared_power_flow
+from vppres.plant.collapse import realise
+from vppres.plant.island import IslandPlant, Settled
+from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
+from vppres.scenario.parts import parts_record, split_sheddable
+from vppres.scenario.scenario import Scenario
+
+Progress = Callable[[int, int], None]
+
+
+def run_day(scenario: Scenario, options: RunOptions | None = None,
+            progress: Progress | None = None, faults: FaultPlan | None = None) -> Trajectory:
+    """Run a scenario from its first step to its last.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual day.
+    options : RunOptions, optional
+        Controller, solver, errors; the defaults are the paper's ideal case at H = 5.
+    progress : callable, optional
+        Called as ``progress(steps done, steps in all)`` after every step.
+    faults : FaultPlan, optional
+        What goes wrong; nothing if not given.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
+    SolveError
+        If a window has no answer and no guard finds another.
+    """
+    options = options or RunOptions()
+    parts = parts_record(scenario)
+    scenario = split_sheddable(scenario)
+    injector = None if faults is None else FaultInjector(faults, scenario)
+    controller = make_controller(scenario, options, injector)
+    day = Day(scenario, options, injector)
+    for t in range(scenario.grid.n_steps):
+        day.step(controller, t)
+        if progress is not None:
+            progress(t + 1, scenario.grid.n_steps)
+    plan: Dispatch | None = getattr(controller, "plan", None)
+    # A plan that had to be made later in the day does not say what was promised for all of it.
+    planned = None if plan is None or plan.n_steps < scenario.grid.n_steps else {
+        "served": plan.served.tolist(),
+        "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
+        "p_grid_kw": plan.p_grid_kw.tolist(),
+    }
+    return day.recorder.finish(options.as_record() | parts, planned)
+
+
+class Day:
+    """State of a run between two steps."""
+
+    def __init__(self, scenario: Scenario, options: RunOptions,
+                 faults: FaultInjector | None = None) -> None:
+        self.scenario, self.options, self.faults = scenario, options, faults
+        self.plant = Plant(scenario, options.thermal, options.switching)
+        self.switching = (SwitchingState.start(options.switching, scenario.grid.dt_h,
+                                               len(scenario.customers))
+                          if options.switching.active else None)
+        self.state = self.plant.initial_state()
+        errors = ForecastErrors() if options.controller == PERFECT else options.errors
+        if faults is not None:
+            errors = faults.plan.forecast_errors(errors)
+        self.forecaster = Forecaster(scenario, errors, options.seed)
+        self.ac = shared_power_flow(scenario.network)
+        self.island = IslandPlant(self.plant, self.ac)
+        self.recorder = Recorder(scenario)
+        self.operating_point: OperatingPoint | None = None
+        self.battery_kw: NDArray[np.float64] | None = None
+
+    def observe(self, controller: Decider, t: int) -> Observation:
+        """What the controller may know at step ``t``."""
+        forecast = self.forecaster.at(t, controller.horizon_steps(t))
+        s = self.state
+        seen = Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
+                           self.switching, battery_kw=self.battery_kw)
+        return seen if self.faults is None else self.faults.observe(seen)
+
+    def step(self, controller: Decider, t: int) -> None:
+        """Observe, decide, actuate, verify, record."""
+        self.recorder.add(self.play(controller, t))
+
+    def play(self, controller: Decider, t: int) -> StepRecord:
+        """One step without its record's place in the run: what was decided and what came of it."""
+        decision = controller.decide(self.observe(controller, t))
+        if self.faults is not None:
+            decision = self.faults.actuate(t, decision)
+        done = self.carry_out(t, decision)
+        realised, result = done.realised, done.ac
+        record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
+        self.operating_point = None if done.dark else OperatingPoint(
+            result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
+            realised.q_injection_kvar)
+        self.battery_kw = realised.charge_kw - realised.discharge_kw
+        self.state = self.plant.advance(t, self.state, realised)
+        if self.switching is not None:
+            self.switching = self.switching.advance(realised.served)
+        return record
+
+    def carry_out(self, t: int, decision: Decision) -> Settled:
+        """What the day makes of a decision; physical mode's islands hold themselves."""
+        if not (self.options.mode == "physical" and self.scenario.outage[t]):
+            return realise(self.plant, self.ac, t, decision, self.state)
+        if self.faults is not None:
+            self.island.formers = self.faults.online(t) & self.scenario.batteries.formers
+        return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
+
+
+def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
+            done: Settled, mode: str) -> StepRecord:
+    """Everything that is known of the step."""
+    plan, row, info = decision.dispatch, decision.row, decision.info
+    realised, ac, island = done.realised, done.ac, mode == "physical" and scenario.outage[t]
+    clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
+    return StepRecord(
+        t=t, served=realised.served, load_kw=realised.load_kw,
+        load_kvar=realised.load_kw * scenario.customers.q_per_p,
+        pv_available_kw=scenario.pv_kw[t], pv_self_kw=realised.pv_self_kw,
+        pv_export_kw=realised.pv_export_kw, pv_curtailed_kw=realised.pv_curtailed_kw,
+        pv_q_kvar=realised.pv_q_kvar, charge_kw=realised.charge_kw,
+        discharge_kw=realised.discharge_kw, batt_q_kvar=realised.batt_q_kvar,
+        soc_start=state.soc, soc_end=realised.soc_end, eta_charge=state.eta_charge,
+        eta_discharge=state.eta_discharge, temperature_c=state.t_cell_c,
+        v_model_pu=plan.v_pu[row], v_ac_pu=ac.v_pu, p_model_kw=plan.p_flow_kw[row],
+        q_model_kvar=plan.q_flow_kvar[row], p_ac_kw=ac.p_from_kw, q_ac_kvar=ac.q_from_kvar,
+        p_grid_kw=0.0 if island else ac.p_slack_kw, q_grid_kvar=0.0 if island else ac.q_slack_kvar,
+        losses_kw=ac.losses_kw, mismatch_kw=done.mismatch_kw, shed=done.shed,
+        objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
+        solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
+        fallback=decision.fallback, fallback_reason=decision.fallback_reason,
+        estimated=decision.estimated, ac_failed=done.ac_failed,
+        notes={"gap_abs": info.gap_abs, "gap_service": info.gap_service,
+               "gap_cost_gbp": info.gap_cost_gbp,
+               "solver_s": info.solver_s, "stages": info.stages,
+               "compilations": float(info.compilations), "clipped_kw": clipped,
+               "switching_relaxed": info.switching_relaxed, "moved_kw": info.moved_kw,
+               "mode": mode, "passes": float(info.passes), **_island_notes(scenario, done)})
+
+
+def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
+    """What the record says of an island's step; the figures are 0 where nothing was cut."""
+    net, v = scenario.network, done.ac.v_pu
+    within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
+    return {"dark": float(done.dark), "dark_reason": done.dark_reason,
+            "island_mismatch_kw": float(done.mismatch_kw.sum()),
+            "shed_kw": float(done.realised.load_kw @ done.shed), "v_within_ac": float(within)}

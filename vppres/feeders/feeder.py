@@ -1,0 +1,106 @@
+"""What an import yields: a radial network, its loads and generators, and what was simplified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.core.frozen import freeze_fields
+from vppres.scenario.network import BusId, Network
+
+Floats = NDArray[np.float64]
+Names = NDArray[np.object_]
+
+
+@dataclass(frozen=True, eq=False)
+class Generators:
+    """Generators that the source has, shape (G,) each; injection is positive.
+
+    ``kind`` is the source's word: ``PV`` for photovoltaics, anything else is not used as such.
+    """
+
+    id: Names
+    bus: Names
+    kind: Names
+    p_kw: Floats
+    q_kvar: Floats
+    s_kva: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, id=object, bus=object, kind=object, p_kw=float, q_kvar=float,
+                      s_kva=float)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """AC power flow of the feeder against that of the source.
+
+    Parameters
+    ----------
+    v_max_pu : float
+        Largest difference of a bus voltage.
+    losses_source_kw, losses_kw : float
+        Active losses of the source and of the feeder.
+    """
+
+    v_max_pu: float
+    losses_source_kw: float
+    losses_kw: float
+
+    def __str__(self) -> str:
+        return (f"AC power flow against the source: voltages differ by at most "
+                f"{self.v_max_pu:.2g} pu; losses {self.losses_kw:.3f} kW, in the source "
+                f"{self.losses_source_kw:.3f} kW")
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedFeeder:
+    """A feeder from another tool.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source.
+    network : Network
+        ``N`` buses; all impedances refer to its ``base_kv``.
+    p_load_kw, q_load_kvar : array, shape (N,)
+        Load of each bus, in the network's bus order.
+    tier : array of str, shape (N,)
+        Tier of each bus's load if the source's loads have a column ``tier``, else empty.
+    generators : Generators
+        Generators of the source.
+    bus_of : mapping
+        Bus of the network for every supplied bus of the source; joined buses share one.
+    notes : tuple of str
+        What was simplified, one sentence each; empty if nothing was.
+    deviation : Deviation, optional
+        What the simplifications change; None if the source's power flow does not converge.
+    """
+
+    name: str
+    network: Network
+    p_load_kw: Floats
+    q_load_kvar: Floats
+    tier: Names
+    generators: Generators
+    bus_of: Mapping[int, BusId]
+    notes: tuple[str, ...]
+    deviation: Deviation | None = None
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)
+        object.__setattr__(self, "bus_of", MappingProxyType(dict(self.bus_of)))
+
+    @property
+    def injection(self) -> tuple[Floats, Floats]:
+        """Net injection of every bus in kW and kvar, shape (N,) each."""
+        at = self.network.place(self.generators.bus)
+        return (at @ self.generators.p_kw - self.p_load_kw,
+                at @ self.generators.q_kvar - self.q_load_kvar)

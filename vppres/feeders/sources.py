@@ -1,0 +1,193 @@
+"""Networks by name or file: pandapower, MATPOWER, SimBench and OpenDSS."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal, get_args
+
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.reduce import feeder_of
+from vppres.io.messages import did_you_mean
+from vppres.scenario.network import BusId
+
+Source = Literal["pandapower", "matpower", "opendss", "simbench"]
+SUFFIXES: dict[str, Source] = {".json": "pandapower", ".m": "matpower", ".mat": "matpower",
+                               ".dss": "opendss"}
+# A MATPOWER case that computes its own tables: only MATPOWER itself can run that.
+_COMPUTES = re.compile(r"^\s*mpc\.(bus|branch|gen)\s*\(", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class _Net:
+    """A pandapower net, the identifiers of its buses, and what its reader simplified."""
+
+    net: Any
+    bus_ids: Mapping[int, BusId] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def import_network(name_or_file: str | Path | Any, source: Source | None = None,
+                   open_branches: Sequence[str] = ()) -> ImportedFeeder:
+    """Import a network.
+
+    Parameters
+    ----------
+    name_or_file : str, Path or pandapowerNet
+        A name of ``NAMED``, a file (``.json`` of pandapower, ``.m`` or ``.mat`` of MATPOWER,
+        ``.dss`` of OpenDSS), a SimBench code with ``source="simbench"``, or a pandapower net.
+    source : str, optional
+        Where the network comes from; by the file's suffix if not given.
+    open_branches : sequence of str
+        Branches to take out of service, as ``line 7`` or by their name.
+
+    Returns
+    -------
+    ImportedFeeder
+
+    Raises
+    ------
+    InputError
+        If there is no such network, its library is missing, or it cannot be a radial feeder.
+    """
+    if not isinstance(name_or_file, (str, Path)):
+        with _quiet():
+            return feeder_of(name_or_file, "pandapower net", open_branches)
+    text = str(name_or_file)
+    if source not in (None, *get_args(Source)):
+        raise InputError(Problem("options", f"must be one of {', '.join(get_args(Source))}",
+                                 "Correct the source.", field="from", value=source))
+    with _quiet():
+        read = NAMED[text] if source is None and text in NAMED else _reader(text, source)
+        found = read()
+        feeder = feeder_of(found.net, Path(text).name, open_branches, found.bus_ids)
+    return replace(feeder, notes=found.notes + feeder.notes)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the warnings of the libraries: what they simplify, the reduction states itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
+    """The reader of a file or code."""
+    kind = source or SUFFIXES.get(Path(text).suffix.lower())
+    if kind is None:
+        raise InputError(Problem(
+            f"network {text}", "is neither a named network nor a file that can be imported",
+            did_you_mean(text, sorted(NAMED), f"Give a file ending in {', '.join(SUFFIXES)}, or a "
+                         "SimBench code with --from simbench.")))
+    if kind == "simbench":
+        return lambda: _simbench(text)
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(Problem(f"network {text}", "there is no such file", "Correct the path."))
+    readers = {"pandapower": _pandapower, "matpower": _matpower, "opendss": _opendss}
+    return lambda: readers[kind](path)
+
+
+def _library(module: str, extra: str) -> ModuleType:
+    """A library that only some imports need."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise InputError(Problem(
+            "network", f"needs the library {module}, which is not installed",
+            f"Install it with: pip install 'vppres[{extra}]'")) from None
+
+
+def _pandapower(path: Path) -> _Net:
+    import pandapower as pp
+
+    try:
+        net = pp.from_json(str(path))
+    except Exception as error:  # whatever the reader stumbles over, the file is the cause
+        raise _unreadable(path, "pandapower JSON", error) from None
+    return _Net(net)
+
+
+def _matpower(path: Path) -> _Net:
+    """A MATPOWER case; pandapower counts its buses from 0, MATPOWER from 1."""
+    if path.suffix.lower() == ".m":
+        _library("matpowercaseframes", "matpower")
+        found = _COMPUTES.search(path.read_text(encoding="utf-8", errors="replace"))
+        if found:
+            raise InputError(Problem(
+                path.name, f"computes mpc.{found[1]} in code, which only MATPOWER can run",
+                "Load the case in MATPOWER, write it with savecase, and import that file."))
+    from pandapower.converter.matpower import from_mpc
+
+    try:
+        net = from_mpc(str(path))
+    except Exception as error:  # whatever the reader stumbles over, the file is the cause
+        raise _unreadable(path, "a MATPOWER case of version 2", error) from None
+    return _Net(net, _from_one(net))
+
+
+def _opendss(path: Path) -> _Net:
+    _library("opendssdirect", "opendss")
+    from vppres.feeders.opendss import read_opendss
+
+    return _Net(*read_opendss(path))
+
+
+def _simbench(code: str) -> _Net:
+    simbench = _library("simbench", "simbench")
+    codes = simbench.collect_all_simbench_codes()
+    if code not in codes:
+        raise InputError(Problem(f"network {code}", "is not a SimBench code",
+                                 did_you_mean(code, sorted(codes), "Correct the code.")))
+    return _Net(simbench.get_simbench_net(code))
+
+
+def _unreadable(path: Path, what: str, reason: object) -> InputError:
+    return InputError(Problem(path.name, f"cannot be read as {what} ({reason})",
+                              "Correct the file, or choose another format with --from."))
+
+
+def _from_one(net: Any) -> dict[int, BusId]:
+    return {int(bus): int(bus) + 1 for bus in net.bus.index}
+
+
+def _case33() -> _Net:
+    """Baran and Wu's 33 buses, numbered from 1 as published; its tie lines are open."""
+    import pandapower.networks as networks
+
+    net = networks.case33bw()
+    return _Net(net, _from_one(net))
+
+
+def _case69() -> _Net:
+    """Baran and Wu's 69 buses, numbered from 1 as published."""
+    from vppres.feeders.case69 import case69
+
+    net = case69()
+    return _Net(net, {int(bus): int(bus) for bus in net.bus.index})
+
+
+def _cigre(with_der: str | bool) -> Callable[[], _Net]:
+    def read() -> _Net:
+        import pandapower.networks as networks
+
+        return _Net(networks.create_cigre_network_mv(with_der=with_der))
+
+    return read
+
+
+NAMED: dict[str, Callable[[], _Net]] = {
+    "case33bw": _case33,
+    "case69": _case69,
+    "cigre-mv": _cigre(False),
+    "cigre-mv-der": _cigre("pv_wind"),
+}
+"""Networks that can be imported by name."""

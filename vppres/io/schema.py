@@ -1,0 +1,346 @@
+"""The table of attributes: every column and key that a scenario folder may hold.
+
+Each field states its unit, meaning, bounds and default once. Defaults, checks, messages, the
+documentation page and the JSON Schema are all derived from it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, cast
+
+from annotated_types import Ge, Le
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
+
+from vppres.scenario.network import Network
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights
+
+Unit = dict[str, Any]
+ControllerKind = Literal["mpc", "full-horizon"]
+ModeName = Literal["paper", "physical"]
+
+KW: Unit = {"unit": "kW"}
+KVA: Unit = {"unit": "kVA"}
+KWH: Unit = {"unit": "kWh"}
+OHM: Unit = {"unit": "ohm"}
+PU: Unit = {"unit": "pu"}
+CELSIUS: Unit = {"unit": "°C"}
+PER_C2: Unit = {"unit": "1/°C²"}
+GBP_PER_KWH: Unit = {"unit": "GBP/kWh"}
+
+MAX_GRID_DAYS = 366
+MAX_SHED_STEPS = 20
+_FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
+
+
+class Row(BaseModel):
+    """One row of a table; every cell arrives as text."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class LineRow(Row):
+    """A line of the radial network."""
+
+    from_bus: str = Field(description="bus at one end of the line")
+    to_bus: str = Field(description="bus at the other end of the line")
+    r_ohm: float = Field(gt=0, description="series resistance", json_schema_extra=OHM)
+    x_ohm: float = Field(ge=0, description="series reactance", json_schema_extra=OHM)
+    i_max_a: float | None = Field(
+        default=None, gt=0, description="thermal rating for the report's line loading (empty: "
+        "none)", json_schema_extra={"unit": "A"})
+
+
+class CustomerRow(Row):
+    """A customer that is either served or switched off, or in equal parts."""
+
+    id: str = Field(description="identifier of the customer")
+    bus: str = Field(description="bus of the customer")
+    tier: str = Field(description="priority tier, one of scenario.toml's tiers")
+    power_factor: float = Field(gt=0, le=1, description="lagging power factor of the load")
+    weight: float | None = Field(
+        default=None, gt=0, description="priority weight (empty: the weight of the tier)")
+    shed_steps: int = Field(
+        default=1, ge=1, le=MAX_SHED_STEPS, description="number of equal parts of the customer "
+        "that may be switched off one by one; 1 is all or nothing")
+
+
+class PVRow(Row):
+    """A PV system behind a customer's meter."""
+
+    id: str = Field(description="identifier of the PV system")
+    customer: str = Field(description="customer that owns the PV system")
+    p_max_kw: float = Field(gt=0, description="largest active power", json_schema_extra=KW)
+    s_max_kva: float = Field(gt=0, description="inverter rating", json_schema_extra=KVA)
+
+
+class BatteryRow(Row):
+    """A battery; the thermal constants matter only when its temperature is simulated."""
+
+    id: str = Field(description="identifier of the battery")
+    bus: str = Field(description="bus of the battery")
+    energy_kwh: float = Field(gt=0, description="energy capacity", json_schema_extra=KWH)
+    p_max_kw: float = Field(
+        gt=0, description="largest charging and discharging power", json_schema_extra=KW)
+    s_max_kva: float = Field(gt=0, description="inverter rating", json_schema_extra=KVA)
+    soc_min: float = Field(default=0.15, ge=0, le=1, description="lowest state of charge")
+    soc_max: float = Field(default=0.85, ge=0, le=1, description="highest state of charge")
+    soc_initial: float | None = Field(
+        default=None, ge=0, le=1, description="state of charge at the start (empty: soc_min)")
+    eta_charge: float = Field(default=0.95, gt=0, le=1, description="charging efficiency")
+    eta_discharge: float = Field(default=0.95, gt=0, le=1, description="discharging efficiency")
+    r_theta_c_per_kw: float = Field(
+        default=3.5, gt=0, description="thermal resistance", json_schema_extra={"unit": "°C/kW"})
+    c_theta_kwh_per_c: float = Field(
+        default=0.3, gt=0, description="thermal capacitance", json_schema_extra={"unit": "kWh/°C"})
+    alpha_charge_per_c2: float = Field(
+        default=1e-4, ge=0, description="loss of charging efficiency per squared deviation from "
+        "the reference temperature", json_schema_extra=PER_C2)
+    alpha_discharge_per_c2: float = Field(
+        default=1e-4, ge=0, description="loss of discharging efficiency per squared deviation "
+        "from the reference temperature", json_schema_extra=PER_C2)
+    r_int_ohm: float = Field(
+        default=0.0035, ge=0, description="internal resistance at the reference temperature",
+        json_schema_extra=OHM)
+    beta_per_c: float = Field(
+        default=0.003, ge=0, description="temperature coefficient of the internal resistance",
+        json_schema_extra={"unit": "1/°C"})
+    u_batt_v: float = Field(
+        default=900.0, gt=0, description="terminal voltage", json_schema_extra={"unit": "V"})
+    t_ref_c: float = Field(
+        default=25.0, ge=-50, le=60, description="reference temperature",
+        json_schema_extra=CELSIUS)
+    t_initial_c: float | None = Field(
+        default=None, ge=-50, le=100, description="temperature at the start (empty: the ambient "
+        "temperature of the first step)", json_schema_extra=CELSIUS)
+    grid_forming: Literal["yes", "no"] = Field(
+        default="no", description="duty of forming the grid of an island in physical mode (where "
+        "no battery has it, the one with the largest inverter does)")
+
+
+class LoadSeries(Row):
+    """Demand of the customers; besides `time`, one column per customer identifier."""
+
+    time: str = Field(description="beginning of the step, ISO 8601 with time zone")
+    load_kw: float = Field(
+        alias="<customer id>", ge=0, description="demand of the customer if served",
+        json_schema_extra=KW)
+
+
+class PVSeries(Row):
+    """Available PV power; besides `time`, one column per PV identifier."""
+
+    time: str = Field(description="beginning of the step, ISO 8601 with time zone")
+    pv_kw: float = Field(
+        alias="<PV id>", ge=0, description="power available from the PV system",
+        json_schema_extra=KW)
+
+
+class SystemSeries(Row):
+    """What holds for the whole feeder at each step."""
+
+    time: str = Field(description="beginning of the step, ISO 8601 with time zone")
+    price_gbp_per_kwh: float = Field(
+        ge=0, description="import price", json_schema_extra=GBP_PER_KWH)
+    temperature_c: float = Field(
+        ge=-50, le=60, description="ambient temperature", json_schema_extra=CELSIUS)
+    grid_limit_kw: float | None = Field(
+        default=None, ge=0, description="largest import from the grid (inf, or no such column: "
+        "no limit)", json_schema_extra=KW)
+
+
+class Section(BaseModel):
+    """A section of scenario.toml; TOML has types, so nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class TimeSection(Section):
+    """The time grid."""
+
+    start: AwareDatetime = Field(description="beginning of the first step, with time zone")
+    step_minutes: float = Field(
+        ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"})
+    steps: int = Field(ge=1, le=MAX_GRID_DAYS * 1440, description="number of steps")
+
+
+class NetworkSection(Section):
+    """The grid connection and the voltage limits."""
+
+    base_kv: float = Field(
+        gt=0, description="nominal line-to-line voltage", json_schema_extra={"unit": "kV"})
+    # Buses may be numbers or names: both are compared as text until lines.csv has been read.
+    slack_bus: str = Field(
+        min_length=1, strict=False, coerce_numbers_to_str=True,
+        description="bus of the grid connection",
+        json_schema_extra={"type": ["string", "integer"]})
+    v_slack_pu: float = Field(
+        default=Network.v_slack_pu, gt=0, le=2, description="voltage of the slack bus",
+        json_schema_extra=PU)
+    v_min_pu: float = Field(
+        default=Network.v_min_pu, gt=0, le=2, description="lowest voltage in the optimisation",
+        json_schema_extra=PU)
+    v_max_pu: float = Field(
+        default=Network.v_max_pu, gt=0, le=2, description="highest voltage in the optimisation",
+        json_schema_extra=PU)
+    v_min_ac_pu: float = Field(
+        default=Network.v_min_ac_pu, gt=0, le=2, description="lowest voltage allowed in the AC "
+        "power flow", json_schema_extra=PU)
+    v_max_ac_pu: float = Field(
+        default=Network.v_max_ac_pu, gt=0, le=2, description="highest voltage allowed in the AC "
+        "power flow", json_schema_extra=PU)
+
+
+class ObjectiveSection(Section):
+    """The weights of the objective, for powers in kW."""
+
+    lambda_grid: float = Field(
+        default=ObjectiveWeights.lambda_grid, ge=0, description="weight of the import cost",
+        json_schema_extra={"unit": "1/GBP"})
+    lambda_curt: float = Field(
+        default=ObjectiveWeights.lambda_curt, ge=0, description="weight of curtailed PV power",
+        json_schema_extra={"unit": "1/kW"})
+    lambda_l: float = Field(
+        default=ObjectiveWeights.lambda_l, ge=0, description="weight of squared line flows times "
+        "resistance", json_schema_extra={"unit": "1/(ohm kVA²)"})
+    lambda_q: float = Field(
+        default=ObjectiveWeights.lambda_q, ge=0, description="weight of the squared use of "
+        "inverters for reactive power")
+
+
+class OutageSection(Section):
+    """An outage over the half-open interval from `start` to `end`."""
+
+    start: AwareDatetime = Field(description="beginning of the outage, with time zone")
+    end: AwareDatetime = Field(description="end of the outage, with time zone")
+
+
+class ControllerSection(Section):
+    """What a run uses when its options do not say otherwise."""
+
+    kind: ControllerKind = Field(
+        default=cast(ControllerKind, ControllerDefaults.kind), description="controller")
+    horizon_h: float = Field(
+        default=ControllerDefaults.horizon_h, ge=0, le=24 * MAX_GRID_DAYS,
+        description="look-ahead of the controller; 0 is one step",
+        json_schema_extra={"unit": "h"})
+    mode: ModeName = Field(
+        default=cast(ModeName, ControllerDefaults.mode),
+        description="way of islands: the paper's, or held by batteries")
+
+
+class SwitchingSection(Section):
+    """Rules on switching customers; a run without options of its own uses them."""
+
+    min_served_h: float = Field(
+        default=SwitchingRules.min_served_h, ge=0, description="shortest time served after a "
+        "restoration", json_schema_extra={"unit": "h"})
+    min_unserved_h: float = Field(
+        default=SwitchingRules.min_unserved_h, ge=0, description="shortest time switched off",
+        json_schema_extra={"unit": "h"})
+    price_per_action: float = Field(
+        default=SwitchingRules.price_per_action, ge=0, description="price of switching a customer "
+        "off or on", json_schema_extra={"unit": "weighted customer hours"})
+    max_actions_per_customer: int | None = Field(
+        default=None, ge=0, description="most actions of a customer in a day (no such key: no "
+        "limit)")
+    stay_restored: bool = Field(
+        default=SwitchingRules.stay_restored, description="whether a restored customer is never "
+        "switched off again")
+    cold_load_factor: float = Field(
+        default=SwitchingRules.cold_load_factor, ge=1, description="demand after a restoration as "
+        "a multiple of the usual one")
+    cold_load_h: float = Field(
+        default=SwitchingRules.cold_load_h, ge=0, description="how long that lasts, at least one "
+        "step", json_schema_extra={"unit": "h"})
+    move_weight: float = Field(
+        default=SwitchingRules.move_weight, ge=0, description="line losses that moving a battery "
+        "by its rated power away from the previous plan is worth", json_schema_extra=KW)
+
+
+class FilesSection(Section):
+    """File names inside the folder; the suffix chooses CSV or Parquet."""
+
+    lines: str = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
+    customers: str = Field(
+        default="customers.csv", pattern=_FILE_NAME, description="file of the customers")
+    pv: str = Field(default="pv.csv", pattern=_FILE_NAME, description="file of the PV systems")
+    batteries: str = Field(
+        default="batteries.csv", pattern=_FILE_NAME, description="file of the batteries")
+    load_kw: str = Field(
+        default="load_kw.csv", pattern=_FILE_NAME, description="file of the load series")
+    pv_kw: str = Field(
+        default="pv_kw.csv", pattern=_FILE_NAME, description="file of the PV series")
+    system: str = Field(
+        default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series")
+
+
+class ScenarioFile(Section):
+    """The whole of scenario.toml."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="short name of the scenario: letters, "
+        "digits, '-', '_' and '.'")
+    title: str = Field(default="", description="title for headings (empty: the name)")
+    time: TimeSection = Field(description="table [time]")
+    network: NetworkSection = Field(description="table [network]")
+    tiers: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        min_length=1, description="table [tiers]: weight of each tier, most important first")
+    objective: ObjectiveSection = Field(
+        default=ObjectiveSection(), description="table [objective]")
+    outages: list[OutageSection] = Field(default=[], description="list of tables [[outages]]")
+    controller: ControllerSection = Field(
+        default=ControllerSection(), description="table [controller]")
+    switching: SwitchingSection = Field(
+        default=SwitchingSection(), description="table [switching]")
+    files: FilesSection = Field(default=FilesSection(), description="table [files]")
+
+
+TABLES: dict[str, type[BaseModel]] = {
+    "scenario.toml": ScenarioFile,
+    "scenario.toml, [time]": TimeSection,
+    "scenario.toml, [network]": NetworkSection,
+    "scenario.toml, [objective]": ObjectiveSection,
+    "scenario.toml, [[outages]]": OutageSection,
+    "scenario.toml, [controller]": ControllerSection,
+    "scenario.toml, [switching]": SwitchingSection,
+    "scenario.toml, [files]": FilesSection,
+    "lines.csv": LineRow,
+    "customers.csv": CustomerRow,
+    "pv.csv": PVRow,
+    "batteries.csv": BatteryRow,
+    "load_kw.csv": LoadSeries,
+    "pv_kw.csv": PVSeries,
+    "system.csv": SystemSeries,
+}
+
+
+def unit(field: FieldInfo) -> str:
+    """Unit of a field, empty if it has none.
+
+    >>> unit(PVRow.model_fields["p_max_kw"])
+    'kW'
+    """
+    extra = field.json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+def limits(field: FieldInfo) -> tuple[float, float]:
+    """Inclusive lower and upper bound of a field, infinite where it has none.
+
+    >>> limits(SystemSeries.model_fields["temperature_c"])
+    (-50.0, 60.0)
+    """
+    lower = [float(str(m.ge)) for m in field.metadata if isinstance(m, Ge)]
+    upper = [float(str(m.le)) for m in field.metadata if isinstance(m, Le)]
+    return max(lower, default=float("-inf")), min(upper, default=float("inf"))
+
+
+def cure(field: FieldInfo) -> str:
+    """What to write into a field.
+
+    >>> cure(PVRow.model_fields["p_max_kw"])
+    'Give the largest active power in kW.'
+    """
+    return f"Give the {field.description}{f' in {unit(field)}' if unit(field) else ''}."

@@ -1,0 +1,82 @@
+"""The table of attributes as Markdown for the documentation, and as JSON Schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import AwareDatetime, BaseModel
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import JsonSchemaValue, models_json_schema
+
+from vppres.io.schema import TABLES, unit
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """One column or key, in the words of the documentation."""
+
+    name: str
+    kind: str
+    unit: str
+    bounds: str
+    default: str
+    meaning: str
+
+
+def attributes(model: type[BaseModel]) -> Iterator[Attribute]:
+    """The attributes of one table, in the order of its columns."""
+    for name, field in model.model_fields.items():
+        yield Attribute(field.alias or name, _kind(field), unit(field), _bounds(field),
+                        _default(field), field.description or "")
+
+
+def attribute_table_markdown() -> str:
+    """All tables of attributes as Markdown, one section per file or section of scenario.toml."""
+    return "\n\n".join(_table_markdown(title, model) for title, model in TABLES.items()) + "\n"
+
+
+def json_schema() -> JsonSchemaValue:
+    """JSON Schema of scenario.toml (`ScenarioFile`) and of one row of each table."""
+    return models_json_schema([(model, "validation") for model in TABLES.values()],
+                              title="vppres scenario")[1]
+
+
+def _table_markdown(title: str, model: type[BaseModel]) -> str:
+    head = ["name", "type", "unit", "range", "default", "meaning"]
+    rows = [[f"`{a.name}`", a.kind, a.unit, a.bounds, a.default, a.meaning]
+            for a in attributes(model)]
+    table = [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows]]
+    return "\n".join([f"### {title}", "", f"{model.__doc__}", "", *table])
+
+
+def _kind(field: FieldInfo) -> str:
+    """Type of a field in plain words."""
+    words: dict[Any, str] = {str: "text", float: "number", int: "whole number",
+                             bool: "true or false", AwareDatetime: "date and time"}
+    kind, choices = field.annotation, get_args(field.annotation)
+    if get_origin(kind) is Literal:
+        return "text"
+    return words.get(choices[0] if type(None) in choices else kind, "table")
+
+
+def _bounds(field: FieldInfo) -> str:
+    """Permitted range of a field."""
+    choices = [str(a) for a in get_args(field.annotation) if isinstance(a, str)]
+    words = {Gt: "> ", Ge: "≥ ", Lt: "< ", Le: "≤ "}
+    found = [f"{sign}{getattr(m, kind.__name__.lower()):g}"
+             for kind, sign in words.items() for m in field.metadata if isinstance(m, kind)]
+    return " or ".join(choices) or ", ".join(found)
+
+
+def _default(field: FieldInfo) -> str:
+    """Default as it would be written in the file."""
+    if field.is_required():
+        return "required"
+    value = field.default
+    if isinstance(value, bool):
+        return str(value).lower()
+    simple = isinstance(value, (int, float, str)) and value != ""
+    return f"{value:g}" if isinstance(value, float) else str(value) if simple else ""

@@ -1,0 +1,1 @@
+"""The controller behind a plant of one's own."""

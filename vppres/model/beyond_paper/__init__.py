@@ -1,0 +1,1 @@
+"""What the paper's problem does not have: losses and islands, switching rules."""

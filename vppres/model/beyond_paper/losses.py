@@ -1,0 +1,148 @@
+"""Losses and voltages of a candidate dispatch, step by step, as the model takes them in.
+
+A line's loss is linearised at an AC point of its step: active and reactive loss enter the balance
+at the line's far end as the values that they have there, and the voltage drop gets the offset that
+makes the linear voltages meet the AC ones. How the losses change with the flows is left to the next
+pass (``docs/method.md`` says why); the flows' own cost is in the tie-breakers' f4.
+
+The AC points come from backward and forward sweeps over all steps at once. The verifier solves
+Newton's equations in pandapower and shares no function with this module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.frozen import freeze_fields
+from vppres.model.data import Physics, WindowData
+from vppres.model.site import Site
+from vppres.scenario.network import Network
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+TOLERANCE_PU = 1e-10
+_MAX_SWEEPS = 60
+_LOWEST_PU = 0.5  # no feeder runs below; the sweeps there are beyond their solution
+
+
+@dataclass(frozen=True, eq=False)
+class ACPoints:
+    """AC points of W steps: voltages (W, N), flows at the lines' upper ends and losses (W, L)."""
+
+    v_pu: Floats
+    p_flow_kw: Floats
+    q_flow_kvar: Floats
+    loss_kw: Floats
+    loss_kvar: Floats
+    converged: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, v_pu=float, p_flow_kw=float, q_flow_kvar=float, loss_kw=float,
+                      loss_kvar=float, converged=bool)
+
+    def where(self, chosen: NDArray[np.bool_], other: ACPoints) -> ACPoints:
+        """These points with those of ``other`` in the chosen steps, (W,)."""
+        rows = np.flatnonzero(chosen)
+        values = {f.name: np.array(getattr(self, f.name)) for f in fields(self)}
+        for name, value in values.items():
+            value[rows] = getattr(other, name)[rows]
+        return ACPoints(**values)
+
+    def offset_pu2(self, network: Network) -> Floats:
+        """Offset of each line's voltage drop that meets these points, (W, L)."""
+        u = self.v_pu**2
+        drop = 2 * (network.r_pu2_per_kw * self.p_flow_kw
+                    + network.x_pu2_per_kvar * self.q_flow_kvar)
+        return u[:, 1:] - u[:, network.parent] + drop
+
+
+class Sweeps:
+    """Backward and forward sweeps of a radial network from one reference bus.
+
+    Parameters
+    ----------
+    network : Network
+        The feeder.
+    reference : int
+        Position of the bus that is held at ``v_slack_pu``.
+
+    Examples
+    --------
+    >>> net = Network([1], [2], [1.0], [1.0], slack_bus=1, base_kv=10.0)
+    >>> points = Sweeps(net, 0).solve(np.array([[0.0, -100.0]]), np.zeros((1, 2)))
+    >>> round(float(points.v_pu[0, 1]), 5), round(float(points.loss_kw[0, 0]), 4)
+    (0.999, 0.1002)
+    """
+
+    def __init__(self, network: Network, reference: int = 0) -> None:
+        self.network, self.reference = network, reference
+
+    @cached_property
+    def _downstream(self) -> sp.csr_array:
+        """Shape (L, N): +1 where a line feeds a bus, -1 where it does so against its direction."""
+        net = self.network
+        if self.reference == 0:
+            return net.downstream
+        turned = replace(net, slack_bus=net.buses[self.reference])
+        line_at = {frozenset(ends): line
+                   for line, ends in enumerate(zip(net.from_bus, net.to_bus, strict=True))}
+        lines = [line_at[frozenset(ends)]
+                 for ends in zip(turned.from_bus, turned.to_bus, strict=True)]
+        signs = np.where(turned.to_bus == net.to_bus[lines], 1.0, -1.0)
+        columns = [turned.bus_index[bus] for bus in net.buses]
+        by_turned = sp.diags_array(signs) @ turned.downstream[:, columns]
+        return sp.csr_array(by_turned[np.argsort(lines)])
+
+    def solve(self, p_kw: Floats, q_kvar: Floats) -> ACPoints:
+        """AC points of the injections, shape (W, N) each; the reference bus supplies the rest."""
+        net, feeds = self.network, self._downstream
+        z = (net.r_pu2_per_kw + 1j * net.x_pu2_per_kvar)[:, None]
+        drawn = -(p_kw + 1j * q_kvar).T
+        v: Complexes = np.full(drawn.shape, net.v_slack_pu, dtype=complex)
+        change = np.full(drawn.shape[1], np.inf)
+        with np.errstate(all="ignore"):
+            for _ in range(_MAX_SWEEPS):
+                current = feeds @ np.conj(drawn / v)
+                updated = net.v_slack_pu - feeds.T @ (z * current)
+                change = np.abs(updated - v).max(axis=0)
+                v = updated
+                if not (change > TOLERANCE_PU).any():
+                    break
+            current = feeds @ np.conj(drawn / v)
+            flow = (v[net.parent] * np.conj(current)).T
+            loss = (z * np.abs(current) ** 2).T
+        sound = (change <= TOLERANCE_PU) & (np.abs(v).min(axis=0) > _LOWEST_PU)
+        return ACPoints(np.abs(v).T, flow.real, flow.imag, loss.real, loss.imag, sound)
+
+
+def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
+    """Net injections of a dispatch at all buses, without the grid's supply, (W, N) each."""
+    load = data.load_kw * dispatch.served
+    through = dispatch.pv_self_kw + dispatch.pv_export_kw
+    p = through @ site.pv_bus.T - load @ site.customer_bus.T
+    p = p - (dispatch.charge_kw - dispatch.discharge_kw) @ site.battery_bus.T
+    q = dispatch.pv_q_kvar @ site.pv_bus.T + dispatch.batt_q_kvar @ site.battery_bus.T
+    return p, q - (load * site.customers.q_per_p) @ site.customer_bus.T
+
+
+def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:
+    """The window with losses and voltages as at these points; steps without one keep theirs."""
+    old, sound = data.require_physics(), points.converged[:, None]
+    physics = replace(old, loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
+                      loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar))
+    offset = np.where(sound, points.offset_pu2(network), data.delta_pu2)
+    return replace(data, physics=physics, delta_pu2=offset)
+
+
+def lossless(data: WindowData, physics: Physics) -> WindowData:
+    """The window with the same island and headroom, without losses, in plain LinDistFlow."""
+    none = np.zeros_like(physics.loss_kw)
+    return replace(data, physics=replace(physics, loss_kw=none, loss_kvar=none),
+                   delta_pu2=np.zeros_like(data.delta_pu2))

@@ -1,0 +1,154 @@
+"""Switching rules as constraints on service, one function per family; only where they are asked.
+
+Minimum times are the turn-on and turn-off inequalities of Rajan and Takriti, *Minimum up/down
+polytopes of the unit commitment problem with start-up costs* (IBM RC23628, 2005). Without rules no
+problem has any of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.switching import RuleSteps, SwitchingData
+from vppres.model.data import Floats, WindowData
+from vppres.model.site import Site
+
+Named = dict[str, cp.Constraint]
+
+
+@dataclass(frozen=True, eq=False)
+class ColdLoad:
+    """Demand that a restoration adds: the variable z, (W, C), and what it is multiplied by."""
+
+    z: cp.Variable
+    P_cold: cp.Parameter
+    Q_cold: cp.Parameter
+    P_self_cold: cp.Parameter
+
+    @classmethod
+    def create(cls, site: Site, W: int) -> ColdLoad:
+        """Variable and parameters of a window of W steps."""
+        C, P = len(site.customers), len(site.pv)
+        named = {name: cp.Parameter((W, width), name=name, nonneg=True) for name, width in
+                 (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))}
+        return cls(cp.Variable((W, C), name="z_cold", nonneg=True), **named)
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write the added demand, and the added self-consumption of PV owners."""
+        cold = data.all_cold()
+        added: Floats = cold.load_kw - data.load_kw
+        self.P_cold.value, self.Q_cold.value = added, added * site.customers.q_per_p
+        self.P_self_cold.value = cold.self_limit_kw(site) - data.self_limit_kw(site)
+
+
+class SwitchingModel:
+    """Variables, parameters, constraints and price of the rules over W steps.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    x : cvxpy.Expression, shape (W, C)
+        Served status.
+    steps : RuleSteps
+        Minimum times and cold load.
+    """
+
+    def __init__(self, site: Site, x: cp.Expression, steps: RuleSteps) -> None:
+        self.site, self.x, self.steps = site, x, steps
+        W, C = x.shape
+        self.on = cp.Variable((W, C), name="y_on", nonneg=True)
+        self.off = cp.Variable((W, C), name="y_off", nonneg=True)
+        self.cold = ColdLoad.create(site, W) if steps.cold else None
+        self.x_before = cp.Parameter(C, name="x_before", nonneg=True)
+        self.x_min = cp.Parameter((W, C), name="x_min", nonneg=True)
+        self.x_max = cp.Parameter((W, C), name="x_max", nonneg=True)
+        self.actions_left = cp.Parameter(C, name="actions_left", nonneg=True)
+        self.cold_before = cp.Parameter((W, C), name="cold_before", nonneg=True)
+        self.price = cp.Parameter(name="price", nonneg=True)
+        families = FAMILIES + ((cold_load,) if steps.cold else ())
+        self.constraints = {name: c for family in families for name, c in family(self).items()}
+
+    @property
+    def f6_switching(self) -> cp.Expression:
+        """Price of the actions; switching off pays for the restoration too."""
+        return 2.0 * self.price * cp.sum(self.off)
+
+    def fill(self, data: WindowData) -> None:
+        """Write the window's rules."""
+        rules = data.switching
+        assert rules is not None
+        self.x_before.value = rules.served_before.astype(float)
+        self.x_min.value, self.x_max.value = (v.astype(float)
+                                              for v in (rules.served_min, rules.served_max))
+        self.actions_left.value = np.minimum(rules.actions_left, 2.0 * data.n_steps)
+        self.price.value = rules.price_per_action
+        if self.cold is not None:
+            self.cold_before.value = rules.cold_before.astype(float)
+            self.cold.fill(self.site, data)
+
+
+def switching_actions(m: SwitchingModel) -> Named:
+    """Changes of service: x(t) - x(t - 1) = y_on - y_off."""
+    W, C = m.x.shape
+    first = np.eye(W, 1)
+    before = first @ cp.reshape(m.x_before, (1, C), order="C") + np.eye(W, k=-1) @ m.x
+    return {"switching_balance": m.x - before == m.on - m.off}
+
+
+def minimum_times(m: SwitchingModel) -> Named:
+    """Whoever was switched on in the last U steps is served; likewise for off.
+
+    With U = 1 this still says that nobody is switched on without being served.
+    """
+    W = m.x.shape[0]
+    return {"minimum_served": _band(W, m.steps.served) @ m.on <= m.x,
+            "minimum_unserved": _band(W, m.steps.unserved) @ m.off <= 1 - m.x}
+
+
+def past_actions(m: SwitchingModel) -> Named:
+    """What the time before the window demands of the service, and the actions that are left."""
+    return {"switching_served_min": m.x >= m.x_min, "switching_served_max": m.x <= m.x_max,
+            "switching_limit": cp.sum(m.on + m.off, axis=0) <= m.actions_left}
+
+
+def cold_load(m: SwitchingModel) -> Named:
+    """Demand is higher, z = 1, exactly for whoever is served and was restored in the last K steps.
+
+    A restoration before the window counts as long as it lasts.
+    """
+    cold, W = m.cold, m.x.shape[0]
+    assert cold is not None
+    K = m.steps.cold
+    after = {f"cold_load_after_{k}": cold.z[k:] >= m.on[:W - k] + m.x[k:] - 1 for k in range(K)}
+    return after | {
+        "cold_load_before": cold.z >= m.cold_before + m.x - 1,
+        "cold_load_served": cold.z <= m.x,
+        "cold_load_restored": cold.z <= _band(W, K) @ m.on + m.cold_before,
+    }
+
+
+Family = Callable[[SwitchingModel], Named]
+FAMILIES: tuple[Family, ...] = (switching_actions, minimum_times, past_actions)
+
+
+def added_demand(model: SwitchingModel | None) -> ColdLoad | None:
+    """What restorations add to the demand, None where they add nothing."""
+    return None if model is None else model.cold
+
+
+def rule_steps(data: WindowData) -> RuleSteps | None:
+    """Shape of the window's rules, None without rules."""
+    rules: SwitchingData | None = data.switching
+    return None if rules is None else rules.steps
+
+
+def _band(n_steps: int, width: int) -> sp.csr_array:
+    """Sums over the last ``width`` steps, the present one included, shape (W, W)."""
+    ones = np.tri(n_steps) - np.tri(n_steps, k=-width)
+    return sp.csr_array(ones)

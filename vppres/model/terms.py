@@ -1,0 +1,52 @@
+"""The terms of the objective (paper, Section 3.3), recomputed from a dispatch's arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import ObjectiveWeights
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of the objective (paper, Section 3.3), summed over a window.
+
+    ``f6`` is the price of switching actions in weighted customer hours, which the paper has not.
+    """
+
+    f1: float
+    f2: float
+    f3: float
+    f4: float
+    f5: float
+    f6: float = 0.0
+
+    def total(self, weights: ObjectiveWeights) -> float:
+        """The objective F."""
+        return (self.upper_levels(weights)
+                - weights.lambda_l * self.f4 - weights.lambda_q * self.f5)
+
+    def upper_levels(self, weights: ObjectiveWeights) -> float:
+        """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
+        return (self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
+                - self.f6)
+
+
+def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
+    """Objective terms of a dispatch, recomputed from its arrays."""
+    flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
+    use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
+    use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
+    return Terms(
+        f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
+        f2=float(data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h),
+        f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
+        f4=float((flow2 @ site.network.r_ohm).sum()),
+        f5=float(use),
+        f6=data.switching.price(dispatch.served) if data.switching else 0.0,
+    )

@@ -1,0 +1,1 @@
+"""Physical functions that know no scenario run: AC power flow, heating, cold-load pickup."""

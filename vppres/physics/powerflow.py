@@ -1,0 +1,207 @@
+"""AC power flow of what the plant did. Besides this module only ``networks`` imports pandapower.
+
+The check shares the network's data with the optimiser, never its equations: pandapower solves the
+full AC equations by Newton's method. The pandapower net, which is mutable and keeps its results as
+side effects, does not leave this module.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+import pandapower as pp
+from numpy.typing import ArrayLike, NDArray
+
+from vppres.core.errors import InputError, Problem, VerificationError
+from vppres.core.frozen import content_key, freeze_fields
+from vppres.core.units import kw_to_mw, mw_to_kw
+from vppres.scenario.network import Network
+
+Floats = NDArray[np.float64]
+
+TOLERANCE_MVA = 1e-9
+"""Largest mismatch of power at any bus, 1 mW."""
+
+REUSE = {"bus_pq": True, "trafo": False, "gen": False}
+"""What pandapower refreshes between two solves: the power of the loads, nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class ACResult:
+    """One converged AC power flow; the arrays are read-only.
+
+    Parameters
+    ----------
+    v_pu : array, shape (N,)
+        Voltage magnitude, in the network's bus order.
+    p_from_kw, q_from_kvar : array, shape (L,)
+        Flow at the sending end of each line, positive away from the network's slack bus.
+    p_to_kw, q_to_kvar : array, shape (L,)
+        Flow that arrives at the receiving end, positive away from the network's slack bus.
+    losses_kw : float
+        Sum of the lines' active losses.
+    p_slack_kw, q_slack_kvar : float
+        What the source at the reference bus gives: the import, unless an island was solved.
+    converged : bool
+        Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises.
+    """
+
+    v_pu: Floats
+    p_from_kw: Floats
+    q_from_kvar: Floats
+    p_to_kw: Floats
+    q_to_kvar: Floats
+    losses_kw: float
+    p_slack_kw: float
+    q_slack_kvar: float
+    converged: bool = True
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, v_pu=float, p_from_kw=float, q_from_kvar=float, p_to_kw=float,
+                      q_to_kvar=float)
+
+
+class ACPowerFlow:
+    """AC power flow of a network, built once and solved for one injection after another.
+
+    A solve starts from the voltages of the solve before, and once more from a flat start where that
+    does not converge.
+
+    Parameters
+    ----------
+    network : Network
+        The reference bus is held at ``v_slack_pu``; lines have a series impedance and no shunt.
+
+    Examples
+    --------
+    >>> flow = ACPowerFlow(Network([1], [2], [1.0], [1.0], slack_bus=1, base_kv=10.0))
+    >>> result = flow.solve([0.0, -100.0], [0.0, 0.0])
+    >>> round(float(result.v_pu[1]), 5), round(result.losses_kw, 4)
+    (0.999, 0.1002)
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        self._nets = {0: _build(network, 0)}
+        self._warm: set[int] = set()
+
+    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
+        """Power flow for the net injection of every bus.
+
+        Parameters
+        ----------
+        p_kw, q_kvar : array, shape (N,)
+            Net injection, generation positive. What is injected at the reference bus lowers what
+            its source gives.
+        reference : int, optional
+            Position of the bus with the only source, 0 for the grid. With another bus the network
+            is an island: the grid's bus has no source, so nothing can come from there.
+
+        Returns
+        -------
+        ACResult
+
+        Raises
+        ------
+        InputError
+            If the shape is wrong or a value is not finite.
+        VerificationError
+            If there is no convergence; the message has the net load, the step is the caller's.
+        """
+        p = self._checked("p_kw", p_kw)
+        q = self._checked("q_kvar", q_kvar)
+        if reference not in self._nets:
+            self._nets[reference] = _build(self.network, reference)
+        net = self._nets[reference]
+        net.load["p_mw"], net.load["q_mvar"] = -kw_to_mw(p), -kw_to_mw(q)
+        warm = reference in self._warm
+        self._warm.discard(reference)
+        if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
+            raise VerificationError(self._divergence(p, q))
+        self._warm.add(reference)
+        return _read(net)
+
+    def restart(self) -> None:
+        """Forget the last solution: the next solve starts flat."""
+        self._warm.clear()
+
+    def _checked(self, name: str, values: ArrayLike) -> Floats:
+        """Injections as an array with one finite value per bus."""
+        array = np.asarray(values, dtype=float)
+        if array.shape != (self.network.n_buses,):
+            raise InputError(Problem("power flow", "has the wrong shape", "Give one injection for "
+                                     f"each of the {self.network.n_buses} buses.",
+                                     field=name, value=array.shape))
+        wrong = np.flatnonzero(~np.isfinite(array))
+        if len(wrong):
+            raise InputError(Problem("power flow", "is not a finite number", "Correct the load, PV "
+                                     f"or battery power at bus {self.network.buses[wrong[0]]}.",
+                                     field=name, value=array[wrong[0]]))
+        return array
+
+    def _divergence(self, p_kw: Floats, q_kvar: Floats) -> str:
+        """What to say when there is no solution."""
+        worst = int(np.argmin(p_kw))
+        return ("the AC power flow does not converge: net load "
+                f"{-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
+                f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}. The lines cannot carry "
+                "it: check the units of loads and impedances, or serve less.")
+
+
+def _run(net: pp.pandapowerNet, init: str) -> bool:
+    """Run Newton's method; whether it converged."""
+    # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
+    # time. Without numba the outcome does not hang on what else is installed.
+    try:
+        pp.runpp(net, init=init, recycle=REUSE if init == "results" else None,
+                 tolerance_mva=TOLERANCE_MVA, calculate_voltage_angles=False, numba=False)
+    except pp.LoadflowNotConverged:
+        return False
+    return bool(net.converged)
+
+
+def _read(net: pp.pandapowerNet) -> ACResult:
+    """Results of the net in the network's order and in kW."""
+    lines, slack = net.res_line, net.res_ext_grid
+    return ACResult(
+        v_pu=net.res_bus["vm_pu"].to_numpy(),
+        p_from_kw=mw_to_kw(lines["p_from_mw"]), q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
+        # pandapower counts both ends as flowing into the line.
+        p_to_kw=-mw_to_kw(lines["p_to_mw"]), q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
+        losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
+        p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
+        q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]))
+
+
+def shared_power_flow(network: Network) -> ACPowerFlow:
+    """The process's power flow of a network, made to start flat; only the last few are kept.
+
+    Building a pandapower net takes as long as some thirty solves, so a study of many days on one
+    network should do it once. The flat start keeps runs independent of each other.
+    """
+    key = content_key(network)
+    flow = _FLOWS.pop(key, None) or ACPowerFlow(network)
+    flow.restart()
+    _FLOWS[key] = flow
+    while len(_FLOWS) > _FLOWS_KEPT:
+        _FLOWS.popitem(last=False)
+    return flow
+
+
+_FLOWS: OrderedDict[str, ACPowerFlow] = OrderedDict()
+_FLOWS_KEPT = 3
+
+
+def _build(network: Network, reference: int) -> pp.pandapowerNet:
+    """The pandapower net: one load per bus, one source, and lines of 1 km."""
+    net = pp.create_empty_network()
+    buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
+    pp.create_ext_grid(net, buses[reference], vm_pu=network.v_slack_pu)
+    # The rating only serves pandapower's loading figure, which is not used.
+    pp.create_lines_from_parameters(
+        net, from_buses=network.parent, to_buses=np.arange(1, network.n_buses), length_km=1.0,
+        r_ohm_per_km=network.r_ohm, x_ohm_per_km=network.x_ohm, c_nf_per_km=0.0, max_i_ka=1.0)
+    pp.create_loads(net, buses, p_mw=0.0, q_mvar=0.0)
+    return net

@@ -1,0 +1,193 @@
+"""What the day really does with a decision. Written apart from the model, in plain numpy.
+
+The plant knows the actual demand, PV power and battery state. It carries out a decision as far as
+physics lets it and says where it did not; it shares data with the optimiser, never functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.contract.decision import Decision
+from vppres.physics.cold_load import ColdLoad
+from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+CLIP_TOLERANCE_KW = 1e-3
+"""Set-points that the plant had to move by more than this are named in the record."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatteryState:
+    """State of the fleet, (B,) each."""
+
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    t_cell_c: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """Powers of one step that all devices can deliver; a charging battery is positive.
+
+    ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
+    """
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    battery_kw: Floats
+    batt_q_kvar: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Realised:
+    """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
+
+    ``load_kw`` (C,) is the demand, served or not.
+    """
+
+    served: NDArray[np.bool_]
+    pv_self_kw: Floats
+    pv_export_kw: Floats
+    pv_curtailed_kw: Floats
+    pv_q_kvar: Floats
+    charge_kw: Floats
+    discharge_kw: Floats
+    batt_q_kvar: Floats
+    soc_end: Floats
+    p_injection_kw: Floats
+    q_injection_kvar: Floats
+    clipped_kw: float
+    load_kw: Floats
+
+
+class Plant:
+    """The actual day of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual series and the assets.
+    thermal : ThermalScheme
+        How the batteries' temperature and efficiencies evolve.
+    rules : SwitchingRules, optional
+        How demand behaves after a restoration; nothing else of them matters here.
+    """
+
+    def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off",
+                 rules: SwitchingRules | None = None) -> None:
+        self.scenario, self.thermal = scenario, thermal
+        self.cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
+                                   len(scenario.customers))
+        index = scenario.network.bus_index
+        self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
+        self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
+        self.owner = scenario.pv.owner(scenario.customers)
+
+    def initial_state(self) -> BatteryState:
+        """State before the first step."""
+        b = self.scenario.batteries
+        thermal = initial_state(b, float(self.scenario.temperature_c[0]))
+        return BatteryState(b.soc_initial, thermal.eta_charge, thermal.eta_discharge,
+                            thermal.t_cell_c)
+
+    def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
+        """State before the step after ``t``."""
+        self.cold_load.advance(realised.served)
+        power = Power(realised.charge_kw, realised.discharge_kw)
+        thermal = advance(self.scenario.batteries, self.thermal, state, power,
+                          float(self.scenario.temperature_c[t]), self.scenario.grid.dt_h)
+        return BatteryState(realised.soc_end, thermal.eta_charge, thermal.eta_discharge,
+                            thermal.t_cell_c)
+
+    def apply(self, t: int, decision: Decision, state: BatteryState) -> Realised:
+        """Carry out a decision at step ``t``."""
+        plan, row = decision.dispatch, decision.row
+        served = np.asarray(plan.served[row], dtype=bool)
+        demand_kw = self.load_kw(t, served) * served
+        own, export, curtailed = self._split_pv(t, demand_kw, plan.pv_curtailed_kw[row])
+        charge, discharge = self._battery_power(plan.charge_kw[row], plan.discharge_kw[row], state)
+        pv, b = self.scenario.pv, self.scenario.batteries
+        pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
+        batt_q = _limit_q(plan.batt_q_kvar[row], charge - discharge, b.s_max_kva)
+        clipped = max(np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
+                      np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
+                      np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0))
+        powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
+        return self.realise(t, powers, state, float(clipped))
+
+    def load_kw(self, t: int, served: NDArray[np.bool_]) -> Floats:
+        """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
+        return np.asarray(self.scenario.load_kw[t] * self.cold_load.factors(served))
+
+    def realise(self, t: int, powers: Powers, state: BatteryState,
+                clipped_kw: float = 0.0) -> Realised:
+        """What powers that are within all limits do to the buses and the batteries."""
+        b, load_kw = self.scenario.batteries, self.load_kw(t, powers.served)
+        charge = np.maximum(powers.battery_kw, 0.0)
+        discharge = np.maximum(-powers.battery_kw, 0.0)
+        stored = state.eta_charge * charge - discharge / state.eta_discharge
+        p, q = self._injections(load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw,
+                                powers.battery_kw)
+        np.add.at(q, self._customer_bus[self.owner], powers.pv_q_kvar)
+        np.add.at(q, self.battery_bus, powers.batt_q_kvar)
+        soc_end = np.clip(state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min,
+                          b.soc_max)
+        return Realised(powers.served, powers.pv_self_kw, powers.pv_export_kw,
+                        powers.pv_curtailed_kw, powers.pv_q_kvar, charge, discharge,
+                        powers.batt_q_kvar, soc_end, p, q, clipped_kw, load_kw)
+
+    def _split_pv(self, t: int, demand_kw: Floats,
+                  curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
+        """Self-consumption, export and curtailment of the actual PV power."""
+        available = self.scenario.pv_kw[t]
+        demand = demand_kw[self.owner]
+        rating = self.scenario.pv.s_max_kva
+        own = np.minimum(np.minimum(available, demand), rating)
+        # The inverter cannot pass more than its rating, whatever was asked for.
+        forced = np.maximum(available - rating, 0.0)
+        curtailed = np.clip(curtailment_kw, forced, np.maximum(available - own, forced))
+        return own, np.maximum(available - own - curtailed, 0.0), curtailed
+
+    def _battery_power(self, charge_kw: Floats, discharge_kw: Floats,
+                       state: BatteryState) -> tuple[Floats, Floats]:
+        """Set-points as far as power rating and state of charge allow."""
+        most_charge, most_discharge = self.battery_limits_kw(state)
+        net = charge_kw - discharge_kw
+        return np.clip(net, 0.0, most_charge), np.clip(-net, 0.0, most_discharge)
+
+    def battery_limits_kw(self, state: BatteryState) -> tuple[Floats, Floats]:
+        """Largest charge and discharge over one step, by rating and state of charge, (B,) each."""
+        b, dt_h = self.scenario.batteries, self.scenario.grid.dt_h
+        room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
+        held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
+        rating = np.minimum(b.p_max_kw, b.s_max_kva)
+        return (np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
+                np.minimum(rating, held_kwh * state.eta_discharge / dt_h))
+
+    def _injections(self, demand_kw: Floats, own: Floats, export: Floats,
+                    battery_kw: Floats) -> tuple[Floats, Floats]:
+        """Net injection of every bus: generation less served demand; kvar of the demand only."""
+        p = np.zeros(self.scenario.network.n_buses)
+        q = np.zeros_like(p)
+        np.add.at(p, self._customer_bus, -demand_kw)
+        np.add.at(q, self._customer_bus, -demand_kw * self.scenario.customers.q_per_p)
+        np.add.at(p, self._customer_bus[self.owner], own + export)
+        np.add.at(p, self.battery_bus, -battery_kw)
+        return p, q
+
+
+def _limit_q(q_kvar: Floats, p_kw: Floats, s_max_kva: Floats) -> Floats:
+    """Reactive set-point inside the inverter's disc, active power first."""
+    limit = np.sqrt(np.maximum(s_max_kva**2 - p_kw**2, 0.0))
+    return np.clip(q_kvar, -limit, limit)

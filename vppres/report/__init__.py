@@ -1,0 +1,1 @@
+"""One run told to a reader: figures, findings, pages."""

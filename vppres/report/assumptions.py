@@ -1,0 +1,138 @@
+"""What a run took for granted: every option in words, the data, and what the model simplifies."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from vppres.day.trajectory import Trajectory
+
+# A parameter of a numpydoc docstring: one name or several, a type, and an indented text.
+_PARAMETER = re.compile(r"^(?P<names>[\w, ]+) : [^\n]+\n(?P<text>(?:    [^\n]+\n?)+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class OptionWords:
+    """One option of the run.
+
+    Parameters
+    ----------
+    name, value, meaning : str
+        In words; the meaning is that of the options' documentation.
+    default : str
+        The value when nothing is given, empty where that is the value.
+    """
+
+    name: str
+    value: str
+    meaning: str
+    default: str
+
+
+def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
+    """Every option of a run with its meaning and its default."""
+    # Only the report of a run needs the options' documentation; the simulator is slow to load.
+    from vppres.day.options import RunOptions
+
+    defaults = RunOptions()
+    meanings = dict(_meanings(defaults))
+    flat_defaults = dict(_flat(asdict(defaults)))
+    rows = []
+    for name, value in _flat(options):
+        words, default = _words(value), _words(flat_defaults.get(name, value))
+        rows.append(OptionWords(name.replace("_", " ").replace(".", ", "), words,
+                                meanings.get(name, ""), "" if words == default else default))
+    return rows
+
+
+def simplifications(run: Trajectory) -> list[str]:
+    """What the model leaves out, as it matters to this run."""
+    options, day = run.options, run.scenario
+    errors = options.get("errors", {})
+    exact = not any(errors.values()) if isinstance(errors, Mapping) else True
+    sentences = [
+        "One phase stands for three: loads, PV and lines are balanced, and lines are series "
+        "impedances without charging.",
+        "Everything is constant within a step: faster changes of load, sun or voltage are not "
+        "seen.",
+        "The optimisation sees the network linearised; voltages, currents and losses in this "
+        "report are those of the AC power flow of what was done.",
+        "Line ratings are reported, not held." if day.network.has_ratings else
+        "No line has a rating: currents are reported, overloads cannot be.",
+        "Forecasts are the actual load and PV power: no forecast errors." if exact else
+        "Forecasts have errors; the current step, prices, the grid's availability and "
+        "temperatures are known.",
+    ]
+    if options.get("thermal") == "off":
+        sentences.append("Battery efficiencies are constant: heating is not simulated.")
+    if options.get("mode", "paper") == "paper" and day.outage.any():
+        sentences.append("In an outage the optimisation's island has no losses; the AC power flow "
+                         "takes them, and any mismatch, from the grid's bus.")
+    if options.get("mode") == "physical" and day.outage.any():
+        sentences.append("In an outage the batteries that form the grid share losses and "
+                         "mismatch; frequency and transients are not simulated.")
+    return sentences
+
+
+def data_words(run: Trajectory) -> list[tuple[str, str]]:
+    """Size and limits of the scenario, each with its name."""
+    day, net, grid = run.scenario, run.scenario.network, run.scenario.grid
+    weights = ", ".join(_tier_words(run, tier) for tier in day.tiers)
+    rated = int(np.isfinite(net.i_max_a).sum())
+    return [
+        ("scenario", f"{day.name}: {day.title}"),
+        ("time", f"{grid.n_steps} steps of {grid.step_minutes:g} min from {grid.start}"),
+        ("network", f"{net.n_buses} buses, {net.n_lines} lines ({rated} with a rating), "
+         f"{net.base_kv:g} kV, grid at bus {net.slack_bus} held at {net.v_slack_pu:g} pu"),
+        ("voltage limits", f"{net.v_min_pu:g} to {net.v_max_pu:g} pu in the optimisation, "
+         f"{net.v_min_ac_pu:g} to {net.v_max_ac_pu:g} pu in the AC power flow"),
+        ("customers", f"{len(day.customers)}, {day.load_kw.sum(axis=1).max():,.0f} kW at the "
+         f"highest; weights: {weights}"),
+        ("PV", f"{len(day.pv)} systems, {day.pv.p_max_kw.sum():,.0f} kW"),
+        ("batteries", f"{len(day.batteries)}, {day.batteries.energy_kwh.sum():,.0f} kWh, "
+         f"{day.batteries.p_max_kw.sum():,.0f} kW"),
+        ("objective", ", ".join(f"{f.name} {getattr(day.objective, f.name):g}"
+                                for f in fields(day.objective))),
+    ]
+
+
+def _tier_words(run: Trajectory, tier: str) -> str:
+    """Weights that occur in a tier, and how many customers it has."""
+    customers = run.scenario.customers
+    weights = np.unique(customers.weight[customers.tier == tier])
+    text = f"{weights[0]:g}" if len(weights) == 1 else "several" if len(weights) else "none"
+    return f"{tier} {text} ({int(np.sum(customers.tier == tier))})"
+
+
+def _meanings(options: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Option and meaning from the docstrings, those of nested groups with a dot."""
+    for match in _PARAMETER.finditer(inspect.getdoc(options) or ""):
+        text = " ".join(match["text"].split())
+        yield from ((prefix + name.strip(), text) for name in match["names"].split(","))
+    for f in fields(options):
+        if is_dataclass(value := getattr(options, f.name)):
+            yield from _meanings(value, f"{f.name}.")
+
+
+def _flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested tables as one, the names joined by dots."""
+    for name, value in record.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _words(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_words, value)) or "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)

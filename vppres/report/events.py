@@ -1,0 +1,146 @@
+"""What happened in a run, in words: sentences about the day, and events with their time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.day.metrics import service_by_customer
+from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
+from vppres.day.trajectory import Trajectory
+from vppres.report.key_figures import number
+
+NAMES_SHOWN = 6
+EMPTY_SHARE = 0.01  # of the usable energy
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at the beginning of a step.
+
+    Parameters
+    ----------
+    t : int
+        Step; ``T`` for the end of the day.
+    time : str
+        Its beginning, UTC.
+    words : str
+        What happened.
+    """
+
+    t: int
+    time: str
+    words: str
+
+
+def events_of(run: Trajectory) -> list[Event]:
+    """Outages, customers switched off and restored, and empty batteries, in order of time."""
+    found = sorted([*_outage_events(run), *_service_events(run), *_battery_events(run)],
+                   key=lambda entry: entry[0])
+    return [Event(t, clock_words(run, t), words) for t, words in found]
+
+
+def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
+    """The day in a few sentences: its length, the outage, who was served, energy, voltages."""
+    return [_day(run), *_outage(run, summary), *_service(run), _import(summary),
+            _voltage(run)]
+
+
+def clock_words(run: Trajectory, t: int) -> str:
+    """Beginning of a step, or the end of the day, as text in UTC."""
+    grid = run.scenario.grid
+    time = grid.start + t * pd.Timedelta(minutes=grid.step_minutes)
+    return f"{time.tz_convert('UTC'):%d %b %H:%M}"
+
+
+def named(names: Sequence[str], most: int = NAMES_SHOWN) -> str:
+    """Names in a row; many are cut.
+
+    >>> named(["a", "b", "c"], most=2)
+    'a, b and 1 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    energy = stored_energy_kwh(run)
+    for first, last in outage_spans(run):
+        held = f", {energy[first]:,.0f} kWh in the batteries" if len(run.batteries) else ""
+        yield first, f"Outage begins{held}."
+        left = f", {energy[last]:,.0f} kWh left in the batteries" if len(run.batteries) else ""
+        yield last, f"Outage ends{left}."
+
+
+def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Who lost supply and who got it back, relative to the step before."""
+    c = run.scenario.customers
+    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    before = np.vstack([np.ones_like(served[:1]), served[:-1]])
+    for t in range(len(served)):
+        for changed, words in ((before[t] & ~served[t], "without supply"),
+                               (~before[t] & served[t], "supplied again")):
+            if changed.any():
+                order = np.argsort(-c.weight[changed], kind="stable")
+                who = [f"{name} ({tier})" for name, tier
+                       in zip(c.id[changed][order], c.tier[changed][order], strict=True)]
+                yield t, f"{len(who)} {_customers(len(who))} {words}: {named(who)}."
+
+
+def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """When the batteries reach the end of their usable energy in an outage."""
+    energy, (low, high) = stored_energy_kwh(run), energy_limits_kwh(run)
+    for first, last in outage_spans(run):
+        empty = np.flatnonzero(energy[first + 1:last + 1] <= low + EMPTY_SHARE * (high - low))
+        if len(empty) and len(run.scenario.batteries):
+            yield first + 1 + int(empty[0]), "The batteries are down to their lower limit."
+
+
+def _day(run: Trajectory) -> str:
+    grid, n_steps = run.scenario.grid, len(run.steps)
+    return (f"{n_steps} steps of {grid.step_minutes:g} min from {clock_words(run, 0)} to "
+            f"{clock_words(run, n_steps)} UTC.")
+
+
+def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
+    spans = outage_spans(run)
+    if not spans:
+        return ["The grid was there all the time."]
+    when = " and ".join(f"from {clock_words(run, a)} to {clock_words(run, b)}" for a, b in spans)
+    hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
+    shares = ", ".join(f"{tier} {number(share, '.0%')}"
+                       for tier, share in summary["served_share"].items() if share is not None)
+    return [f"The grid was out {when}, {hours:g} h in all.",
+            f"Served in the outage, of all customers and steps: {shares}; weighted by priority "
+            f"{number(summary['resilience'], '.1%')}."]
+
+
+def _service(run: Trajectory) -> list[str]:
+    table = service_by_customer(run)
+    lost = table[table["unserved_h"] > 0]
+    if lost.empty:
+        return [f"All {len(table)} customers were supplied at all times."]
+    return [f"{len(lost)} of {len(table)} customers were without supply at some time; "
+            f"{lost['unserved_kwh'].sum():,.0f} kWh were not supplied."]
+
+
+def _import(summary: Mapping[str, Any]) -> str:
+    return (f"The feeder imported {summary['import_kwh']:,.0f} kWh for "
+            f"{summary['cost_gbp']:,.2f} GBP.")
+
+
+def _voltage(run: Trajectory) -> str:
+    """The lowest voltage, and where and when."""
+    net, live = run.scenario.network, run.buses[run.buses["v_ac_pu"] > 0]
+    row = live.iloc[int(live["v_ac_pu"].to_numpy().argmin())]
+    time = pd.Timestamp(row["time"]).tz_convert("UTC")
+    return (f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "
+            f"{time:%d %b %H:%M}; the limit is {net.v_min_ac_pu:g} pu.")
+
+
+def _customers(count: int) -> str:
+    return "customer" if count == 1 else "customers"

@@ -1,0 +1,114 @@
+"""What a reader of a run has to know first: limits exceeded, plans corrected, proofs missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from vppres.day.metrics import island_figures, line_loading
+from vppres.day.trajectory import Trajectory
+from vppres.plant.plant import CLIP_TOLERANCE_KW
+
+LIMIT_TOLERANCE_PU = 1e-6
+PROVEN = "optimal"
+ISLAND_TOLERANCE_KW = 0.5
+
+
+def findings(run: Trajectory) -> list[str]:
+    """One sentence for each thing that is not as it should be; empty if all is well."""
+    return [*_unlit(run), *_voltages(run), *_loadings(run), *_island(run), *_decisions(run),
+            *_answers(run)]
+
+
+def _voltages(run: Trajectory) -> Iterator[str]:
+    """Voltages of the AC power flow outside its limits."""
+    net, live = run.scenario.network, run.buses[run.buses["v_ac_pu"] > 0]
+    v = live["v_ac_pu"]
+    for words, limit, beyond in (("below", net.v_min_ac_pu, net.v_min_ac_pu - v),
+                                 ("above", net.v_max_ac_pu, v - net.v_max_ac_pu)):
+        wrong = live[beyond > LIMIT_TOLERANCE_PU]
+        if len(wrong):
+            row = live.iloc[int(beyond.to_numpy().argmax())]
+            n_buses = wrong["bus"].nunique()
+            yield (f"Voltage {words} the AC limit of {limit:g} pu in "
+                   f"{_steps(wrong['time'].nunique())} at {n_buses} "
+                   f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
+                   f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(row['time'])}.")
+
+
+def _loadings(run: Trajectory) -> Iterator[str]:
+    """Lines above their rating."""
+    loading = np.nan_to_num(line_loading(run))
+    if (loading > 1.0).any():
+        t, line = np.unravel_index(int(loading.argmax()), loading.shape)
+        net = run.scenario.network
+        yield (f"Lines above their rating in {_steps(int((loading > 1).any(axis=1).sum()))}: at "
+               f"most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
+               f"{_time(run.steps['time'].iloc[int(t)])}.")
+
+
+def _island(run: Trajectory) -> Iterator[str]:
+    """Power that the AC check draws from a grid that is out."""
+    island = island_figures(run)
+    drawn, surplus = island["island_import_max_kw"], island["island_export_max_kw"]
+    if drawn is not None and drawn > ISLAND_TOLERANCE_KW:
+        yield (f"In the outage the AC power flow still draws up to {drawn:,.1f} kW from the grid's "
+               "bus: losses and mismatch that no battery covered.")
+    if surplus is not None and surplus > ISLAND_TOLERANCE_KW:
+        yield (f"In the outage up to {surplus:,.1f} kW more was made than used and lost.")
+
+
+def _decisions(run: Trajectory) -> Iterator[str]:
+    """Plans that were not carried out as decided."""
+    steps = run.steps
+    corrected = steps[steps["corrected"].astype(bool)]
+    if len(corrected):
+        reasons = sorted({str(reason) for reason in corrected["correction_reason"] if reason})
+        why = f" ({'; '.join(reasons)})" if reasons else ""
+        yield f"The plan was corrected in {_steps(len(corrected))}{why}."
+    if "fallback" in steps:
+        kinds = steps.loc[steps["fallback"] != "none", "fallback"]
+        if len(kinds):
+            counts = ", ".join(f"{_plain(kind)} ({n})" for kind, n in kinds.value_counts().items())
+            yield f"A fallback took the place of the controller's answer: {counts}."
+    if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
+        yield (f"A device could not do what was decided in "
+               f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}: up to "
+               f"{steps['clipped_kw'].max():,.2f} kW less.")
+
+
+def _answers(run: Trajectory) -> Iterator[str]:
+    """Decisions without a proof to the gap that was asked for."""
+    status = run.steps["status"].astype(str)
+    others = status[status != PROVEN]
+    if len(others):
+        kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
+        yield f"Not proven optimal to the gap asked for: {_steps(len(others))}, status {kinds}."
+
+
+def _unlit(run: Trajectory) -> Iterator[str]:
+    """Islands that went dark, AC power flows without a solution, and guessed measurements."""
+    steps = run.steps
+    if "dark" in steps and steps["dark"].any():
+        dark = steps[steps["dark"] > 0]
+        reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
+        why = f": {'; '.join(reasons)}" if reasons else ""
+        yield f"The island was dark in {_steps(len(dark))}{why}."
+    for column, words in (("ac_failed", "The AC power flow had no solution"),
+                          ("estimated", "A measurement was missing and estimated")):
+        if column in steps and steps[column].astype(bool).any():
+            yield f"{words} in {_steps(int(steps[column].astype(bool).sum()))}."
+
+
+def _plain(name: object) -> str:
+    return str(name).replace("_", " ")
+
+
+def _steps(count: int) -> str:
+    return "1 step" if count == 1 else f"{count} steps"
+
+
+def _time(time: object) -> str:
+    return f"{pd.Timestamp(str(time)).tz_convert('UTC'):%d %b %H:%M} UTC"

@@ -1,0 +1,84 @@
+"""Finished runs, read back from their folders."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from vppres.core.errors import InputError, Problem
+from vppres.day.metrics import summarise
+from vppres.day.trajectory import Trajectory, read_run
+from vppres.report.pages import write_page
+from vppres.report.plots import save_figures
+from vppres.report.run_folder import SUMMARY_FILE, render_report
+
+_CURE = "Give a folder written by a run."
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A run folder's content.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it was read from.
+    trajectory : Trajectory
+        The record.
+    summary : mapping
+        The figures of ``summary.json``, and those that a newer version of the package adds.
+    """
+
+    folder: Path
+    trajectory: Trajectory
+    summary: Mapping[str, Any]
+
+
+def read_finished(folder: Path) -> FinishedRun:
+    """Read a run folder with its summary.
+
+    Raises
+    ------
+    InputError
+        If it is not a folder, not a whole run folder, or a file in it is broken.
+    """
+    if not folder.is_dir():
+        message = "is not a folder" if folder.exists() else "there is no such folder"
+        raise InputError(Problem(str(folder), message, _CURE))
+    try:
+        trajectory = read_run(folder)
+    except (ValueError, KeyError) as error:
+        raise InputError(Problem(str(folder), f"cannot be read ({_first_line(error)})",
+                                 "Run the scenario again.")) from error
+    # What was recorded counts, above all the versions that made the run.
+    summary = {**summarise(trajectory), **_read_summary(folder / SUMMARY_FILE)}
+    return FinishedRun(folder, trajectory, summary)
+
+
+def rewrite_report(run: FinishedRun, file: Path) -> None:
+    """Draw the figures of a run again and write its report into a file."""
+    with TemporaryDirectory() as aside:
+        save_figures(run.trajectory, Path(aside))
+        text = render_report(run.trajectory, dict(run.summary), Path(aside))
+    write_page(file, text)
+
+
+def _read_summary(file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        raise InputError(Problem(str(file.parent), f"has no {file.name}", _CURE))
+    try:
+        summary = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(Problem(str(file), f"is not valid JSON ({_first_line(error)})",
+                                 "Run the scenario again.")) from error
+    if not isinstance(summary, dict):
+        raise InputError(Problem(str(file), "is not a table of figures", _CURE))
+    return summary
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,0 +1,189 @@
+"""The one-line diagram of a run: where everything is drawn, and how it looks in each step.
+
+The drawing is fixed; what changes from step to step are classes of its elements, one digit each,
+so that the whole day is a few strings per step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import to_hex
+from numpy.typing import NDArray
+
+from vppres.day.metrics import line_current_a, line_loading, service_by_tier
+from vppres.day.trajectory import Trajectory
+from vppres.report.tree_layout import tree_layout
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+COLUMN_PX, ROW_PX, MARGIN_PX, BELOW_PX = 50, 74, 40, 54
+MAX_NAMED_BUSES = 150
+MAX_VOLTAGE_CLASSES = 8
+CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+OUT_OF_LIMITS = 9  # the class of voltages outside the AC limits
+LOADING_EDGES = (0.2, 0.4, 0.6, 0.8, 1.0)
+SERVED, PARTLY, NOT_SERVED = 0, 1, 2
+HALF_ULP = 1e-9
+
+
+@dataclass(frozen=True)
+class BusMark:
+    """A bus in the drawing, with what is connected to it."""
+
+    name: str
+    x: int
+    y: int
+    slack: bool
+    critical: bool
+    customers: tuple[int, ...]
+    batteries: tuple[int, ...]
+    pv: bool
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Everything that no step changes."""
+
+    width: int
+    height: int
+    buses: tuple[BusMark, ...]
+    lines: tuple[tuple[int, int, int, int], ...]
+    named: bool
+
+
+def drawing(run: Trajectory) -> Drawing:
+    """Places of buses and lines, and the marks of what is connected."""
+    day, layout = run.scenario, tree_layout(run.scenario.network)
+    net, c = day.network, day.customers
+    x = MARGIN_PX + COLUMN_PX * layout.column
+    y = MARGIN_PX + ROW_PX * layout.row
+    at_bus = np.array([net.bus_index[bus] for bus in c.bus], dtype=int)
+    with_pv = set(at_bus[day.pv.owner(c)].tolist()) if len(day.pv) else set()
+    battery_bus = np.array([net.bus_index[bus] for bus in day.batteries.bus], dtype=int)
+    critical = set(at_bus[c.tier == day.tiers[0]].tolist())
+    buses = tuple(BusMark(str(net.buses[i]), int(x[i]), int(y[i]), i == 0, i in critical,
+                          tuple(np.flatnonzero(at_bus == i).tolist()),
+                          tuple(np.flatnonzero(battery_bus == i).tolist()), i in with_pv)
+                  for i in range(net.n_buses))
+    lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b]))
+                  for a, b in zip(net.parent, range(1, net.n_buses), strict=True))
+    return Drawing(int(x.max()) + MARGIN_PX, int(y.max()) + BELOW_PX, buses, lines,
+                   net.n_buses <= MAX_NAMED_BUSES)
+
+
+def voltage_edges(run: Trajectory) -> Floats:
+    """Ends of the voltage classes, shape (classes + 1,), in pu: round numbers around what occurs.
+
+    Voltages outside the AC limits are in a class of their own and do not count here.
+    """
+    net, v = run.scenario.network, run.buses["v_ac_pu"].to_numpy(float)
+    inside = v[(v >= net.v_min_ac_pu) & (v <= net.v_max_ac_pu)]
+    low, high = (inside.min(), inside.max()) if len(inside) else (net.v_min_ac_pu, net.v_max_ac_pu)
+    for width in CLASS_WIDTHS_PU:
+        first, last = np.floor(low / width + HALF_ULP), np.ceil(high / width - HALF_ULP)
+        if last - first <= MAX_VOLTAGE_CLASSES:
+            break
+    return np.asarray(width * np.arange(first, max(last, first + 1) + 1))
+
+
+def voltage_colours(n_classes: int) -> list[str]:
+    """A colour for each voltage class, lowest first; dark to light in a grey print too."""
+    cividis = matplotlib.colormaps["cividis"]
+    return [to_hex(cividis(share)) for share in np.linspace(0.0, 1.0, n_classes)]
+
+
+def worst_step(run: Trajectory) -> int:
+    """The outage step with the least weighted service, of equals the one with the lowest voltage.
+
+    Without an outage, the step with the lowest voltage.
+    """
+    c = run.customers
+    weighted = (c["weight"] * c["served"]).groupby(c["time"]).sum()
+    steps = run.steps.assign(service=weighted.reindex(run.steps["time"]).to_numpy())
+    steps["service"] = steps["service"].round(9)
+    if not steps["outage"].any():
+        return int(steps["v_min_ac_pu"].argmin())
+    island = steps[steps["outage"].astype(bool)]
+    return int(island.sort_values(["service", "v_min_ac_pu"], kind="stable").index[0])
+
+
+def step_states(run: Trajectory) -> dict[str, Any]:
+    """How everything looks in each step, as JSON can hold it.
+
+    Returns
+    -------
+    dict
+        One entry per step in each: ``bus``, ``tile`` and ``line``, a digit for the class of each
+        bus's voltage and service and each line's loading; ``v``, voltages in 0.0001 pu (None where
+        there is none); ``served``, a digit per customer; ``amps``; ``soc``, per cent per battery;
+        ``time`` and ``info`` in words; ``outage``. And once: ``start``, the step to show first.
+    """
+    n_steps = len(run.steps)
+    v = run.buses["v_ac_pu"].to_numpy(float).reshape(n_steps, -1)
+    served = run.customers["served"].to_numpy(bool).reshape(n_steps, -1)
+    soc = run.batteries["soc_end"].to_numpy(float).reshape(n_steps, -1)
+    times = run.steps["time"].dt.tz_convert("UTC")
+    return {
+        "start": worst_step(run),
+        "time": [f"{time:%d %b %H:%M}" for time in times],
+        "outage": run.steps["outage"].astype(int).tolist(),
+        "info": _info(run),
+        "bus": _digits(_voltage_classes(run, v)),
+        "tile": _digits(_tile_classes(run, served)),
+        "line": _digits(loading_classes(run)),
+        "served": _digits(served.astype(int)),
+        "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
+        "amps": line_current_a(run).round(1).tolist(),
+        "soc": np.rint(100.0 * soc).astype(int).tolist(),
+    }
+
+
+def loading_classes(run: Trajectory) -> Ints:
+    """Class of each line's loading, shape (T, L): the number of edges that it has reached.
+
+    Without any ratings the current is taken as a share of the largest of the run.
+    """
+    if run.scenario.network.has_ratings:
+        loading = np.nan_to_num(line_loading(run))
+    else:
+        current = line_current_a(run)
+        # The largest current itself stays below the class of overloads.
+        loading = 0.999 * current / max(float(current.max()), 1e-9)
+    return np.digitize(loading, LOADING_EDGES)
+
+
+def _voltage_classes(run: Trajectory, v: Floats) -> Ints:
+    """Class of each voltage, shape (T, N)."""
+    net, edges = run.scenario.network, voltage_edges(run)
+    classes = np.clip(np.digitize(v, edges) - 1, 0, len(edges) - 2)
+    inside = (v >= net.v_min_ac_pu) & (v <= net.v_max_ac_pu)
+    return np.where(inside, classes, OUT_OF_LIMITS)
+
+
+def _tile_classes(run: Trajectory, served: NDArray[np.bool_]) -> Ints:
+    """Whether all, some or none of a bus's customers are served, shape (T, N)."""
+    at = run.scenario.network.place(run.scenario.customers.bus)
+    total = np.asarray(at.sum(axis=1)).ravel()
+    got = (at @ served.T.astype(float)).T
+    return np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))
+
+
+def _info(run: Trajectory) -> list[str]:
+    """What happens in each step, in a line."""
+    shares = service_by_tier(run)
+    lines = []
+    for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
+        grid = ("outage" if step["outage"] else f"import {step['p_grid_kw']:,.0f} kW")
+        tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
+        lines.append(f"{grid}; served: {tiers}; lowest voltage {step['v_min_ac_pu']:.4f} pu")
+    return lines
+
+
+def _digits(classes: Ints) -> list[str]:
+    """One string per step, a digit per element."""
+    return ["".join(map(str, row)) for row in classes.tolist()]

@@ -1,0 +1,59 @@
+"""Self-contained HTML pages: templates, and figures embedded in them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from vppres.core.errors import InputError, Problem
+from vppres.io.atomic import atomic_write_text
+from vppres.report.plots import SVG_HASH_SALT
+
+
+def page(template: str, content: Mapping[str, Any]) -> str:
+    """A template of the package, filled; a name that the content lacks is an error."""
+    return _environment().get_template(template).render(content)
+
+
+@cache
+def _environment() -> Environment:
+    """The templates of the package; each is compiled once."""
+    return Environment(loader=PackageLoader("vppres.report"), autoescape=True, trim_blocks=True,
+                       lstrip_blocks=True, undefined=StrictUndefined)
+
+
+def embedded(figure: Figure) -> str:
+    """A figure as a data URI of an SVG image; equal figures give equal text."""
+    image = BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(image, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(image.getvalue()).decode("ascii")
+
+
+def embedded_svg(svg: Path) -> str:
+    """An SVG file as a data URI."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg.read_bytes()).decode("ascii")
+
+
+def write_page(file: Path, text: str) -> None:
+    """Write a page, whole or not at all; its folder is made if missing.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write_text(file, text)
+    except OSError as error:
+        raise InputError(Problem(str(file), f"cannot be written ({error.strerror})",
+                                 "Choose another file, or check its permissions.")) from error

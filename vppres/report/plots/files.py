@@ -1,0 +1,67 @@
+"""All figures by name, and their files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from vppres.day.trajectory import Trajectory
+from vppres.report.plots.base import Runs, save_figure
+from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
+from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
+from vppres.report.plots.service import service_by_tier
+from vppres.report.plots.strips import timeline
+
+# Figures of one run or of several.
+FIGURES: dict[str, Callable[[Runs], Figure]] = {
+    "energy_and_price": energy_and_price,
+    "import_load_pv": import_load_pv,
+    "voltages": voltages,
+    "service_by_tier": service_by_tier,
+    "line_loadings": line_loadings,
+    "solve_times": solve_times,
+}
+
+# Figures of one run alone.
+RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
+    "timeline": timeline,
+    "feeder_maps": feeder_maps,
+}
+
+FIGURE_TEXTS = {
+    "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
+    "import_load_pv": "Import at the slack bus (above); demand, demand served and available PV "
+                      "power (below).",
+    "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
+                "and AC power flow at any bus.",
+    "service_by_tier": "Who was served in each step, customer by customer, and the share of each "
+                       "tier.",
+    "line_loadings": "The most loaded line of each step, from the AC power flow.",
+    "solve_times": "Time from forecast to decision, and proven relative gap (linear below 1e-6).",
+    "timeline": "The day at a glance; numbers count the customers not served.",
+    "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
+                   "current; dashed: the outage.",
+}
+"""What each figure shows."""
+
+
+def save_figures(runs: Runs, folder: Path) -> list[Path]:
+    """Write every figure as PNG and SVG into a folder, which is made if missing.
+
+    Those of one run alone are left out for several.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, draw in FIGURES.items():
+        files += save_figure(draw(runs), folder / name)
+    if isinstance(runs, Trajectory):
+        for name, draw_run in RUN_FIGURES.items():
+            files += save_figure(draw_run(runs), folder / name)
+    return files

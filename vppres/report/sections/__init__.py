@@ -1,0 +1,25 @@
+"""Sections of the report of a run, in the order in which they are read.
+
+A section is a function of the run and of how it is shown that gives a
+:class:`~vppres.report.sections.base.Section`, or None where it has nothing to say. To add one,
+write such a function in a module of its own with a template in ``templates/sections``, and name it
+here.
+"""
+
+from __future__ import annotations
+
+from vppres.report.sections.assumptions import assumptions_section
+from vppres.report.sections.base import SectionMaker
+from vppres.report.sections.energy import energy_section
+from vppres.report.sections.explain import explain_section
+from vppres.report.sections.feeder import feeder_section
+from vppres.report.sections.network import network_section
+from vppres.report.sections.overview import overview_section
+from vppres.report.sections.service import service_section
+from vppres.report.sections.solver import solver_section
+from vppres.report.sections.timeline import timeline_section
+
+# Makers of the sections.
+SECTIONS: tuple[SectionMaker, ...] = (
+    overview_section, timeline_section, explain_section, service_section, feeder_section,
+    energy_section, network_section, solver_section, assumptions_section)

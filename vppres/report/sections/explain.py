@@ -1,0 +1,105 @@
+"""What happened when, what bound, and what one more unit would have bought."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from vppres.explain.words import figure, money
+from vppres.report.pages import embedded
+from vppres.report.sections.base import Run, Section, section
+from vppres.report.sections.explain_figure import draw_worth
+from vppres.report.sections.narrative import DRIVERS, clock, episodes
+
+Row = dict[str, Any]
+
+MOST_NAMED = 3
+"""Items of a limit that are named one by one."""
+
+LIMITS = {
+    "energy_floor": "lower SoC limit", "energy_ceiling": "upper SoC limit",
+    "battery_charging": "charging power", "battery_discharging": "discharging power",
+    "battery_inverter": "battery inverter", "pv_inverter": "PV inverter",
+    "voltage_floor": "lowest voltage at bus", "voltage_ceiling": "highest voltage at bus",
+    "grid": "grid limit"}
+ACTIONS = {"not_served": "customer not served", "charge": "battery charged",
+           "discharge": "battery discharged", "curtail": "PV system curtailed"}
+
+
+def explain_section(run: Run) -> Section | None:
+    """The day in words, what bound in each step, reasons counted; None without an explanation.
+
+    :func:`vppres.explain.day.explain_day` makes the tables that are shown here.
+    """
+    trajectory = run.trajectory
+    explanations, prices = trajectory.explanations, trajectory.shadow_prices
+    if explanations is None or prices is None:
+        return None
+    return section("explain", "What happened when, and why", {
+        "episodes": episodes(trajectory, explanations, prices),
+        "steps": _steps(trajectory.steps, prices, _counts(run)), "reasons": _reasons(explanations),
+        "people": _people(explanations), "figure": embedded(draw_worth(trajectory))})
+
+
+def _counts(run: Run) -> dict[str, int]:
+    """How many items each family of limits has."""
+    s = run.trajectory.scenario
+    return {name: len(s.pv) if name.startswith("pv") else len(s.batteries) for name in LIMITS
+            if name.startswith(("energy", "battery", "pv"))}
+
+
+def _steps(steps: pd.DataFrame, prices: pd.DataFrame, counts: dict[str, int]) -> list[Row]:
+    """One row for each step: limits that bound, and what one more unit was worth."""
+    rows = []
+    for step in steps[["time", "phase", "outage"]].to_dict("records"):
+        now = prices[prices["time"] == step["time"]]
+        rows.append({"time": clock(step["time"]), "phase": step["phase"],
+                     "outage": bool(step["outage"]), "limits": _limits(now, counts),
+                     "kwh": _worth(now, "stored_energy"), "kw": _worth(now, "active"),
+                     "kvar": _worth(now, "reactive")})
+    return rows
+
+
+def _limits(prices: pd.DataFrame, counts: dict[str, int]) -> str:
+    """The limits that bound in a step, each with its items."""
+    texts = []
+    for name, words in LIMITS.items():
+        items = prices.loc[prices["constraint"] == name, "item"].tolist()
+        if not items:
+            continue
+        if name == "grid":
+            texts.append(words)
+        elif len(items) == counts.get(name):
+            texts.append(f"{words} (all)")
+        else:
+            named = ", ".join(items) if len(items) <= MOST_NAMED else f"{len(items)} of them"
+            texts.append(f"{words} ({named})" if name in counts else f"{words} {named}")
+    return "; ".join(texts)
+
+
+def _worth(prices: pd.DataFrame, name: str) -> str:
+    """The largest worth of a unit: in weighted customer hours, otherwise in GBP."""
+    rows = prices[prices["constraint"] == name]
+    where = "" if name == "stored_energy" or rows.empty else f", bus {rows['item'].iloc[0]}"
+    if (rows["weighted_h"] != 0).any() and rows["weighted_h"].notna().any():
+        return f"{figure(float(rows['weighted_h'].max()))} h{where}"
+    gbp = rows["gbp"].dropna()
+    return f"{money(float(gbp.max()))} GBP{where}" if len(gbp) and gbp.max() > 0 else ""
+
+
+def _reasons(explanations: pd.DataFrame) -> list[Row]:
+    """How often each reason drove each kind of action."""
+    actions = explanations[explanations["item"] != "step"]
+    groups = actions.groupby(["action", "driver", "binding"])["words"]
+    rows = [{"action": ACTIONS[str(action)], "driver": DRIVERS[str(driver)],
+             "binding": DRIVERS.get(str(binding), ""), "count": len(words),
+             "example": words.iloc[0]} for (action, driver, binding), words in groups]
+    return sorted(rows, key=lambda row: (row["action"], -int(row["count"])))
+
+
+def _people(explanations: pd.DataFrame) -> list[Row]:
+    """Every customer and step without service, with its reason."""
+    rows = explanations[explanations["item"] == "customer"]
+    return [{"time": clock(row["time"]), "id": row["id"], "words": row["words"]}
+            for row in rows.to_dict("records")]

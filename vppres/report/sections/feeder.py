@@ -1,0 +1,57 @@
+"""The feeder as a one-line diagram, one step at a time."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from vppres.day.trajectory import Trajectory
+from vppres.report.one_line import (
+    LOADING_EDGES,
+    drawing,
+    step_states,
+    voltage_colours,
+    voltage_edges,
+)
+from vppres.report.sections.base import Run, Section, section
+
+EN_DASH = "\N{EN DASH}"
+
+
+def feeder_section(run: Run) -> Section:
+    """The diagram in the worst outage step, with a choice of the others."""
+    day, states = run.trajectory.scenario, step_states(run.trajectory)
+    voltages = _voltage_words(run.trajectory)
+    customers = [f"{name} ({tier})"
+                 for name, tier in zip(day.customers.id, day.customers.tier, strict=True)]
+    ends = [f"{a} to {b}"
+            for a, b in zip(day.network.from_bus, day.network.to_bus, strict=True)]
+    return section("feeder", "The feeder", {
+        "drawing": drawing(run.trajectory), "start": states["start"], "states": states,
+        "colours": voltage_colours(len(voltages)), "voltages": voltages,
+        "loadings": _loading_words(run.trajectory), "rated": day.network.has_ratings,
+        "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu), "tiers": day.tiers,
+        "has_outage": bool(run.trajectory.steps["outage"].any()),
+        "data": states | {"customers": customers, "lines": ends,
+                          "ratings": _ratings(run.trajectory),
+                          "batteries": day.batteries.id.tolist()}})
+
+
+def _ratings(run: Trajectory) -> list[float | None]:
+    """Rating of each line in A, None where it has none."""
+    return [round(rating, 1) if np.isfinite(rating) else None
+            for rating in run.scenario.network.i_max_a.tolist()]
+
+
+def _voltage_words(run: Trajectory) -> list[str]:
+    """Range of each voltage class."""
+    edges = voltage_edges(run)
+    return [f"{low:.4g}{EN_DASH}{high:.4g}" for low, high in pairwise(edges)]
+
+
+def _loading_words(run: Trajectory) -> list[str]:
+    """Range of each loading class."""
+    edges = [0.0, *LOADING_EDGES]
+    words = [f"{low:.0%}{EN_DASH}{high:.0%}" for low, high in pairwise(edges)]
+    return [*words, f"above {edges[-1]:.0%}"] if run.scenario.network.has_ratings else words

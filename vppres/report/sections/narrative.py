@@ -1,0 +1,153 @@
+"""A day told phase by phase, from the tables of its explanation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
+
+import pandas as pd
+
+from vppres.day.trajectory import Trajectory
+from vppres.explain.words import figure, money
+
+DRIVERS = {
+    "energy": "stored energy", "power": "battery power", "inverter": "inverter rating",
+    "voltage": "voltage limit", "grid": "grid limit", "priority": "priority",
+    "switching_rule": "switching rule", "price": "price", "preparation": "preparation",
+    "surplus": "PV surplus", "supply": "supply of the island", "mismatch": "island's mismatch",
+    "plan": "plan of the day", "rule": "rule of the controller", "fallback": "fallback",
+    "dark": "dark island",
+    "unexplained": "not explained"}
+"""What the drivers of ``explanations`` are called in the report."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Consecutive steps of one phase: when, what happened, and each step's own sentence."""
+
+    phase: str
+    start: str
+    end: str
+    told: list[str]
+    steps: list[tuple[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """The rows of a run that belong to some of its steps."""
+
+    steps: pd.DataFrame
+    customers: pd.DataFrame
+    batteries: pd.DataFrame
+    explanations: pd.DataFrame
+    shadow_prices: pd.DataFrame
+    dt_h: float
+
+    @classmethod
+    def of(cls, run: Trajectory, explanations: pd.DataFrame, shadow_prices: pd.DataFrame,
+           times: list[pd.Timestamp]) -> Tables:
+        """The rows of these times."""
+        tables = {"steps": run.steps, "customers": run.customers, "batteries": run.batteries,
+                  "explanations": explanations, "shadow_prices": shadow_prices}
+        rows = {name: table[table["time"].isin(times)] for name, table in tables.items()}
+        return cls(**rows, dt_h=run.scenario.grid.dt_h)
+
+
+def episodes(run: Trajectory, explanations: pd.DataFrame,
+             shadow_prices: pd.DataFrame) -> list[Episode]:
+    """The day as consecutive phases.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A finished run.
+    explanations, shadow_prices : DataFrame
+        Its tables of these names.
+    """
+    of_steps = explanations[explanations["item"] == "step"].to_dict("records")
+    step = pd.Timedelta(minutes=run.scenario.grid.step_minutes)
+    found = []
+    for phase, group in groupby(of_steps, key=itemgetter("phase")):
+        rows = list(group)
+        times = [row["time"] for row in rows]
+        tables = Tables.of(run, explanations, shadow_prices, times)
+        found.append(Episode(phase, clock(times[0]), clock(times[-1] + step), told(tables),
+                             [(clock(row["time"]), row["words"]) for row in rows]))
+    return found
+
+
+def clock(time: pd.Timestamp) -> str:
+    """A time as text in UTC, as everywhere in the report.
+
+    >>> clock(pd.Timestamp("2022-07-19T14:00:00+01:00"))
+    '19 Jul 13:00'
+    """
+    return f"{time.tz_convert('UTC'):%d %b %H:%M}"
+
+
+def told(tables: Tables) -> list[str]:
+    """What happened in some steps: service, batteries, and what one more unit was worth."""
+    sentences = [_service(tables), _batteries(tables), *_worth(tables)]
+    return [sentence for sentence in sentences if sentence]
+
+
+def _service(tables: Tables) -> str:
+    """Who was served, and why others were not."""
+    served = tables.customers.groupby("time")["served"].sum()
+    total = len(tables.customers) // max(len(served), 1)
+    if served.min() == total:
+        return f"All {total} customers were served."
+    low, high = int(served.min()), int(served.max())
+    many = f"{low}" if low == high else f"{low} to {high}"
+    out = tables.explanations[tables.explanations["action"] == "not_served"]
+    why = ", ".join(f"{DRIVERS[str(driver)]} {count}" for driver, count in
+                    out["driver"].value_counts().items())
+    return f"{many} of {total} customers were served; reasons of the others, step by step: {why}."
+
+
+def _batteries(tables: Tables) -> str:
+    """How much the fleet stored and gave."""
+    into = float(tables.batteries["charge_kw"].sum()) * tables.dt_h
+    out = float(tables.batteries["discharge_kw"].sum()) * tables.dt_h
+    parts = [f"{verb} {energy:,.0f} kWh" for verb, energy in (("took in", into), ("gave", out))
+             if energy >= 1.0]
+    return f"The batteries {' and '.join(parts)}." if parts else "The batteries rested."
+
+
+def _worth(tables: Tables) -> list[str]:
+    """What one more unit would have bought, as ranges over the steps."""
+    stored = _range(tables.shadow_prices, "stored_energy", "weighted_h")
+    sentences = []
+    if stored:
+        sentences.append(f"One more kWh in store would have served {stored} weighted customer "
+                         "hours more.")
+    elif saved := _range(tables.shadow_prices, "stored_energy", "gbp"):
+        sentences.append(f"One more kWh in store would have saved {saved} GBP.")
+    for name, what in (("energy_ceiling", "One more kWh of battery capacity"),
+                       ("reactive", "One more kvar"), ("battery_inverter", "One more kVA of a "
+                        "battery's inverter"), ("voltage_floor", "0.001 pu more room below the "
+                        "lowest voltage")):
+        if value := _range(tables.shadow_prices, name, "weighted_h"):
+            sentences.append(f"{what} would have served {value} weighted customer hours "
+                             f"more{_where(tables.shadow_prices, name)}.")
+    return sentences
+
+
+def _range(prices: pd.DataFrame, name: str, column: str) -> str:
+    """Smallest to largest positive worth over the steps, of the best item of each; else empty."""
+    best = prices[prices["constraint"] == name].groupby("time")[column].max()
+    best = best[best > 0]
+    if best.empty:
+        return ""
+    text = money if column == "gbp" else figure
+    low, high = text(float(best.min())), text(float(best.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def _where(prices: pd.DataFrame, name: str) -> str:
+    """The item at which a unit was worth most, of limits that belong to a place."""
+    if name not in ("reactive", "voltage_floor"):
+        return ""
+    rows = prices[prices["constraint"] == name].sort_values("weighted_h", ascending=False)
+    return f", most at bus {rows['item'].iloc[0]}"

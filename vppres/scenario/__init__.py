@@ -1,0 +1,1 @@
+"""A scenario as frozen, checked data: time grid, network, assets, rules."""

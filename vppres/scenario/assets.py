@@ -1,0 +1,124 @@
+"""Customers, PV systems and batteries: frozen tables, one array per attribute.
+
+Absent assets are tables of length 0. The attributes' units, bounds and defaults are those of
+:mod:`vppres.io.schema`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.core.frozen import freeze_fields
+
+Floats = NDArray[np.float64]
+Names = NDArray[np.object_]
+Flags = NDArray[np.bool_]
+Wholes = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Customers:
+    """Customers, shape (C,) each.
+
+    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging;
+    ``shed_steps`` are the equal parts that may be switched apart, 1 (all or nothing) if not given.
+    """
+
+    id: Names
+    bus: Names
+    tier: Names
+    weight: Floats
+    power_factor: Floats
+    shed_steps: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def __post_init__(self) -> None:
+        if len(self.shed_steps) == 0:
+            object.__setattr__(self, "shed_steps", np.ones(len(self.id), dtype=int))
+        freeze_fields(self, id=object, bus=object, tier=object, weight=float, power_factor=float,
+                      shed_steps=int)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def q_per_p(self) -> Floats:
+        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``."""
+        return np.tan(np.arccos(self.power_factor))
+
+
+@dataclass(frozen=True, eq=False)
+class PVSystems:
+    """PV systems, shape (P,) each; ``customer`` is the owner's identifier."""
+
+    id: Names
+    customer: Names
+    p_max_kw: Floats
+    s_max_kva: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, id=object, customer=object, p_max_kw=float, s_max_kva=float)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def owner(self, customers: Customers) -> NDArray[np.int64]:
+        """Position of each system's owner in the customers' table."""
+        position = {c: i for i, c in enumerate(customers.id)}
+        return np.array([position[c] for c in self.customer], dtype=int)
+
+
+@dataclass(frozen=True, eq=False)
+class Batteries:
+    """Batteries, shape (B,) each: ratings, limits, nominal efficiencies and thermal constants.
+
+    The thermal constants are those of the paper's Table "Battery electro-thermal efficiency
+    parameters"; ``t_initial_c`` may be NaN, which means the ambient temperature of the first step.
+    ``grid_forming`` marks the batteries that are named to hold an island; see :attr:`formers`.
+    """
+
+    id: Names
+    bus: Names
+    energy_kwh: Floats
+    p_max_kw: Floats
+    s_max_kva: Floats
+    soc_min: Floats
+    soc_max: Floats
+    soc_initial: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    r_theta_c_per_kw: Floats
+    c_theta_kwh_per_c: Floats
+    alpha_charge_per_c2: Floats
+    alpha_discharge_per_c2: Floats
+    r_int_ohm: Floats
+    beta_per_c: Floats
+    u_batt_v: Floats
+    t_ref_c: Floats
+    t_initial_c: Floats
+    grid_forming: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    def __post_init__(self) -> None:
+        if len(self.grid_forming) == 0:
+            object.__setattr__(self, "grid_forming", np.zeros(len(self.id), dtype=bool))
+        types = {"id": object, "bus": object, "grid_forming": bool}
+        freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def active_max_kw(self) -> Floats:
+        """Largest active power, by rating and by inverter, (B,)."""
+        return np.minimum(self.p_max_kw, self.s_max_kva)
+
+    @property
+    def formers(self) -> Flags:
+        """Who forms an island's grid, (B,): those that are named, else the largest inverter."""
+        if self.grid_forming.any() or len(self) == 0:
+            return self.grid_forming
+        largest = np.zeros(len(self), dtype=bool)
+        largest[np.argmax(self.s_max_kva)] = True
+        return largest

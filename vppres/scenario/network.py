@@ -1,0 +1,254 @@
+"""The radial network: topological order, incidence, and the checks that make it radial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from vppres.core.errors import InputError, Problem
+from vppres.core.frozen import freeze
+from vppres.core.units import ohm_to_pu2_per_kw
+
+BusId = int | str
+
+
+def _no_ratings() -> NDArray[np.float64]:
+    """Stands for lines without thermal ratings; the network replaces it by infinities."""
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A radial feeder.
+
+    Lines may be given in any order and direction; they are kept oriented away from the slack bus
+    and sorted so that every line comes after the line that feeds it. Bus 0 of every array is the
+    slack bus, and line ``l`` ends at bus ``l + 1``.
+
+    Parameters
+    ----------
+    from_bus, to_bus : array of bus identifiers, shape (L,)
+        Ends of each line; integers or strings.
+    r_ohm, x_ohm : array, shape (L,)
+        Series impedance.
+    i_max_a : array, shape (L,), optional
+        Thermal rating; infinite where a line has none. It is reported, not held.
+    slack_bus : int or str
+        Bus of the grid connection.
+    base_kv : float
+        Nominal line-to-line voltage in kV.
+    v_slack_pu : float
+        Voltage of the slack bus.
+    v_min_pu, v_max_pu : float
+        Limits that the optimisation holds (paper, Parameter Selection).
+    v_min_ac_pu, v_max_ac_pu : float
+        Limits that the AC voltages must hold (GB SQSS: 0.94).
+
+    Raises
+    ------
+    InputError
+        If the lines do not form a tree with the slack bus in it, or an impedance is not positive.
+
+    Examples
+    --------
+    >>> net = Network([2, 2], [1, 3], [0.1, 0.2], [0.05, 0.1], slack_bus=1, base_kv=11.0)
+    >>> net.buses.tolist(), net.to_bus.tolist(), net.parent.tolist()
+    ([1, 2, 3], [2, 3], [0, 1])
+    """
+
+    from_bus: NDArray[np.object_]
+    to_bus: NDArray[np.object_]
+    r_ohm: NDArray[np.float64]
+    x_ohm: NDArray[np.float64]
+    slack_bus: BusId
+    base_kv: float
+    v_slack_pu: float = 1.0
+    v_min_pu: float = 0.947
+    v_max_pu: float = 1.053
+    v_min_ac_pu: float = 0.94
+    v_max_ac_pu: float = 1.06
+    i_max_a: NDArray[np.float64] = field(default_factory=_no_ratings)
+    buses: NDArray[np.object_] = field(init=False)
+    parent: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        ends = np.asarray(self.from_bus, dtype=object), np.asarray(self.to_bus, dtype=object)
+        r, x = np.asarray(self.r_ohm, float), np.asarray(self.x_ohm, float)
+        i_max = np.asarray(self.i_max_a, float)
+        i_max = i_max if len(i_max) else np.full(len(r), np.inf)
+        problems = (check_radial(ends[0], ends[1], self.slack_bus) + _check_impedance(r, x)
+                    + _check_ratings(i_max, len(r)))
+        if problems:
+            raise InputError(problems)
+        order, parent, line_of = _orient(ends[0], ends[1], self.slack_bus)
+        values = {
+            "buses": order, "parent": parent,
+            "from_bus": order[parent], "to_bus": order[1:],
+            "r_ohm": r[line_of], "x_ohm": x[line_of], "i_max_a": i_max[line_of],
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, freeze(value))
+
+    @property
+    def n_buses(self) -> int:
+        """Number of buses, the slack bus included."""
+        return len(self.buses)
+
+    @property
+    def n_lines(self) -> int:
+        """Number of lines."""
+        return len(self.to_bus)
+
+    @property
+    def has_ratings(self) -> bool:
+        """Whether any line has a rating."""
+        return bool(np.isfinite(self.i_max_a).any())
+
+    @cached_property
+    def bus_index(self) -> dict[BusId, int]:
+        """Position of each bus identifier."""
+        return {bus: i for i, bus in enumerate(self.buses)}
+
+    @cached_property
+    def incidence(self) -> sp.csr_array:
+        """Flow balance, shape (N, L): +1 where a line arrives at a bus, -1 where it leaves."""
+        lines = np.arange(self.n_lines)
+        rows = np.concatenate([lines + 1, self.parent])
+        signs = np.repeat([1.0, -1.0], self.n_lines)
+        return sp.csr_array((signs, (rows, np.tile(lines, 2))), shape=(self.n_buses, self.n_lines))
+
+    @cached_property
+    def downstream(self) -> sp.csr_array:
+        """Shape (L, N): 1 where a bus is fed through a line; lossless flow = downstream @ load."""
+        dense = np.zeros((self.n_lines, self.n_buses))
+        for line in range(self.n_lines - 1, -1, -1):
+            dense[line, line + 1] = 1.0
+            if self.parent[line] > 0:
+                dense[self.parent[line] - 1] += dense[line]
+        return sp.csr_array(dense)
+
+    @cached_property
+    def r_pu2_per_kw(self) -> NDArray[np.float64]:
+        """Drop of V² per kW of flow and unit factor, without the factor 2 of LinDistFlow."""
+        return ohm_to_pu2_per_kw(self.r_ohm, self.base_kv)
+
+    @cached_property
+    def x_pu2_per_kvar(self) -> NDArray[np.float64]:
+        """Drop of V² per kvar of flow, without the factor 2 of LinDistFlow."""
+        return ohm_to_pu2_per_kw(self.x_ohm, self.base_kv)
+
+    def place(self, bus: NDArray[np.object_]) -> sp.csr_array:
+        """Matrix of shape (N, len(bus)) that sums items onto their buses."""
+        rows = [self.bus_index[b] for b in bus]
+        return sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))),
+                            shape=(self.n_buses, len(rows)))
+
+
+def check_radial(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_],
+                 slack_bus: BusId) -> list[Problem]:
+    """Problems that keep a set of lines from being a tree with the slack bus in it."""
+    if len(from_bus) == 0:
+        return [Problem("lines", "has no line", "Give at least one line.")]
+    names, graph = _graph(from_bus, to_bus)
+    if slack_bus not in names:
+        return [Problem("lines", f"no line touches the slack bus {slack_bus}",
+                        "Correct slack_bus or the lines.", field="slack_bus", value=slack_bus)]
+    problems = [
+        Problem("lines", "begins and ends at the same bus", "Remove the line or correct an end.",
+                row=i, field="to_bus", value=b)
+        for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)) if a == b
+    ]
+    count, label = connected_components(graph, directed=False)
+    if count > 1:
+        lost = [str(b) for b in names if label[names[b]] != label[names[slack_bus]]]
+        problems.append(Problem("lines", "the network is disconnected: no path from the slack bus "
+                                f"to bus {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}",
+                                "Add the missing line or remove these buses."))
+    problems += [
+        Problem("lines", f"closes a loop: {' - '.join(map(str, loop))}",
+                "The network must be radial: open (remove) one line of the loop.",
+                row=row, field="to_bus", value=to_bus[row])
+        for row, loop in find_loops(from_bus, to_bus) if from_bus[row] != to_bus[row]
+    ]
+    return problems
+
+
+def find_loops(from_bus: NDArray[np.object_],
+               to_bus: NDArray[np.object_]) -> list[tuple[int, list[BusId]]]:
+    """Lines that close a loop, taken in order, each with the buses of its loop."""
+    neighbours: dict[BusId, list[BusId]] = {}
+    loops = []
+    for row, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)):
+        path = _path(neighbours, a, b)
+        if path:
+            loops.append((row, path))
+        else:
+            neighbours.setdefault(a, []).append(b)
+            neighbours.setdefault(b, []).append(a)
+    return loops
+
+
+def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> list[BusId]:
+    """Buses of the path between two buses of a forest, empty if there is none."""
+    came_from: dict[BusId, BusId | None] = {start: None}
+    queue = [start]
+    while queue and goal not in came_from:
+        bus = queue.pop()
+        for other in neighbours.get(bus, []):
+            if other not in came_from:
+                came_from[other] = bus
+                queue.append(other)
+    path: list[BusId] = []
+    bus_back: BusId | None = goal if goal in came_from else None
+    while bus_back is not None:
+        path.append(bus_back)
+        bus_back = came_from[bus_back]
+    return path
+
+
+def _graph(from_bus: NDArray[np.object_],
+           to_bus: NDArray[np.object_]) -> tuple[dict[BusId, int], sp.csr_array]:
+    """Bus numbering by first appearance and the adjacency matrix."""
+    ends = (bus for line in zip(from_bus, to_bus, strict=True) for bus in line)
+    names = {b: i for i, b in enumerate(dict.fromkeys(ends))}
+    rows, cols = [names[b] for b in from_bus], [names[b] for b in to_bus]
+    return names, sp.csr_array((np.ones(len(rows)), (rows, cols)), shape=(len(names),) * 2)
+
+
+def _orient(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_], slack_bus: BusId
+            ) -> tuple[NDArray[np.object_], NDArray[np.int64], NDArray[np.int64]]:
+    """Buses in breadth-first order, parent of each but the first, and the line that feeds it."""
+    names, graph = _graph(from_bus, to_bus)
+    order, before = breadth_first_order(graph, names[slack_bus], directed=False)
+    position = np.empty(len(order), dtype=int)
+    position[order] = np.arange(len(order))
+    line_between = {frozenset((a, b)): i
+                    for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True))}
+    labels = np.array(list(names), dtype=object)
+    line_of = [line_between[frozenset((labels[before[n]], labels[n]))] for n in order[1:]]
+    return labels[order], position[before[order[1:]]], np.array(line_of, dtype=int)
+
+
+def _check_impedance(r_ohm: NDArray[np.float64], x_ohm: NDArray[np.float64]) -> list[Problem]:
+    """Lines without a resistance above zero, or with a negative reactance."""
+    bad = [("r_ohm", i, r_ohm[i]) for i in np.flatnonzero(~(r_ohm > 0))]
+    bad += [("x_ohm", i, x_ohm[i]) for i in np.flatnonzero(~(x_ohm >= 0))]
+    return [Problem("lines", "must be positive", "Give the series impedance in ohm; join buses "
+                    "that have no impedance between them.", row=int(i), field=name, value=value)
+            for name, i, value in bad]
+
+
+def _check_ratings(i_max_a: NDArray[np.float64], n_lines: int) -> list[Problem]:
+    """Ratings that are not one positive current for each line."""
+    if i_max_a.shape != (n_lines,):
+        return [Problem("lines", f"must have one value for each of the {n_lines} lines", "Give "
+                        "the thermal rating in A, infinite where a line has none.",
+                        field="i_max_a", value=i_max_a.shape)]
+    return [Problem("lines", "must be positive", "Give the thermal rating in A, infinite where a "
+                    "line has none.", row=int(i), field="i_max_a", value=i_max_a[i])
+            for i in np.flatnonzero(~(i_max_a > 0))]

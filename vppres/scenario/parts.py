@@ -1,0 +1,83 @@
+"""Customers that may be switched in parts: each part becomes a customer before the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.scenario.scenario import Scenario
+
+Repeats = NDArray[np.int64]
+
+
+def split_sheddable(scenario: Scenario) -> Scenario:
+    """The scenario with every customer of K ``shed_steps`` as K customers.
+
+    The parts of ``C7`` are ``C7/1`` to ``C7/K``. Each has a K-th of the demand and of the weight,
+    and a K-th of the PV system in power, rating and series. The served share of the customer is
+    the mean over its parts.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        As it was read.
+
+    Returns
+    -------
+    Scenario
+        The same object where all customers are all or nothing.
+    """
+    customers, pv = scenario.customers, scenario.pv
+    parts = customers.shed_steps
+    if (parts == 1).all():
+        return scenario
+    pv_parts = parts[pv.owner(customers)]
+    split_customers = replace(
+        customers, id=_part_names(customers.id, parts), weight=_shared(customers.weight, parts),
+        **{name: np.repeat(getattr(customers, name), parts)
+           for name in ("bus", "tier", "power_factor")},
+        shed_steps=np.ones(parts.sum(), dtype=int))
+    split_pv = replace(
+        pv, id=_part_names(pv.id, pv_parts), customer=_part_names(pv.customer, pv_parts),
+        p_max_kw=_shared(pv.p_max_kw, pv_parts), s_max_kva=_shared(pv.s_max_kva, pv_parts))
+    return replace(scenario, customers=split_customers, pv=split_pv,
+                   load_kw=_shared(scenario.load_kw, parts),
+                   pv_kw=_shared(scenario.pv_kw, pv_parts))
+
+
+def parts_record(scenario: Scenario) -> dict[str, Any]:
+    """Customers in several parts and how many, for the record of a run; empty without any.
+
+    Examples
+    --------
+    >>> from vppres.io import find_scenario, read_scenario
+    >>> parts_record(read_scenario(find_scenario("uk-heatwave-2022")))
+    {}
+    """
+    parts = {str(name): int(count) for name, count in
+             zip(scenario.customers.id, scenario.customers.shed_steps, strict=True) if count > 1}
+    return {"parts": parts} if parts else {}
+
+
+def part_names(customer: str, count: int) -> list[str]:
+    """Identifiers of a customer's parts.
+
+    >>> part_names("C7", 2)
+    ['C7/1', 'C7/2']
+    """
+    return [f"{customer}/{k}" for k in range(1, count + 1)]
+
+
+def _part_names(names: NDArray[np.object_], parts: Repeats) -> NDArray[np.object_]:
+    """Names of all parts in order; whoever is all or nothing keeps its name."""
+    split = [[name] if count == 1 else part_names(str(name), int(count))
+             for name, count in zip(names, parts, strict=True)]
+    return np.array([name for group in split for name in group], dtype=object)
+
+
+def _shared(values: NDArray[np.float64], parts: Repeats) -> NDArray[np.float64]:
+    """Values divided among the parts, along the last axis."""
+    return np.repeat(values / parts, parts, axis=-1)

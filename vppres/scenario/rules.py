@@ -1,0 +1,94 @@
+"""Rules on switching customers off and on; all of them off by default, which is the paper."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import ceil, isfinite
+
+from vppres.core.errors import InputError, Problem
+
+HOURS_OF = {"min_served_h": "hours", "min_unserved_h": "hours", "cold_load_h": "hours",
+            "price_per_action": "weighted customer hours", "move_weight": "kW"}
+
+
+@dataclass(frozen=True)
+class SwitchingRules:
+    """What an operator allows, or charges, when customers are switched.
+
+    One action is one customer switched off or on. Times are rounded up to whole steps.
+
+    Parameters
+    ----------
+    min_served_h : float
+        How long a customer is served at least once it is restored, in h.
+    min_unserved_h : float
+        How long a customer stays off at least once it is switched off, in h.
+    price_per_action : float
+        Price of an action in weighted customer hours. Switching off pays for the restoration too,
+        so that nobody is left in the dark to save it.
+    max_actions_per_customer : int or None
+        Most actions of one customer over the whole day; an off/on pair is two.
+    stay_restored : bool
+        Whether a customer that was restored after an interruption is never switched off again.
+    cold_load_factor : float
+        Demand after a restoration as a multiple of the usual one, at least 1.
+    cold_load_h : float
+        How long that lasts, in h; at least one step where the factor exceeds 1.
+    move_weight : float
+        What moving a battery by its rated power away from the previous plan is worth, in kW of
+        line losses; it decides among dispatches of equal service, curtailment and cost only.
+
+    Raises
+    ------
+    InputError
+        With every value that is out of range.
+
+    Examples
+    --------
+    >>> SwitchingRules(min_unserved_h=2.0).steps(1.5, dt_h=0.5)
+    3
+    >>> SwitchingRules().active, SwitchingRules(stay_restored=True).active
+    (False, True)
+    """
+
+    min_served_h: float = 0.0
+    min_unserved_h: float = 0.0
+    price_per_action: float = 0.0
+    max_actions_per_customer: int | None = None
+    stay_restored: bool = False
+    cold_load_factor: float = 1.0
+    cold_load_h: float = 0.0
+    move_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        problems = [_problem(name, getattr(self, name), "must be zero or positive",
+                             f"Give {unit}, for example 2.") for name, unit in HOURS_OF.items()
+                    if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0)]
+        if not (isfinite(self.cold_load_factor) and self.cold_load_factor >= 1):
+            problems.append(_problem("cold_load_factor", self.cold_load_factor,
+                                     "must be at least 1", "Give a factor, for example 1.5."))
+        most = self.max_actions_per_customer
+        if most is not None and most < 0:
+            problems.append(_problem("max_actions_per_customer", most, "must not be negative",
+                                     "Give a whole number, for example 2."))
+        if problems:
+            raise InputError(problems)
+
+    @property
+    def active(self) -> bool:
+        """Whether any rule concerns who is served; the weight of moves does not."""
+        return asdict(self) | {"move_weight": 0.0} != asdict(SwitchingRules())
+
+    @property
+    def cold(self) -> bool:
+        """Whether demand is higher after a restoration."""
+        return self.cold_load_factor > 1.0
+
+    @staticmethod
+    def steps(hours: float, dt_h: float) -> int:
+        """Whole steps that a time takes, rounded up."""
+        return max(ceil(hours / dt_h - 1e-9), 0)
+
+
+def _problem(field: str, value: object, message: str, cure: str) -> Problem:
+    return Problem("switching rules", message, cure, field=field, value=value)

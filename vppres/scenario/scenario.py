@@ -1,0 +1,126 @@
+"""A scenario: network, assets, series and weights; everything a day needs, frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vppres.core.frozen import freeze_fields
+from vppres.core.notebook import facts_html
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.timegrid import TimeGrid
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ObjectiveWeights:
+    """Weights of the objective (paper, Parameter Selection); powers in kW.
+
+    Parameters
+    ----------
+    lambda_grid : float
+        Per GBP of grid import.
+    lambda_curt : float
+        Per kW of curtailed PV power.
+    lambda_l : float
+        Per ohm kVA² of branch flow.
+    lambda_q : float
+        Per squared utilisation of a device's inverter by reactive power.
+    """
+
+    lambda_grid: float = 1e-6
+    lambda_curt: float = 0.1
+    lambda_l: float = 1e-14
+    lambda_q: float = 1e-15
+
+
+@dataclass(frozen=True)
+class ControllerDefaults:
+    """What ``vppres run`` uses when an option is not given."""
+
+    kind: str = "mpc"
+    horizon_h: float = 5.0
+    mode: str = "paper"
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """Everything that defines a day, and nothing that a controller decides.
+
+    Parameters
+    ----------
+    name, title : str
+        Identifier and a line for headings.
+    grid : TimeGrid
+        ``T`` steps.
+    network : Network
+        ``N`` buses.
+    customers, pv, batteries : Customers, PVSystems, Batteries
+        Tables of length C, P, B.
+    load_kw : array, shape (T, C)
+        Demand of each customer if served.
+    pv_kw : array, shape (T, P)
+        Available power of each PV system.
+    price_gbp_per_kwh : array, shape (T,)
+        Import price.
+    temperature_c : array, shape (T,)
+        Ambient temperature.
+    grid_limit_kw : array, shape (T,)
+        Largest import; 0 in an outage, infinite without limit.
+    switching : SwitchingRules
+        What ``vppres run`` uses where its options say nothing.
+    """
+
+    name: str
+    title: str
+    grid: TimeGrid
+    network: Network
+    customers: Customers
+    pv: PVSystems
+    batteries: Batteries
+    load_kw: Floats
+    pv_kw: Floats
+    price_gbp_per_kwh: Floats
+    temperature_c: Floats
+    grid_limit_kw: Floats
+    tiers: tuple[str, ...] = ("critical", "high", "low")
+    objective: ObjectiveWeights = ObjectiveWeights()
+    controller: ControllerDefaults = ControllerDefaults()
+    switching: SwitchingRules = field(default_factory=SwitchingRules)
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, load_kw=float, pv_kw=float, price_gbp_per_kwh=float,
+                      temperature_c=float, grid_limit_kw=float)
+
+    @cached_property
+    def outage(self) -> NDArray[np.bool_]:
+        """True where the grid gives nothing, shape (T,)."""
+        return self.grid_limit_kw <= 0.0
+
+    @cached_property
+    def load_kvar(self) -> Floats:
+        """Reactive demand of each customer if served, shape (T, C)."""
+        return self.load_kw * self.customers.q_per_p
+
+    def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
+        """The same scenario with one outage over the half-open interval ``[start, end)``."""
+        times = self.grid.times
+        limit = np.where(self.outage, np.inf, self.grid_limit_kw)
+        limit = np.where((times >= start) & (times < end), 0.0, limit)
+        return replace(self, grid_limit_kw=limit)
+
+    def _repr_html_(self) -> str:
+        """What the scenario holds, for a notebook."""
+        return facts_html(f"{self.name}: {self.title}", {
+            "buses": self.network.n_buses, "customers": len(self.customers),
+            "PV systems": f"{len(self.pv)}, {self.pv.p_max_kw.sum():,.0f} kW",
+            "batteries": f"{len(self.batteries)}, {self.batteries.energy_kwh.sum():,.0f} kWh",
+            "steps": f"{self.grid.n_steps} of {self.grid.step_minutes:g} min",
+            "steps without grid": int(self.outage.sum())})

@@ -1,0 +1,74 @@
+"""The time grid: start, step and number of steps. The only owner of the step length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from vppres.core.errors import InputError, Problem
+from vppres.core.units import minutes_to_h
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Equidistant steps; step ``t`` covers ``[start + t step, start + (t + 1) step)``.
+
+    Parameters
+    ----------
+    start : pandas.Timestamp
+        Beginning of step 0, with time zone.
+    step_minutes : float
+        Step length in minutes.
+    n_steps : int
+        Number of steps.
+
+    Examples
+    --------
+    >>> grid = TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60, 24)
+    >>> grid.dt_h, list(grid.window(21, horizon_h=5))
+    (1.0, [21, 22, 23])
+    """
+
+    start: pd.Timestamp
+    step_minutes: float
+    n_steps: int
+
+    def __post_init__(self) -> None:
+        problems = []
+        if self.start.tzinfo is None:
+            problems.append(Problem("time", "has no time zone", "Write it with an offset, "
+                                    "for example 2022-07-19T00:00:00Z.",
+                                    field="start", value=self.start))
+        if not self.step_minutes > 0:
+            problems.append(Problem("time", "must be positive", "Give minutes, for example 60.",
+                                    field="step_minutes", value=self.step_minutes))
+        if self.n_steps < 1:
+            problems.append(Problem("time", "must be at least 1", "Give the number of steps.",
+                                    field="steps", value=self.n_steps))
+        if problems:
+            raise InputError(problems)
+
+    @property
+    def dt_h(self) -> float:
+        """Step length in h."""
+        return minutes_to_h(self.step_minutes)
+
+    @property
+    def times(self) -> pd.DatetimeIndex:
+        """Beginning of every step, length ``n_steps``."""
+        return pd.date_range(self.start, periods=self.n_steps, name="time",
+                             freq=pd.Timedelta(minutes=self.step_minutes))
+
+    @property
+    def end(self) -> pd.Timestamp:
+        """End of the last step."""
+        return self.start + self.n_steps * pd.Timedelta(minutes=self.step_minutes)
+
+    def steps_in_horizon(self, horizon_h: float) -> int:
+        """Steps of a window ``t0 .. t0 + H``, both ends included: ``H = 0`` is one step."""
+        return round(horizon_h / self.dt_h) + 1
+
+    def window(self, t0: int, horizon_h: float) -> range:
+        """Steps of the window that starts at step ``t0``, cut at the end of the grid."""
+        return range(t0, min(t0 + self.steps_in_horizon(horizon_h), self.n_steps))

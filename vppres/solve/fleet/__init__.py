@@ -1,0 +1,1 @@
+"""Masters without network: the fleet as a whole, by binaries or by counts with cuts."""

@@ -1,0 +1,330 @@
+"""Service and cost of a window by counts: how many of each weight are served in each step.
+
+Customers of equal weight are served cheapest first, so a step needs one whole number for each
+weight instead of a binary for each customer. What the fleet can carry enters by cuts on demand, so
+the search with whole numbers is small however large the fleet; ``docs/method.md`` has the proof.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from vppres.model.data import Floats, WindowData
+from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
+from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.programs import Answer, Ints, Program
+from vppres.solve.result import Outcome, Status
+
+Served = NDArray[np.bool_]
+Steps = NDArray[np.bool_]
+
+TOLERANCE = 1e-6
+SERVICE_SHARE = 0.6
+"""Share of the time that service may take; the rest is for cost and a dispatch."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Columns of the master: demand of each step, loss, cost, shares, counts.
+
+    ``step`` and ``customer`` say what a share stands for, ``count`` which count it belongs to;
+    ``weight`` and ``count_step`` say it of the counts.
+    """
+
+    n_steps: int
+    step: Ints
+    customer: Ints
+    count: Ints
+    count_step: Ints
+    weight: Ints
+
+    @classmethod
+    def of(cls, units: Ints, able: Served, free: NDArray[np.bool_]) -> _Layout:
+        """Shares and counts of the steps in which not everyone is served."""
+        step, customer = np.nonzero(able & free[:, None] & (units > 0))
+        span = int(units.max(initial=0)) + 1
+        pairs, count = np.unique(step * span + units[customer], return_inverse=True)
+        return cls(len(free), step, customer, count, pairs // span, pairs % span)
+
+    @property
+    def lost(self) -> int:
+        """Column of the loss."""
+        return self.n_steps
+
+    @property
+    def spent(self) -> int:
+        """Column of the cost."""
+        return self.n_steps + 1
+
+    @property
+    def counts(self) -> Ints:
+        """Columns of the counts."""
+        return self.n_steps + 2 + len(self.step) + np.arange(len(self.weight))
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return self.n_steps + 2 + len(self.step) + len(self.weight)
+
+    def rows(self, load_kw: Floats) -> sp.csc_array:
+        """Demand of each step less what the shares need, then counts less shares."""
+        shares = self.n_steps + 2 + np.arange(len(self.step))
+        steps = np.arange(self.n_steps)
+        demand = sp.coo_array(
+            (np.concatenate([np.ones(self.n_steps), -load_kw[self.step, self.customer]]),
+             (np.concatenate([steps, self.step]), np.concatenate([steps, shares]))),
+            shape=(self.n_steps, self.size))
+        members = len(self.weight)
+        counted = sp.coo_array(
+            (np.concatenate([np.ones(members), np.full(len(shares), -1.0)]),
+             (np.concatenate([np.arange(members), self.count]),
+              np.concatenate([self.counts, shares]))), shape=(members, self.size))
+        return sp.csc_array(sp.vstack([demand, counted]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Answer of a master: who is served (W, C), and the point (W + 2,) that the fleet carries."""
+
+    status: Status
+    value: float
+    bound: float
+    served: Served
+    point: Floats
+
+
+class Counts:
+    """The master of service and cost by counts, for one window.
+
+    Parameters
+    ----------
+    model : DemandModel
+        What the fleet can carry.
+    data : WindowData
+        The window.
+    time_s : float
+        Time limit of all masters of the window together.
+    """
+
+    prefix = ""
+
+    def __init__(self, model: DemandModel, data: WindowData, time_s: float) -> None:
+        self.end, self.unit = time.perf_counter() + time_s, model.relaxation.grid
+        model.fill(data)
+        self.load_kw, self.able, self.units = data.load_kw, model.able, model.customer_units
+        self.unlimited: Steps = np.isinf(data.grid_limit_kw)
+        self.demand_kw, self.worst = np.asarray(model.p["load_all"].value), model.worst()
+        self.paid = bool((data.price_gbp_per_kwh < 0.0).any())
+        self.reach = Reach(model, time_s)
+        self.cuts: list[Cut] = []
+        self.plain: dict[bytes, tuple[_Layout, Program]] = {}
+        self.gap = 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until the masters' time limit."""
+        return self.end - time.perf_counter()
+
+    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+        """Most service in units to a gap, whole without loss; everyone connected is served."""
+        begin, free = time.perf_counter(), ~self.unlimited
+        self.gap = gap
+        found = self._carried(lambda: self._most(free, integer=False))
+        if found.status == Status.OPTIMAL:
+            solved: dict[tuple[bytes, int], _Found] = {}
+            end, self.end = self.end, begin + SERVICE_SHARE * (self.end - begin)
+            whole = self._carried(lambda: self._in_blocks(free, solved))
+            found = whole if whole.status.has_answer else self._rounded(found, free)
+            self.end = end
+        anyway = int((self.able[self.unlimited] * self.units).sum())
+        outcome = Outcome(found.status, anyway - found.value, anyway - found.bound,
+                          time.perf_counter() - begin)
+        return outcome, self._completed(found, free) if found.status.has_answer else None
+
+    def cost(self, units_min: float, everyone: bool, known_gbp: float,
+             gap_gbp: float) -> tuple[Outcome, Served | None]:
+        """Least cost in GBP of all sets with so many units.
+
+        Parameters
+        ----------
+        units_min : float
+            Service, f3 as weighted included, in units of the grid.
+        everyone : bool
+            Whether everyone connected is served.
+        known_gbp : float
+            Cost of a set that is known. If the bound comes within the gap of it, there is nothing
+            to look for and no set in the answer.
+        gap_gbp : float
+            Gap of the search.
+        """
+        begin = time.perf_counter()
+        free = ~(self.unlimited & everyone)
+        found = self._carried(lambda: self._least(free, units_min, 0.0, integer=False))
+        near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
+        if found.status == Status.OPTIMAL and not near:
+            whole = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True))
+            near, found = (False, whole) if whole.status.has_answer else (True, found)
+        outcome = Outcome(found.status, found.value, found.bound, time.perf_counter() - begin)
+        none = near or not found.status.has_answer
+        return outcome, None if none else self._completed(found, free)
+
+    def _carried(self, solve: Callable[[], _Found]) -> _Found:
+        """Solve, cut off what the fleet cannot carry, and again until it carries the answer."""
+        while True:
+            found = solve()
+            if not found.status.has_answer:
+                return found
+            status, cut = self.reach.separate(found.point)
+            if status != Status.OPTIMAL:
+                return replace(found, status=status)
+            if cut is None:
+                return found
+            if self.left_s <= 0.0:
+                return replace(found, status=Status.NO_ANSWER)
+            self.cuts.append(cut)
+
+    def _rounded(self, linear: _Found, free: Steps) -> _Found:
+        """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
+        units = int((linear.served[free] * self.units).sum())
+        return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
+
+    def _in_blocks(self, free: Steps, solved: dict[tuple[bytes, int], _Found]) -> _Found:
+        """Most service, block by block: steps that no cut joins have nothing to do with another."""
+        parts = []
+        for block in self._blocks(free):
+            key = block.tobytes(), len(self._touching(block))
+            if key not in solved:
+                solved[key] = self._most(block, integer=True)
+            if not solved[key].status.has_answer:
+                return solved[key]
+            parts.append(solved[key])
+        late = any(part.status != Status.OPTIMAL for part in parts)
+        return _Found(
+            Status.TIME_LIMIT if late else Status.OPTIMAL, sum(part.value for part in parts),
+            sum(part.bound for part in parts),
+            np.logical_and.reduce([part.served for part in parts]),
+            np.append(np.min([part.point[:-2] for part in parts], axis=0),
+                      np.max([part.point[-2:] for part in parts], axis=0)))
+
+    def _blocks(self, free: Steps) -> list[Steps]:
+        """Steps in which not everyone is served, in groups that share a cut."""
+        if not free.any() or any(cut.weights[-2] for cut in self.cuts):
+            return [free]  # loss is one quantity of the whole window
+        joined = np.array([cut.weights[:-2] * free != 0.0 for cut in self.cuts]
+                          or np.zeros((0, len(free)), dtype=bool), dtype=int)
+        _, group = connected_components(sp.csr_array(joined.T @ joined), directed=False)
+        return [free & (group == number) for number in np.unique(group[free])]
+
+    def _touching(self, block: Steps) -> list[Cut]:
+        """Cuts that a block's steps or the loss have a part in."""
+        return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
+
+    def _most(self, block: Steps, integer: bool) -> _Found:
+        """Least of the loss minus the service of a block's steps, in units."""
+        cuts = self._touching(block)
+        layout, program = self._program(block, cuts)
+        program.cost[layout.lost] = 1.0
+        program.cost[layout.counts] = -layout.weight
+        program.x_lower[layout.spent] = self.worst[1]
+        whole = integer and not any(cut.weights[layout.lost] for cut in cuts)
+        found = self._solve(program, layout, 1.0 - TOLERANCE if whole else self.gap, integer)
+        # Service is whole, so its bound may be rounded.
+        return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found
+
+    def _least(self, free: Steps, units_min: float, gap_gbp: float, integer: bool) -> _Found:
+        """Least cost of so many units."""
+        layout, plain = self._program(free, self.cuts)
+        plain.cost[layout.spent] = 1.0
+        enough = np.zeros((1, layout.size))
+        enough[0, layout.counts], enough[0, layout.lost] = layout.weight, -1.0
+        anyway = (self.able[~free] * self.units).sum()
+        program = plain.with_rows(sp.csc_array(enough), np.array([units_min - anyway]))
+        return self._solve(program, layout, gap_gbp, integer)
+
+    def _program(self, free: Steps, cuts: list[Cut]) -> tuple[_Layout, Program]:
+        """Limits of demand, loss and cost, shares and counts, and cuts; without objective."""
+        key = free.tobytes()
+        if key not in self.plain:
+            self.plain[key] = self._without_cuts(free)
+        layout, plain = self.plain[key]
+        weights = np.array([-cut.weights for cut in cuts]).reshape(len(cuts), layout.n_steps + 2)
+        step, column = np.nonzero(weights)
+        rows = sp.csc_array((weights[step, column], (step, column)),
+                            shape=(len(cuts), layout.size))
+        program = plain.with_rows(rows, np.array([-cut.most for cut in cuts]))
+        return layout, replace(program, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
+
+    def _without_cuts(self, free: Steps) -> tuple[_Layout, Program]:
+        """The same before the first cut."""
+        layout = _Layout.of(self.units, self.able, free)
+        members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
+        lower, upper = np.zeros(layout.size), np.ones(layout.size)
+        lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
+        upper[:layout.n_steps] = self.demand_kw
+        lower[layout.spent] = -np.inf if self.paid else 0.0
+        upper[layout.lost:layout.spent + 1] = self.worst
+        upper[layout.counts] = members
+        most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))
+        return layout, Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
+                               np.zeros(len(most)), most, layout.counts)
+
+    def _solve(self, program: Program, layout: _Layout, gap_abs: float,
+               integer: bool) -> _Found:
+        """Solve a program once."""
+        whole = program if integer else replace(program, integer=np.arange(0))
+        answer = Answer.of(whole.loaded(max(self.left_s, 0.0), gap_abs))
+        served = self.able.copy()
+        if answer.status.has_answer:
+            counts = answer.x[layout.counts]
+            taken = np.round(counts) if integer else np.floor(counts + TOLERANCE)
+            self._choose(served, layout, taken.astype(int))
+        return _Found(answer.status, answer.value, answer.bound, served,
+                      answer.x[:layout.n_steps + 2])
+
+    def _choose(self, served: Served, layout: _Layout, counts: Ints) -> None:
+        """Leave out all but so many of each weight, those with the smallest demand."""
+        for t, weight, count in zip(layout.count_step, layout.weight, counts, strict=True):
+            alike = np.flatnonzero(self.able[t] & (self.units == weight))
+            order = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
+            served[t, order[count:]] = False
+
+    def _completed(self, found: _Found, free: Steps) -> Served:
+        """The set with as many of each weight whose demand takes up the PV power.
+
+        Those with the smallest demand serve as much with the least, but where there is more PV
+        power than the fleet can store, some of it would be lost with them.
+        """
+        served, point = found.served.copy(), found.point.copy()
+        point[:-2] = (self.load_kw * served).sum(axis=1)
+        needed = self.reach.least_demand(point)
+        if needed is None:
+            return served
+        for t in np.flatnonzero(free & (needed > point[:-2] + VIOLATED_KW)):
+            served[t] = self._with_demand(served[t], int(t), float(needed[t]))
+        return served
+
+    def _with_demand(self, served: NDArray[np.bool_], t: int, needed_kw: float
+                     ) -> NDArray[np.bool_]:
+        """As many of each weight with the least demand above what is needed, or else the most."""
+        able = np.flatnonzero(self.able[t] & (self.units > 0))
+        weights, kind = np.unique(self.units[able], return_inverse=True)
+        counts = np.bincount(kind, served[able], len(weights)).astype(float)
+        rows = sp.coo_array((np.ones(len(able)), (kind, np.arange(len(able)))))
+        load, each = self.load_kw[t, able], np.ones(len(able))
+        program = Program(load, 0.0 * each, each, sp.csc_array(rows), counts, counts,
+                          np.arange(len(able)))
+        enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))
+        answer = Answer.of(enough.loaded(self.left_s, 1e-4 * needed_kw))
+        if not answer.status.has_answer:
+            answer = Answer.of(replace(program, cost=-load).loaded(self.left_s))
+        chosen = served.copy()
+        if answer.status.has_answer:
+            chosen[able] = answer.x > 0.5
+        return chosen

@@ -1,0 +1,108 @@
+"""Cuts on demand, loss and cost: what the fleet cannot carry, as inequalities without the fleet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.model.data import Floats
+from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.programs import Answer, compiled
+from vppres.solve.result import Status
+
+VIOLATED_KW = 2e-6
+"""By how much a point must violate a cut to count as cut off: what programs are solved to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """``weights @ point <= most`` for every point the fleet can carry, shape (W + 2,)."""
+
+    weights: Floats
+    most: float
+
+
+class Reach:
+    """Separates points of demand (W), loss and cost from what the fleet can carry.
+
+    How far a point is outside is measured along one direction: less of all demand, more loss and
+    more cost, in proportion to the most there can be. One step of it is carried for certain. Only
+    right-hand sides change from point to point, so a solve starts where the last one ended.
+
+    Parameters
+    ----------
+    model : DemandModel
+        Filled with the window's data.
+    time_s : float
+        Time limit of one separation.
+    """
+
+    def __init__(self, model: DemandModel, time_s: float) -> None:
+        program, first = compiled(model.problem)
+        W, size = model.relaxation.n_steps, len(program.cost)
+        self.places = np.concatenate([first["load"] + np.arange(W), [first["lost"]],
+                                      [first["spent"]]])
+        self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
+        direction = np.concatenate([np.asarray(model.p["load_all"].value), model.worst()])
+        self.program, self.largest = program, float(direction.max() + model.fleet_kw())
+        rows = sp.csc_array(
+            (np.concatenate([self.signs, direction]),
+             (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)]))),
+            shape=(W + 2, size + 1))
+        # The duals sum to the cost of a step in proportion to the direction: of order one.
+        wider = replace(program, cost=np.append(program.cost, max(direction.max(), 1.0)),
+                        x_lower=np.append(program.x_lower, 0.0),
+                        x_upper=np.append(program.x_upper, np.inf),
+                        rows=sp.csc_array(sp.hstack([program.rows,
+                                                     sp.csc_array((len(program.lower), 1))])))
+        self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
+        self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded(time_s)
+
+    def separate(self, point: Floats) -> tuple[Status, Cut | None]:
+        """A cut that a point violates; none if the fleet can carry it."""
+        count = len(self.asked)
+        self.solver.changeRowsBounds(count, self.asked, self.signs * point,
+                                     np.full(count, np.inf))
+        answer = Answer.of(self.solver)
+        if answer.status != Status.OPTIMAL:
+            return answer.status, None
+        # The duals of a point outside support what is carried where the solution lies.
+        weights = np.maximum(answer.row_dual[self.asked], 0.0) * self.signs
+        size = float(np.abs(weights).max())
+        if size == 0.0:
+            return answer.status, None
+        most = self._most(weights, answer.row_dual[:self.asked[0]])
+        cut = Cut(weights / size, most / size)
+        return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
+
+    def least_demand(self, point: Floats) -> Floats | None:
+        """Demand (W) that the fleet needs at least to stay within a point's loss and cost.
+
+        It is more than the point's where PV power would otherwise be lost; None if there is none.
+        """
+        step, loads = len(self.program.cost), self.places[:-2].astype(np.int32)
+        count, size = len(self.asked), len(loads)
+        self.solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
+        cost = self.solver.getLp().col_cost_[step]
+        self.solver.changeColCost(step, 0.0)
+        self.solver.changeColBounds(step, 0.0, 0.0)
+        self.solver.changeColsCost(size, loads, np.ones(size))
+        answer = Answer.of(self.solver)
+        self.solver.changeColsCost(size, loads, np.zeros(size))
+        self.solver.changeColBounds(step, 0.0, np.inf)
+        self.solver.changeColCost(step, cost)
+        return answer.x[loads] if answer.status == Status.OPTIMAL else None
+
+    def _most(self, weights: Floats, prices: Floats) -> float:
+        """Upper bound on a weighted sum of demand, loss and cost, from any prices of the rows.
+
+        Weak duality: it holds whatever the tolerance of the prices, since no column is larger than
+        ``largest``.
+        """
+        worth, left = self.program.priced(prices)
+        left[self.places] -= weights
+        two_sided = ~np.isfinite(self.program.x_lower)
+        below = np.where(two_sided, np.abs(left), np.maximum(-left, 0.0))
+        return -worth + float(below.sum()) * self.largest

@@ -1,0 +1,94 @@
+"""What the fleet, PV and import can carry, if served demand is all that is known of service."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.model.data import Floats, WindowData
+from vppres.model.problem import require_dpp
+from vppres.solve.fleet.relaxation import AggregateModel
+
+
+class DemandModel:
+    """Demand of each step, loss by curtailment and cost that the lumped relaxation allows.
+
+    Parameters
+    ----------
+    relaxation : AggregateModel
+        Gives the fleet's variables, parameters and limits.
+
+    Attributes
+    ----------
+    problem : cvxpy.Problem
+        Has no objective. Its variables ``load`` (kW, one for each step), ``lost`` (f3 as weighted,
+        in units of the weights' grid) and ``spent`` (GBP) are what whoever solves it asks for.
+    customer_units : array, shape (C,)
+        Weights in units of the grid.
+    """
+
+    def __init__(self, relaxation: AggregateModel) -> None:
+        self.relaxation, W = relaxation, relaxation.n_steps
+        site, v = relaxation.site, relaxation.v
+        self.load = cp.Variable(W, name="load", nonneg=True)
+        self.lost = cp.Variable(1, name="lost", nonneg=True)
+        self.spent = cp.Variable(1, name="spent")
+        self.p = {name: cp.Parameter(W, name=name, nonneg=True) for name in
+                  ("load_all", "net_all", "export_all")}
+        unit = relaxation.grid or 1.0
+        weights = site.customers.weight * site.dt_h
+        self.customer_units = np.round(weights / unit).astype(np.int64)
+        kept = {"lumped_grid_limit", "lumped_curtailment_min", *relaxation.energy}
+        shared = [c for name, c in relaxation.constraints.items() if name in kept]
+        lost = site.weights.lambda_curt * site.dt_h / unit
+        self.problem = cp.Problem(cp.Minimize(0.0), [
+            *shared, *self._power().values(), self.lost >= lost * cp.sum(v["P_curt"]),
+            self.spent >= relaxation.rho_dt @ v["P_grid"]])
+        require_dpp(self.problem, f"demand of {W} steps")
+
+    def _power(self) -> dict[str, cp.Constraint]:
+        """Sums of the power balances and limits, where who is served is not known."""
+        v, p = self.relaxation.v, self.p
+        P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
+        P_pv, room = self.relaxation.p["P_pv"], self.relaxation.room
+        loss = room["loss"] if room else 0.0
+        return {
+            "demand_balance":
+                v["P_grid"] + P_pv - v["P_curt"] + P_dch == self.load + loss + P_ch,
+            "demand_circular_charging": P_dch <= self.load + loss,
+            "demand_net_of_pv": P_dch <= p["net_all"] + loss,
+            "demand_curtailment_max": v["P_curt"] <= p["export_all"] + p["load_all"] - self.load,
+            "demand_curtailment_of_pv": v["P_curt"] <= P_pv,
+            "demand_of_all": self.load <= p["load_all"],
+        }
+
+    @property
+    def able(self) -> NDArray[np.bool_]:
+        """Who can be served at all, (W, C)."""
+        return np.asarray(self.relaxation.p["x_max"].value) > 0.5
+
+    def fill(self, data: WindowData) -> None:
+        """Write the window's data."""
+        self.relaxation.fill(data)
+        p = self.relaxation.p
+        # Several PV systems may together exceed their owner's demand.
+        own = np.minimum(p["self"].value, data.load_kw)
+        self.p["load_all"].value = (data.load_kw * self.able).sum(axis=1)
+        self.p["net_all"].value = ((data.load_kw - own) * self.able).sum(axis=1)
+        self.p["export_all"].value = np.maximum(
+            p["P_pv"].value - (own * self.able).sum(axis=1), 0.0)
+
+    def worst(self) -> tuple[float, float]:
+        """Loss (units) and cost (GBP) that no dispatch exceeds."""
+        site, p = self.relaxation.site, self.relaxation.p
+        lost = site.weights.lambda_curt * site.dt_h / (self.relaxation.grid or 1.0)
+        prices: Floats = np.maximum(self.relaxation.rho_dt.value, 0.0)
+        return float(lost * p["P_pv"].value.sum()), float(prices @ p["P_grid_max"].value)
+
+    def fleet_kw(self) -> float:
+        """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
+        p, b = self.relaxation.p, self.relaxation.site.batteries
+        factor = max(1.0, float(p["eta_hi"].value.max(initial=1.0)),
+                     float(p["inv_hi"].value.max(initial=1.0)))
+        return float(b.p_max_kw.sum() * factor)

@@ -1,0 +1,256 @@
+"""Lumped relaxation: all customers and one PV system on one bus, with a fleet of batteries.
+
+The fleet is one lumped battery, or every battery by itself but without its binary: slower, and
+exact where batteries differ in efficiency or state.
+
+Every inequality holds for the sums of any feasible dispatch of the true problem, so the optimum is
+an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.switching import RuleSteps
+from vppres.model.beyond_paper.physical import active_room_kw
+from vppres.model.beyond_paper.switching import SwitchingModel, added_demand
+from vppres.model.data import Floats, WindowData
+from vppres.model.problem import objective_scale, require_dpp
+from vppres.model.site import Site
+
+LEAST_KW = 1e-3
+"""A first step's largest charge or discharge below this has no part in a ratio."""
+
+
+class AggregateModel:
+    """The lumped relaxation over W steps, with one binary for each customer and step.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    integer : bool
+        Whether service is all or nothing; without it the problems are linear and weaker bounds.
+    lumped : bool
+        Whether the fleet is one battery.
+    physical : bool
+        Whether losses and headroom are part of it.
+    switching : RuleSteps, optional
+        Shape of the switching rules; None has none.
+
+    Attributes
+    ----------
+    problem : cvxpy.Problem
+        Maximises f1, f2 and f3 as weighted, times the objective's scale.
+    cost_problem : cvxpy.Problem
+        Minimises the cost (GBP) of all served sets whose f1 and f3 reach ``service_min``.
+    grid_problem : cvxpy.Problem
+        Maximises f1 and f3 in units of ``grid``, f3 rounded in favour.
+    grid : float
+        Largest number of which every weight is a multiple, 0 if there is none worth using.
+    """
+
+    def __init__(self, site: Site, n_steps: int, integer: bool = True,
+                 lumped: bool = True, physical: bool = False,
+                 switching: RuleSteps | None = None) -> None:
+        self.site, self.n_steps, self.lumped = site, n_steps, lumped
+        W, C, G = n_steps, len(site.customers), 1 if lumped else len(site.batteries)
+        self.x = cp.Variable((W, C), name="x_served", boolean=integer)
+        self.v = {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in {
+            "P_ch": (W, G), "P_dch": (W, G), "stored": (W, G), "drawn": (W, G), "P_curt": (W,),
+            "P_grid": (W,)}.items()}
+        self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
+            "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
+            "E_0": (W, G), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W, G), "eta_hi": (W, G),
+            "inv_lo": (W, G), "inv_hi": (W, G), "a": (G,), "b": (G,), "a_per_b": (G,),
+            "b_per_a": (G,)}.items()}
+        self.room = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
+            "loss": (W,), "E_min": (W, G), "P_room": (W, G)}.items()} if physical else {}
+        self.rho_dt = cp.Parameter(W, name="rho_dt")
+        self.switching = SwitchingModel(site, self.x, switching) if switching else None
+        self.energy = self._energy()
+        self.constraints = self._power() | self.energy | (
+            self.switching.constraints if self.switching else {})
+        self.service_min = cp.Parameter(name="service_min")
+        self.grid = weight_grid(site.customers.weight * site.dt_h)
+        cost = self.rho_dt @ self.v["P_grid"]
+        f1 = site.dt_h * cp.sum(self.x @ site.customers.weight)
+        curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
+        service = f1 - curtailment - (self.switching.f6_switching if self.switching else 0.0)
+        limits = list(self.constraints.values())
+        self.problem = cp.Problem(
+            cp.Maximize(objective_scale(site)
+                        * (service - site.weights.lambda_grid * cost)), limits)
+        served_enough = (service - self.service_min) / (self.grid or 1.0) >= 0
+        self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, served_enough])
+        self.grid_problem = self._on_grid(curtailment, limits)
+        for problem in (self.problem, self.cost_problem, self.grid_problem):
+            require_dpp(problem, f"lumped window of {n_steps} steps")
+
+    def _on_grid(self, curtailment: cp.Expression, limits: list[cp.Constraint]) -> cp.Problem:
+        """Service in units of the weights' grid, with an objective that is always a whole number.
+
+        Whole numbers let a solver round its bound, which is most of the proof. The penalty of
+        curtailment is rounded down to a whole number, so that the optimum stays an upper bound.
+        """
+        if not self.grid:
+            return self.problem
+        units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
+        penalty = cp.Variable(name="penalty", integer=True, nonneg=True)
+        # A whole number too, or the problem is not used: see whole_price.
+        actions = self.switching.f6_switching / self.grid if self.switching else 0.0
+        return cp.Problem(cp.Maximize(cp.sum(self.x @ units) - penalty - actions),
+                          [*limits, penalty >= curtailment / self.grid - 1])
+
+    def _power(self) -> dict[str, cp.Constraint]:
+        """Sums of the power balances and limits."""
+        v, p, x = self.v, self.p, self.x
+        load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
+        if self.room:
+            load = load + self.room["loss"]
+        own = cp.sum(cp.multiply(p["self"], x), axis=1)
+        cold = added_demand(self.switching)
+        if cold is not None:
+            load = load + cp.sum(cp.multiply(cold.P_cold, cold.z), axis=1)
+            own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)
+        P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
+        return {
+            "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
+            "lumped_circular_charging": P_dch <= load - own,
+            "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
+            "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
+            "lumped_grid_limit": v["P_grid"] <= p["P_grid_max"],
+            "lumped_service": x <= p["x_max"],
+            "lumped_connected_service": x >= p["x_min"],
+        }
+
+    def _energy(self) -> dict[str, cp.Constraint]:
+        """Sums of the SoC recursions and of the limits that exclusivity implies."""
+        v, p, b, dt = self.v, self.p, self.site.batteries, self.site.dt_h
+        e_min, e_max = (self._fleet(b.energy_kwh * soc)[None, :] for soc in (b.soc_min, b.soc_max))
+        triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
+        energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
+        before = energy - dt * (v["stored"] - v["drawn"])
+        return {
+            "lumped_energy_min": energy >= (self.room["E_min"] if self.room else e_min),
+            "lumped_energy_max": energy <= e_max,
+            "lumped_room": before + dt * v["stored"] <= e_max,
+            "lumped_reserve": before - dt * v["drawn"] >= e_min,
+            "lumped_power": v["P_ch"] + v["P_dch"] <= (
+                self.room["P_room"] if self.room
+                else self._fleet(b.active_max_kw)[None, :]),
+            "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
+            "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
+            "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
+            "lumped_drawn_max": v["drawn"] <= cp.multiply(p["inv_hi"], v["P_dch"]),
+            "lumped_first_charge":
+                v["P_ch"][0] + cp.multiply(p["a_per_b"], v["P_dch"][0]) <= p["a"],
+            "lumped_first_discharge":
+                v["P_dch"][0] + cp.multiply(p["b_per_a"], v["P_ch"][0]) <= p["b"],
+        }
+
+    def _fleet(self, values: Floats) -> Floats:
+        """Sum over the batteries where they are lumped, (G,)."""
+        return np.atleast_1d(values.sum()) if self.lumped else values
+
+    def _range(self, values: Floats) -> tuple[Floats, Floats]:
+        """Smallest and largest value of each group over all steps, (W, G) each."""
+        if self.lumped and len(values):
+            low, high = values.min(keepdims=True), values.max(keepdims=True)
+        else:
+            low = high = values if not self.lumped else np.ones(1)
+        return np.tile(low, (self.n_steps, 1)), np.tile(high, (self.n_steps, 1))
+
+    def fill(self, data: WindowData, all_connected: bool = False) -> None:
+        """Write the window's data.
+
+        With ``all_connected`` everyone who can be is served where the import has no limit. That
+        loses no service: more import serves them, and no battery notices.
+        """
+        site, b = self.site, self.site.batteries
+        limit = data.self_limit_kw(site)
+        eta_lo, eta_hi = self._range(data.eta_charge)
+        inv_lo, inv_hi = self._range(1.0 / data.eta_discharge)
+        # An owner whose self-consumption exceeds the inverter's rating cannot be served.
+        blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
+        x_max = np.where(blocked, 0.0, 1.0)
+        unlimited = all_connected & np.isinf(data.grid_limit_kw)
+        connected = (unlimited[:, None] if data.switching is None
+                     else data.switching.connected(unlimited))
+        values = {
+            "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
+            "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
+            "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
+            "E_0": np.tile(self._fleet(b.energy_kwh * data.soc), (self.n_steps, 1)),
+            "x_max": x_max, "x_min": x_max * connected, "eta_lo": eta_lo,
+            "eta_hi": eta_hi, "inv_lo": inv_lo, "inv_hi": inv_hi, **self._first_step(data),
+        }
+        for name, value in values.items():
+            self.p[name].value = value
+        if self.room:
+            self._fill_room(data)
+        self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+        if self.switching:
+            self.switching.fill(data)
+
+    def whole_price(self, data: WindowData) -> bool:
+        """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
+        pair = 0.0 if data.switching is None else 2.0 * data.switching.price_per_action
+        return pair == 0.0 or (self.grid > 0 and abs(pair / self.grid
+                                                     - round(pair / self.grid)) < 1e-9)
+
+    def _fill_room(self, data: WindowData) -> None:
+        """Write losses, and the batteries' limits less their headroom."""
+        b, physics = self.site.batteries, data.require_physics()
+        e_min = b.energy_kwh * (b.soc_min + physics.soc_reserve)
+        limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
+        self.room["loss"].value = data.loss_kw
+        for name, value in limits.items():
+            self.room[name].value = (value.sum(axis=1, keepdims=True) if self.lumped else value)
+
+    def _first_step(self, data: WindowData) -> dict[str, Floats]:
+        """Limits of the first step, where the SoC is known, (G,) each.
+
+        With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
+        ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
+        """
+        b, dt = self.site.batteries, self.site.dt_h
+        limit, least = b.active_max_kw, b.soc_min
+        if data.physics is not None:
+            limit = active_room_kw(self.site, data.physics)[0]
+            least = least + data.physics.soc_reserve[0]
+        room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
+        held_kwh = np.maximum(data.soc - least, 0.0) * b.energy_kwh
+        charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
+        discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
+        # A ratio of next to nothing says nothing, and is no number a solver can work with.
+        both = (charge > LEAST_KW) & (discharge > LEAST_KW)
+        a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
+        b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
+        if self.lumped:
+            a_per_b, b_per_a = (np.atleast_1d(r.min(initial=np.inf) if len(r) else 0.0)
+                                for r in (a_per_b, b_per_a))
+        return {"a": self._fleet(charge), "b": self._fleet(discharge), "a_per_b": a_per_b,
+                "b_per_a": b_per_a}
+
+
+def weight_grid(weights: Floats, most: int = 10_000) -> float:
+    """Largest number of which all weights are multiples, 0 if it needs more than ``most`` units.
+
+    >>> weight_grid(np.array([1.0, 0.1, 0.02]))
+    0.02
+    """
+    parts = [Fraction(float(w)).limit_denominator(most) for w in np.unique(weights) if w > 0]
+    if not parts:
+        return 0.0
+    common = math.lcm(*(part.denominator for part in parts))
+    unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
+    exact = all(abs(float(part) - w) <= 1e-12 for part, w in
+                zip(parts, [w for w in np.unique(weights) if w > 0], strict=True))
+    return float(unit) if exact and max(parts) / unit <= most else 0.0

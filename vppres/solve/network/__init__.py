@@ -1,0 +1,1 @@
+"""Masters in the network: injections with limits as needed, and what they decide."""

@@ -1,0 +1,231 @@
+"""The whole problem without lines and buses: devices and balances, and rows for what is left out.
+
+Lossless flows are sums of injections, so squared voltages are linear in them. Few voltage limits
+and few inverter discs bind, so their rows are made where a solution violates them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.model.data import Floats, WindowData
+from vppres.model.site import Site
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows ``lower <= matrix @ x <= upper``."""
+
+    matrix: sp.csr_array
+    lower: Floats
+    upper: Floats
+
+    @classmethod
+    def of(cls, columns: Ints, values: Floats, lower: Floats | float, upper: Floats | float,
+           size: int) -> Rows:
+        """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
+        count, width = columns.shape
+        matrix = sp.csr_array(
+            (np.broadcast_to(values, columns.shape).astype(float).ravel(),
+             (np.repeat(np.arange(count), width), columns.ravel())), shape=(count, size))
+        return cls(matrix, np.broadcast_to(lower, count).astype(float),
+                   np.broadcast_to(upper, count).astype(float))
+
+    @classmethod
+    def joined(cls, parts: list[Rows]) -> Rows:
+        """All rows of several."""
+        return cls(sp.csr_array(sp.vstack([part.matrix for part in parts])),
+                   np.concatenate([part.lower for part in parts]),
+                   np.concatenate([part.upper for part in parts]))
+
+
+class Reactance:
+    """Squared voltage of every bus per kW and kvar injected at every bus of a site, (N, N) each."""
+
+    def __init__(self, site: Site) -> None:
+        net, fed = site.network, site.network.downstream.toarray()
+        self.per_kw: Floats = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
+        self.per_kvar: Floats = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
+        self.fed: Floats = fed
+        self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
+        self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
+        self.pv = self.customer[site.owner]
+
+
+class Injections:
+    """A window's variables as columns, and its constraints as rows.
+
+    The columns are arrays of positions with the paper's letters: ``x`` (W, C); ``P_ch``, ``P_dch``,
+    ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
+    ``P_grid`` and ``Q_grid`` (W, 1). Charging and discharging may overlap.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    reactance : Reactance
+        How voltages depend on injections.
+    data : WindowData
+        The window, in the paper's mode.
+    """
+
+    def __init__(self, site: Site, reactance: Reactance, data: WindowData) -> None:
+        self.site, self.reactance, self.data = site, reactance, data
+        W, C, P, B = data.n_steps, len(site.customers), len(site.pv), len(site.batteries)
+        self.size, self.at = 0, {}
+        for name, width in {"x": C, "P_ch": B, "P_dch": B, "energy": B, "Q_batt": B, "P_exp": P,
+                            "Q_pv": P, "P_grid": 1, "Q_grid": 1}.items():
+            self.at[name] = self.size + np.arange(W * width).reshape(W, width)
+            self.size += W * width
+        self.own_kw = data.self_limit_kw(site)
+        self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
+        self.load_kvar = data.load_kw * site.customers.q_per_p
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Limits of the columns."""
+        site, b, data = self.site, self.site.batteries, self.data
+        q_grid = data.grid_q_max_kvar(site)[:, None]
+        limits: dict[str, tuple[Floats | float, Floats | float]] = {
+            "x": (0.0, 1.0), "P_ch": (0.0, b.active_max_kw), "P_dch": (0.0, b.active_max_kw),
+            "energy": (b.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
+            "Q_batt": (-b.s_max_kva, b.s_max_kva), "P_exp": (0.0, data.pv_kw),
+            "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
+            "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]), "Q_grid": (-q_grid, q_grid)}
+        lower, upper = np.zeros(self.size), np.zeros(self.size)
+        for name, (low, high) in limits.items():
+            lower[self.at[name]], upper[self.at[name]] = low, high
+        return lower, upper
+
+    def rows(self) -> Rows:
+        """Balances, circular charging, PV systems and batteries."""
+        at, site, data = self.at, self.site, self.data
+        active = np.hstack([at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"]])
+        signs = np.hstack([np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
+                           -np.ones((data.n_steps, len(site.batteries))), -self.net_kw])
+        reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], at["x"]])
+        kvar = np.hstack([np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
+                          -self.load_kvar])
+        outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
+        charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
+        owner = np.stack([at["P_exp"], at["x"][:, site.owner]], axis=-1).reshape(-1, 2)
+        own = np.column_stack([np.ones(self.own_kw.size), self.own_kw.ravel()])
+        room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
+        return Rows.joined([
+            Rows.of(active, signs, 0.0, 0.0, self.size),
+            Rows.of(reactive, kvar, 0.0, 0.0, self.size),
+            Rows.of(outside, charging, 0.0, np.inf, self.size),
+            Rows.of(owner, own, -np.inf, room, self.size), *self._battery_rows()])
+
+    def _battery_rows(self) -> list[Rows]:
+        """Energies, and one active power at a time."""
+        at, b, data, dt = self.at, self.site.batteries, self.data, self.site.dt_h
+        change = np.stack([at["energy"], at["P_ch"], at["P_dch"]], axis=-1)
+        gain = np.stack([np.ones(len(b)), -dt * data.eta_charge, dt / data.eta_discharge], axis=-1)
+        held = b.energy_kwh * data.soc
+        later = np.concatenate([change[1:], at["energy"][:-1, :, None]], axis=-1).reshape(-1, 4)
+        steps = np.tile(np.column_stack([gain, -np.ones(len(b))]), (data.n_steps - 1, 1))
+        both = np.stack([at["P_ch"], at["P_dch"]], axis=-1).reshape(-1, 2)
+        active = np.tile(b.active_max_kw, data.n_steps)
+        return [Rows.of(change[0], gain, held, held, self.size),
+                Rows.of(later, steps, 0.0, 0.0, self.size),
+                Rows.of(both, np.ones(2), -np.inf, active, self.size)]
+
+    def u_pu2(self, x: Floats) -> Floats:
+        """Squared voltages of a solution, (W, N)."""
+        p, q = self._injected(x)
+        return self._empty_u() + p @ self.reactance.per_kw + q @ self.reactance.per_kvar
+
+    def _injected(self, x: Floats) -> tuple[Floats, Floats]:
+        """Active and reactive injections of a solution, the grid's left out, (W, N) each."""
+        at, reach = self.at, self.reactance
+        p, q = (np.zeros((self.data.n_steps, self.site.network.n_buses)) for _ in range(2))
+        steps = np.arange(self.data.n_steps)[:, None]
+        for power, bus, kw in ((p, reach.customer, -self.net_kw * x[at["x"]]),
+                               (q, reach.customer, -self.load_kvar * x[at["x"]]),
+                               (p, reach.battery, x[at["P_dch"]] - x[at["P_ch"]]),
+                               (q, reach.battery, x[at["Q_batt"]]),
+                               (p, reach.pv, x[at["P_exp"]]), (q, reach.pv, x[at["Q_pv"]])):
+            np.add.at(power, (steps, bus[None, :]), kw)
+        return p, q
+
+    def _empty_u(self) -> Floats:
+        """Squared voltages without any injection, (W, N)."""
+        return np.asarray(self.site.network.v_slack_pu**2 + self.data.delta_pu2
+                          @ self.reactance.fed)
+
+    def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
+        """Rows of the violated voltage limits: where no neighbour is further out."""
+        net, u, found = self.site.network, self.u_pu2(x), []
+        for sign, beyond in ((1.0, net.v_min_pu**2 - u), (-1.0, u - net.v_max_pu**2)):
+            beyond[:, 0] = -np.inf
+            around = np.full_like(beyond, -np.inf)
+            around[:, 1:] = beyond[:, net.parent]
+            for line, bus in enumerate(net.parent):
+                around[:, bus] = np.maximum(around[:, bus], beyond[:, line + 1])
+            worst = (beyond > tolerance_pu2) & (beyond >= around)
+            found += [self._voltage_row(int(t), int(bus), sign)
+                      for t, bus in zip(*np.nonzero(worst), strict=True)]
+        return found
+
+    def _voltage_row(self, t: int, bus: int, sign: float) -> Rows:
+        """A lower (1) or upper (-1) limit, in thousandths of pu²."""
+        at, reach, net = self.at, self.reactance, self.site.network
+        r, x = reach.per_kw[bus], reach.per_kvar[bus]
+        columns = np.concatenate([at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp",
+                                                           "Q_pv")])
+        values = np.concatenate([
+            -r[reach.customer] * self.net_kw[t] - x[reach.customer] * self.load_kvar[t],
+            r[reach.battery], -r[reach.battery], x[reach.battery], r[reach.pv], x[reach.pv]])
+        limit = net.v_min_pu**2 if sign > 0 else net.v_max_pu**2
+        used, scale = np.abs(values) > 0.0, 1e3 * sign
+        return Rows.of(columns[used][None, :], scale * values[used],
+                       scale * (limit - self._empty_u()[t, bus]), np.inf, self.size)
+
+    def disc_rows(self, x: Floats, tolerance: float, inside: float = 0.0) -> list[Rows]:
+        """Tangents of the inverters' discs that are exceeded by more than a share of the radius.
+
+        The tangents may lie inside by another share, so that few of them end within the disc.
+        """
+        at, site = self.at, self.site
+        net_kw = x[at["P_ch"]] - x[at["P_dch"]]
+        through = x[at["P_exp"]] + self.own_kw * x[at["x"]][:, site.owner]
+        tangents = []
+        for p, q, radius, pieces in (
+                (net_kw, at["Q_batt"], site.batteries.s_max_kva,
+                 ((at["P_ch"], 1.0), (at["P_dch"], -1.0))),
+                (through, at["Q_pv"], site.pv.s_max_kva,
+                 ((at["P_exp"], 1.0), (at["x"][:, site.owner], self.own_kw)))):
+            size = np.hypot(p, x[q])
+            out = size > radius * (1.0 + tolerance)
+            if out.any():
+                cos, sin = p[out] / size[out], x[q][out] / size[out]
+                columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
+                values = np.column_stack([*(cos * np.broadcast_to(f, p.shape)[out]
+                                            for _, f in pieces), sin])
+                tangents.append(Rows.of(columns, values, -np.inf,
+                                        (1.0 - inside) * np.broadcast_to(radius, p.shape)[out],
+                                        self.size))
+        return tangents
+
+    def dispatch(self, x: Floats, served: NDArray[np.bool_]) -> Dispatch:
+        """A solution as a dispatch of a served set; flows and voltages follow from it."""
+        at, data, net = self.at, self.data, self.site.network
+        own = self.own_kw * served[:, self.site.owner]
+        export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
+        p, q = self._injected(x)
+        return Dispatch(
+            served=served, pv_self_kw=own, pv_export_kw=export,
+            pv_curtailed_kw=data.pv_kw - own - export, pv_q_kvar=x[at["Q_pv"]],
+            charge_kw=np.maximum(x[at["P_ch"]], 0.0),
+            discharge_kw=np.maximum(x[at["P_dch"]], 0.0), batt_q_kvar=x[at["Q_batt"]],
+            soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
+            p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0), q_grid_kvar=x[at["Q_grid"]][:, 0],
+            v_pu=np.sqrt(self.u_pu2(x)), p_flow_kw=-p @ net.downstream.T,
+            q_flow_kvar=-q @ net.downstream.T)

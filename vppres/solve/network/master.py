@@ -1,0 +1,331 @@
+"""Service, cost and dispatch in the network, for windows in which it forbids the fleet's optimum.
+
+The problem has no lines and buses; limits of voltages and tangents of discs are added where a
+solution violates them, so every solution on the way is one of a relaxation.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import highspy
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from vppres.contract.dispatch import Dispatch
+from vppres.model.data import Floats, WindowData
+from vppres.model.site import Site
+from vppres.solve.fleet.relaxation import weight_grid
+from vppres.solve.network.injections import Injections, Reactance, Rows
+from vppres.solve.programs import Answer, Ints, Program
+from vppres.solve.result import Outcome, Status
+
+Served = NDArray[np.bool_]
+
+VOLTAGE_PU2 = 1e-6
+"""By how much a squared voltage may miss its limit in a relaxation."""
+DISC, EXACT_DISC = 2e-3, 5e-6
+"""Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
+INSIDE = (3e-4, 0.0)
+"""Shares by which a dispatch's tangents are tried to lie within the discs: few end inside them."""
+SMALL, ROUNDS = 2000, 3
+"""Binaries up to which the search has the network in it, after so many sets were tried."""
+NEAR = 0.3
+"""Units for which a set may be preferred because it is close to a linear solution."""
+TOLERANCE = 1e-6
+
+MOST_BUSES = 3000
+"""Buses up to which voltages are kept as functions of all injections: 200 MB."""
+
+
+def applies(site: Site, data: WindowData) -> bool:
+    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid."""
+    plain = not data.physical and data.switching is None
+    return (plain and site.network.n_buses <= MOST_BUSES
+            and weight_grid(site.customers.weight * site.dt_h) > 0.0)
+
+
+class NetworkMaster:
+    """The master in the network of one window, in the paper's mode without switching rules.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    reactance : Reactance
+        How voltages depend on injections.
+    data : WindowData
+        The window.
+    time_s : float
+        Time limit of everything together.
+    """
+
+    def __init__(self, site: Site, reactance: Reactance, data: WindowData, time_s: float) -> None:
+        self.end = time.perf_counter() + time_s
+        self.site, self.data = site, data
+        self.model = Injections(site, reactance, data)
+        self.unit = weight_grid(site.customers.weight * site.dt_h)
+        units = np.round(site.customers.weight * site.dt_h / self.unit)
+        self.units: Floats = np.tile(units, data.n_steps)
+        self.found: list[Rows] = []
+        lower, upper = self.model.bounds()
+        rows = self.model.rows()
+        self.program = Program(np.zeros(self.model.size), lower, upper, rows.matrix.tocsc(),
+                               rows.lower, rows.upper, np.arange(0))
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until the time limit."""
+        return self.end - time.perf_counter()
+
+    @cached_property
+    def root(self) -> tuple[highspy.Highs, Answer]:
+        """Most service of shares of customers, and the solver that found it."""
+        solver = self._loaded(self._with_cost(self.model.at["x"].ravel(), -self.units))
+        return solver, self._until_carried(solver)
+
+    @property
+    def most_units(self) -> float:
+        """Service that no set exceeds, in units; infinite where it was not found."""
+        root = self.root[1]
+        return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
+
+    def service(self, share: float) -> tuple[Outcome, Served | None]:
+        """Most service in whole units, whatever is curtailed for it, in a share of the time left.
+
+        The linear problem in which nobody is served beyond a set bounds the service of all sets by
+        its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
+        one is carried in full.
+        """
+        begin, x = time.perf_counter(), self.model.at["x"].ravel()
+        end = begin + share * self.left_s
+        solver, root = self.root
+        if root.status != Status.OPTIMAL:
+            return _outcome(root, begin), None
+        cuts = _ServiceCuts(self.units)
+        most = self._cut(root, cuts)
+        known = _Known(np.ones(len(x)), self._in_full(root),
+                       np.floor(most + TOLERANCE))
+        self._close(solver, root, known, cuts, end)
+        outcome = Outcome(Status.OPTIMAL if known.closed(self.units) else Status.TIME_LIMIT,
+                          float(self.units @ known.best), float(known.bound),
+                          time.perf_counter() - begin)
+        return outcome, known.best.reshape(self.model.at["x"].shape) > 0.5
+
+    def _close(self, solver: highspy.Highs, linear: Answer, known: _Known, cuts: _ServiceCuts,
+               end: float) -> None:
+        """Try sets until the best has as much as the bound."""
+        x, few, rounds = self.model.at["x"].ravel(), list(self.found), 0
+        while not known.closed(self.units) and time.perf_counter() < end:
+            left_s, rounds, before = end - time.perf_counter(), rounds + 1, len(self.found)
+            whole = len(x) <= SMALL and rounds > ROUNDS
+            enough = float(self.units @ known.best)
+            known.take(self._searched(few, left_s) if whole
+                       else cuts.most(linear.x[x], enough + 1.0, left_s), enough)
+            solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
+            linear = self._until_carried(solver, worth=enough)
+            if linear.status != Status.OPTIMAL:
+                return
+            self._cut(linear, cuts)
+            known.improve(self._in_full(linear), self.units)
+            few += self.found[before:] if whole else []
+
+    def _cut(self, linear: Answer, cuts: _ServiceCuts) -> float:
+        """Add what a linear problem proves of all sets; returns its bound on service in units."""
+        x = self.model.at["x"].ravel()
+        program = _limited(self._with_cost(x, -self.units), self.found)
+        worth, left = program.priced(linear.row_dual)
+        rest = np.minimum(left * program.x_lower, left * program.x_upper)
+        rest[x] = 0.0
+        return cuts.add(left[x], -worth - float(rest.sum()))
+
+    def _in_full(self, linear: Answer) -> Floats:
+        """Who is served in full by a linear solution."""
+        return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
+
+    def _searched(self, rows: list[Rows], time_s: float) -> Answer:
+        """Search with binaries in the network, with some of its limits."""
+        x = self.model.at["x"].ravel()
+        program = replace(self._with_cost(x, -self.units), integer=x)
+        found = Answer.of(_limited(program, rows).loaded(time_s, 1.0 - TOLERANCE))
+        return replace(found, x=found.x[x] if found.status.has_answer else found.x)
+
+    def least_cost(self, units_min: float) -> Outcome:
+        """Lower bound on the cost of all sets with so many units, in GBP."""
+        begin = time.perf_counter()
+        return _outcome(self._until_carried(self._loaded(self._enough(units_min))), begin)
+
+    def cost_level(self, units_min: float, known_gbp: float, gap_gbp: float,
+                   share: float) -> tuple[Outcome, Served | None]:
+        """Least cost of all sets with so many units, to a gap or in a share of the time left.
+
+        The search has the limits of the network that are known; whatever it finds is put into all
+        of them, which adds some. The set in the answer is cheaper than the known cost.
+        """
+        begin, x, best = time.perf_counter(), self.model.at["x"], None
+        end, bound, size = begin + share * self.left_s, 0.0, -1
+        program = replace(self._enough(units_min), integer=x.ravel())
+        while known_gbp - bound > gap_gbp and time.perf_counter() < end and len(self.found) > size:
+            size, limited = len(self.found), _limited(program, self.found)
+            found = Answer.of(limited.loaded(end - time.perf_counter(), 0.5 * gap_gbp))
+            bound = max(bound, found.bound if np.isfinite(found.bound) else 0.0)
+            if not found.status.has_answer:
+                break
+            served = np.round(found.x[x])
+            carried = self._until_carried(self._loaded(self._of_set(served)))
+            if carried.status == Status.OPTIMAL and carried.value < known_gbp:
+                known_gbp, best = carried.value, served > 0.5
+        return Outcome(Status.OPTIMAL, known_gbp, bound, time.perf_counter() - begin), best
+
+    def _enough(self, units_min: float) -> Program:
+        """Least cost of so many units."""
+        x = self.model.at["x"].reshape(1, -1)
+        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, self.model.size)
+        return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
+
+    def _of_set(self, served: Floats | Served) -> Program:
+        """Least cost of a set."""
+        x, program = self.model.at["x"], self._with_cost(*self.price)
+        program.x_lower[x], program.x_upper[x] = served, served
+        return program
+
+    def cheapest(self, served: Served, grace_s: float) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of a served set, within the discs; it has so much time at least."""
+        begin, end = time.perf_counter(), self.end
+        self.end = max(end, begin + grace_s)
+        answer = self._cheapest(served)
+        self.end = end
+        done = answer.status == Status.OPTIMAL
+        return _outcome(answer, begin), self.model.dispatch(answer.x, served) if done else None
+
+    def _cheapest(self, served: Served) -> Answer:
+        """Cheapest dispatch of a set, with tangents well within the discs or else at them."""
+        known, program = self.found, self._of_set(served)
+        for inside in INSIDE:
+            self.found = list(known)
+            answer = self._until_carried(self._loaded(program), EXACT_DISC, inside)
+            self.found = known  # tangents within the discs hold for no other problem
+            if answer.status == Status.OPTIMAL:
+                break
+        return answer
+
+    @property
+    def price(self) -> tuple[Ints, Floats]:
+        """Columns of the import and its price for a step, in GBP/kW."""
+        return (self.model.at["P_grid"].ravel(),
+                self.data.price_gbp_per_kwh * self.site.dt_h)
+
+    def _with_cost(self, columns: Ints, values: Floats) -> Program:
+        """The program with an objective; its bounds may be changed."""
+        cost = np.zeros(self.model.size)
+        cost[columns] = values
+        return replace(self.program, cost=cost, x_lower=self.program.x_lower.copy(),
+                       x_upper=self.program.x_upper.copy())
+
+    def _loaded(self, program: Program) -> highspy.Highs:
+        """A solver with the program and the limits that were violated so far."""
+        return _limited(program, self.found).loaded(self.left_s)
+
+    def _until_carried(self, solver: highspy.Highs, over: float = DISC, inside: float = 0.0,
+                       worth: float = -np.inf) -> Answer:
+        """Solve, add the limits that are violated, and again until none is.
+
+        Or until no more than so many units are served in full.
+        """
+        while True:
+            solver.setOptionValue("time_limit", solver.getRunTime() + max(self.left_s, 0.01))
+            answer = Answer.of(solver)
+            if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
+                return answer
+            found = [*self.model.voltage_rows(answer.x, VOLTAGE_PU2),
+                     *self.model.disc_rows(answer.x, over, inside)]
+            if not found:
+                return answer
+            rows = Rows.joined(found)
+            self.found.append(rows)
+            _add(solver, rows)
+
+
+@dataclass
+class _Known:
+    """The set last tried, the best set that is carried, and the bound on all, in units."""
+
+    tried: Floats
+    best: Floats
+    bound: float
+
+    def closed(self, units: Floats) -> bool:
+        """Whether the best set has as much as the bound."""
+        return bool(units @ self.best >= self.bound)
+
+    def take(self, found: Answer, best: float) -> None:
+        """The next set to try, and what its search proves."""
+        if found.status == Status.INFEASIBLE:
+            self.bound = best
+        elif found.status.has_answer:
+            self.tried = np.round(found.x)
+        self.bound = max(best, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
+
+    def improve(self, carried: Floats, units: Floats) -> None:
+        """Keep a set that is carried if it is the best."""
+        if units @ carried > units @ self.best:
+            self.best = carried
+
+
+class _ServiceCuts:
+    """What is known of the service of sets that are carried: ``units @ x <= most + gain @ x``."""
+
+    def __init__(self, units: Floats) -> None:
+        self.units = units
+        self.gains: list[Floats] = []
+        self.most_units: list[float] = []
+        self.first_left: Floats = np.zeros(len(units))
+
+    def add(self, left: Floats, most: float) -> float:
+        """Add a bound ``most - left @ x``; returns its largest value.
+
+        What serving somebody costs is left out but for the first: such rows are searched faster.
+        """
+        if not self.gains:
+            self.first_left = left
+        self.gains.append(np.maximum(-left, 0.0))
+        self.most_units.append(most + TOLERANCE)
+        return most + float(self.gains[-1].sum())
+
+    def most(self, shares: Floats, at_least: float, time_s: float) -> Answer:
+        """The set with the most units, at least so many; among equal ones one close to the shares.
+
+        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
+        service or lack of it would alone cost too much by the first bound is decided beforehand.
+        """
+        away, spare = 1.0 - shares, self.most_units[0] + float(self.gains[0].sum()) - at_least
+        cost = NEAR / max(1.0, float(away.sum())) * away - self.units
+        low, high = self.first_left < -spare, self.first_left <= spare
+        program = Program(cost, low.astype(float), high.astype(float),
+                          sp.csc_array(self.units - np.array(self.gains)),
+                          np.full(len(self.gains), -np.inf), np.array(self.most_units),
+                          np.arange(len(cost)))
+        found = Answer.of(program.loaded(time_s, 1.0 - 2.0 * NEAR))
+        return replace(found, bound=found.bound - NEAR)
+
+
+def _limited(program: Program, rows: list[Rows]) -> Program:
+    """A program with limits in it."""
+    if not rows:
+        return program
+    limits = Rows.joined(rows)
+    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
+
+
+def _add(solver: highspy.Highs, rows: Rows) -> None:
+    """Add rows to a solver that keeps its basis."""
+    m = rows.matrix
+    solver.addRows(m.shape[0], rows.lower, rows.upper, m.nnz, m.indptr[:-1].astype(np.int32),
+                   m.indices.astype(np.int32), m.data)
+
+
+def _outcome(answer: Answer, begin: float) -> Outcome:
+    return Outcome(answer.status, answer.value, answer.bound, time.perf_counter() - begin)

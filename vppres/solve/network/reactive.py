@@ -1,0 +1,99 @@
+"""Reactive power of one step with active power held: least flows and least use of inverters.
+
+With active power held every inverter's disc leaves an interval, and only one step is looked at, so
+the problem stays small and feasible where the tie-breakers with all of the window are neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.dispatch import Dispatch
+from vppres.model.data import Floats, WindowData
+from vppres.model.problem import require_dpp
+from vppres.model.site import Site
+
+
+class ReactiveModel:
+    """Minimise the reactive part of f4 and f5 of a step in the paper's mode.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    """
+
+    def __init__(self, site: Site) -> None:
+        net, pv, batteries = site.network, len(site.pv), len(site.batteries)
+        self.site = site
+        self.Q_pv, self.Q_batt = cp.Variable(pv, name="Q_pv"), cp.Variable(batteries, name="Q_batt")
+        self.Q_grid, self.Q_flow = cp.Variable(name="Q_grid"), cp.Variable(net.n_lines)
+        self.u = cp.Variable(net.n_buses, name="u")
+        self.Q_load = cp.Parameter(net.n_buses, name="Q_load")
+        self.rise = cp.Parameter(net.n_lines, name="rise")
+        self.Q_pv_max = cp.Parameter(pv, name="Q_pv_max", nonneg=True)
+        self.Q_batt_max = cp.Parameter(batteries, name="Q_batt_max", nonneg=True)
+        self.Q_grid_max = cp.Parameter(name="Q_grid_max", nonneg=True)
+        self.u_min, self.u_max = (cp.Parameter(net.n_buses, name=n) for n in ("u_min", "u_max"))
+        self.problem = cp.Problem(self._objective(), self._constraints())
+        require_dpp(self.problem, "reactive power of a step")
+
+    def _objective(self) -> cp.Minimize:
+        """Squared reactive flows and squared use of the inverters, in about kW of loss."""
+        site, w = self.site, self.site.weights
+        heaviest = max(w.lambda_l, w.lambda_q) or 1.0
+        scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
+        flows = cp.sum_squares(cp.multiply(np.sqrt(site.network.r_ohm), self.Q_flow))
+        used = (cp.sum_squares(cp.multiply(1.0 / site.pv.s_max_kva, self.Q_pv))
+                + cp.sum_squares(cp.multiply(1.0 / site.batteries.s_max_kva, self.Q_batt)))
+        return cp.Minimize(scale * (w.lambda_l * flows + w.lambda_q * used))
+
+    def _constraints(self) -> list[cp.Constraint]:
+        """Balance and voltage of every bus, limits of inverters and of the grid."""
+        site, net = self.site, self.site.network
+        slack = sp.csr_array(([1.0], ([0], [0])), shape=(net.n_buses, 1))
+        given = (site.pv_bus @ self.Q_pv + site.battery_bus @ self.Q_batt
+                 + slack @ cp.reshape(self.Q_grid, (1,), order="C"))
+        drop = 2.0 * cp.multiply(net.x_pu2_per_kvar, self.Q_flow)
+        return [given + net.incidence @ self.Q_flow == self.Q_load,
+                self.u[0] == net.v_slack_pu**2,
+                100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
+                self.u >= self.u_min, self.u <= self.u_max,
+                cp.abs(self.Q_pv) <= self.Q_pv_max, cp.abs(self.Q_batt) <= self.Q_batt_max,
+                cp.abs(self.Q_grid) <= self.Q_grid_max]
+
+    def fill(self, data: WindowData, dispatch: Dispatch, t: int) -> None:
+        """Write step ``t`` of a dispatch; a limit that it misses by a tolerance gives way."""
+        site, net = self.site, self.site.network
+        u = dispatch.v_pu[t] ** 2
+        load = data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p
+        self.Q_load.value = site.customer_bus @ load
+        self.rise.value = data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t]
+        self.Q_pv_max.value = _left(site.pv.s_max_kva, dispatch.pv_self_kw[t]
+                                    + dispatch.pv_export_kw[t], dispatch.pv_q_kvar[t])
+        self.Q_batt_max.value = _left(site.batteries.s_max_kva, dispatch.charge_kw[t]
+                                      - dispatch.discharge_kw[t], dispatch.batt_q_kvar[t])
+        self.Q_grid_max.value = data.grid_q_max_kvar(site)[t]
+        self.u_min.value = np.append(u[0], np.minimum(u[1:], net.v_min_pu**2))
+        self.u_max.value = np.append(u[0], np.maximum(u[1:], net.v_max_pu**2))
+
+    def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
+        """The dispatch with the solution of the last solve in step ``t``."""
+        changed = {"pv_q_kvar": self.Q_pv.value, "batt_q_kvar": self.Q_batt.value,
+                   "q_grid_kvar": self.Q_grid.value, "q_flow_kvar": self.Q_flow.value,
+                   "v_pu": np.sqrt(self.u.value)}
+        arrays = {}
+        for name, values in changed.items():
+            arrays[name] = getattr(dispatch, name).copy()
+            arrays[name][t] = values
+        return replace(dispatch, **arrays)
+
+
+def _left(s_max_kva: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
+    """Reactive power that a disc leaves beside active power, at least what the dispatch has."""
+    left = np.sqrt(np.maximum(s_max_kva**2 - p_kw**2, 0.0))
+    return np.asarray(np.maximum(left, np.abs(q_kvar)))

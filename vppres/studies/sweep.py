@@ -1,0 +1,156 @@
+"""One parameter over several values: a run each, in parallel, with a table and a page of all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+
+from vppres.core.errors import SolveError, VerificationError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Progress, run_day
+from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
+from vppres.report.key_figures import KEY_FIGURES
+from vppres.report.run_folder import write_run
+from vppres.scenario.scenario import Scenario
+from vppres.studies.compare import flattened
+from vppres.studies.sweep_parameters import Parameter, Value, changed, value_text
+
+SUMMARY_TABLE = "summary.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One value of the parameter and the run that it means."""
+
+    value: Value
+    folder: str
+    scenario: Scenario
+    options: RunOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of a case.
+
+    Parameters
+    ----------
+    value : float, int or str
+        Value of the parameter.
+    folder : str
+        Run folder below that of the sweep.
+    summary : dict or None
+        Figures of the run; None if it failed.
+    error : str or None
+        Why it failed.
+    """
+
+    value: Value
+    folder: str
+    summary: dict[str, Any] | None
+    error: str | None
+
+
+Finish = Callable[[Sequence[Outcome], Path], None]
+
+
+def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
+             options: RunOptions) -> list[Case]:
+    """The runs of a sweep, all of them checked.
+
+    Raises
+    ------
+    InputError
+        If a value makes the scenario or the options wrong.
+    """
+    cases = []
+    for value in values:
+        day, chosen = changed(parameter, value, scenario, options)
+        cases.append(Case(value, f"{parameter.name}={value_text(value)}", day, chosen))
+    return cases
+
+
+def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
+              progress: Progress | None = None, finish: Finish | None = None) -> list[Outcome]:
+    """Run all cases and write their folders into one, which is whole or absent.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        From :func:`cases_of`.
+    folder : Path
+        The folder to make; an older sweep or run in its place is replaced.
+    jobs : int, optional
+        Runs at a time; one per core if not given.
+    progress : callable, optional
+        Called as ``progress(runs done, runs in all)`` after every run.
+    finish : callable, optional
+        Called as ``finish(outcomes, folder)`` to write more, before the folder takes its name.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the cases. A run that has no answer does not end the others.
+    """
+    with atomic_folder(folder) as aside:
+        outcomes = _outcomes(cases, aside, jobs or int(joblib.cpu_count()), progress)
+        if finish is not None:
+            finish(outcomes, aside)
+        outcome_table(outcomes).to_csv(aside / SUMMARY_TABLE, index=False, lineterminator="\n")
+        atomic_write_text(aside / RUN_MARK, json.dumps(
+            outcome_records(outcomes), indent=2, allow_nan=False) + "\n")
+    return outcomes
+
+
+def run_case(position: int, case: Case, folder: Path) -> tuple[int, Outcome]:
+    """Run one case and write its run folder below ``folder``."""
+    try:
+        summary = write_run(run_day(case.scenario, case.options), folder / case.folder,
+                            interactive=False)  # many reports: leave out 5 MB of scripts each
+    except (SolveError, VerificationError) as error:
+        return position, Outcome(case.value, case.folder, None, str(error))
+    return position, Outcome(case.value, case.folder, summary, None)
+
+
+def outcome_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    """One row per value: value, folder, error, and the key figures; empty where not defined."""
+    rows = []
+    for outcome in outcomes:
+        figures = flattened(outcome.summary or {})
+        keys = [key for key in figures if key in _KEYS or key.startswith(_PREFIXES)]
+        rows.append({"value": outcome.value, "folder": outcome.folder, "error": outcome.error,
+                     **{key: figures[key] for key in keys}})
+    return pd.DataFrame(rows)
+
+
+def outcome_records(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """The outcomes as JSON can hold them."""
+    return {"runs": [{"value": o.value, "folder": o.folder, "error": o.error,
+                      "summary": o.summary} for o in outcomes]}
+
+
+_KEYS = tuple(key for key, *_ in KEY_FIGURES)
+_PREFIXES = ("served_share.", "solve_s.")
+
+
+def _outcomes(cases: Sequence[Case], folder: Path, jobs: int,
+              progress: Progress | None) -> list[Outcome]:
+    found: dict[int, Outcome] = {}
+    # One thread each: solvers and linear algebra would only fight for the cores.
+    with joblib.parallel_config("loky", inner_max_num_threads=1):
+        parallel = joblib.Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",
+                            batch_size=1)
+        # Closing the generator stops the workers, whatever ends the loop.
+        with closing(parallel(joblib.delayed(run_case)(position, case, folder)
+                              for position, case in enumerate(cases))) as finished:
+            for position, outcome in finished:
+                found[position] = outcome
+                if progress is not None:
+                    progress(len(found), len(cases))
+    return [found[position] for position in range(len(cases))]
