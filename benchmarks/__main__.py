@@ -104,7 +104,9 @@ def run(names: list[str], plan: Plan) -> tuple[list[Section], str]:
     if unknown:
         raise InputError(Problem("benchmarks", "is not known", f"Use one of: {', '.join(PARTS)}.",
                                  field="only", value=unknown[0]))
-    begin, sections, bars = time.perf_counter(), [], []
+    begin = time.perf_counter()
+    sections = []
+    bars = []
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                TimeElapsedColumn())

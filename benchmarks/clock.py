@@ -42,7 +42,9 @@ def watched() -> Iterator[Clock]:
     solver; the places where both can be told apart are wrapped for the time of the block.
     """
     clock = Clock()
-    note, via_data, direct = Search.note, SolvingChain.solve_via_data, Answer.of
+    note = Search.note
+    via_data = SolvingChain.solve_via_data
+    direct = Answer.of
 
     def noted(search: Search, stage: str, outcome: Outcome) -> None:
         clock.stages_s[stage] += outcome.solve_s
@@ -78,7 +80,8 @@ def limit_memory(share: float = 0.6) -> None:
 
     A kernel that runs out of memory ends whichever process it likes, others' included.
     """
-    page, pages = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_PHYS_PAGES")
+    page = os.sysconf("SC_PAGE_SIZE")
+    pages = os.sysconf("SC_PHYS_PAGES")
     limit = int(share * page * pages)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 

@@ -52,7 +52,8 @@ def timed_day(options: RunOptions) -> tuple[Row, Trajectory]:
     with watched() as clock:
         trajectory = run_day(packaged(), options,
                              lambda done, total: ends.append(time.perf_counter()))
-    steps_s, total_s = np.diff(ends), ends[-1] - ends[0]
+    steps_s = np.diff(ends)
+    total_s = ends[-1] - ends[0]
     return {"total_s": total_s, "step_median_s": float(np.median(steps_s)),
             "step_p95_s": float(np.quantile(steps_s, 0.95)), "step_max_s": float(steps_s.max()),
             "outside_share": 1.0 - clock.library_s / total_s,
@@ -88,7 +89,8 @@ def error_days(seeds: int, quick: bool) -> list[Row]:
 def run_days(folder: Path, seeds: int, quick: bool, bar: Progress) -> dict[str, pd.DataFrame]:
     """Tables ``ideal``, ``settings`` and ``steps`` (one row for each step of the settings)."""
     task = bar.add_task("days", total=3)
-    store, ideal = Store(folder / "rows"), []
+    store = Store(folder / "rows")
+    ideal = []
     for controller in ("mpc", "full-horizon"):
         found = store.row({"bench": "ideal", "controller": controller},
                           partial(_in_column, "runs", ideal_runs, controller))

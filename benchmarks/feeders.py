@@ -11,18 +11,16 @@ import numpy as np
 import pandapower.networks
 import pandas as pd
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 import vppres
 from benchmarks.instances import packaged
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import mw_to_kw
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 CASE69 = Path(vppres.__file__).parent / "feeders" / "data" / "case69.csv"
 BASE_KV = 12.66
@@ -77,7 +75,8 @@ def feeder_scenario(n_buses: int, seed: int = 0) -> Scenario:
         raise InputError(Problem("feeders", "has no feeder", "Use one of: "
                                  f"{', '.join(map(str, FEEDERS))}.", field="buses", value=n_buses))
     name, copies = FEEDERS[n_buses]
-    feeder, day = base_feeder(name).joined(copies), packaged()
+    feeder = base_feeder(name).joined(copies)
+    day = packaged()
     rng = np.random.default_rng([seed, n_buses])
     nominal_kw = np.asarray(feeder.load_kw, dtype=np.float64)
     customers = _customers(rng, feeder, day)
@@ -158,7 +157,7 @@ def _customers(rng: Generator, feeder: Feeder, day: Scenario) -> Customers:
                      power_factor=rng.choice(day.customers.power_factor, count))
 
 
-def _names(letter: str, numbers: Iterable[int]) -> NDArray[np.object_]:
+def _names(letter: str, numbers: Iterable[int]) -> Names:
     return np.array([f"{letter}{number}" for number in numbers], dtype=object)
 
 
@@ -182,7 +181,8 @@ def _pv(rng: Generator, nominal_kw: Floats, customers: Customers, day: Scenario)
 def _batteries(rng: Generator, nominal_kw: Floats, customers: Customers,
                day: Scenario) -> Batteries:
     """A battery for each customer with the packaged day's energy and power per nominal load."""
-    b, count = day.batteries, len(nominal_kw)
+    b = day.batteries
+    count = len(nominal_kw)
     energy = _sizes(rng, nominal_kw, b.energy_kwh.sum() * nominal_kw.sum() / _nominal_kw())
     power = energy * b.p_max_kw.sum() / b.energy_kwh.sum()
     alike = np.resize(np.arange(len(b)), count)
@@ -208,7 +208,7 @@ def with_step(day: Scenario, step_minutes: float) -> Scenario:
     return _with_rows(day, TimeGrid(day.grid.start, step_minutes, len(rows)), rows)
 
 
-def _with_rows(day: Scenario, grid: TimeGrid, rows: NDArray[np.int64]) -> Scenario:
+def _with_rows(day: Scenario, grid: TimeGrid, rows: Wholes) -> Scenario:
     """The day's steps in another order or number."""
     return replace(day, grid=grid, load_kw=day.load_kw[rows], pv_kw=day.pv_kw[rows],
                    price_gbp_per_kwh=day.price_gbp_per_kwh[rows],

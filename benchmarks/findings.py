@@ -16,9 +16,13 @@ from benchmarks.windows import LICENSED
 MIN_RATIO = 25.0
 STRESSED_SHARE = 0.95
 BINDING = 30
-DAY_S, STEP_P95_S, STEP_MAX_S, PLAN_S = 2.5, 0.25, 1.5, 1.0
+DAY_S = 2.5
+STEP_P95_S = 0.25
+STEP_MAX_S = 1.5
+PLAN_S = 1.0
 OUTSIDE_SHARE = 0.3
-STEP_1000_BUSES_S, EXPONENT = 10.0, 1.3
+STEP_1000_BUSES_S = 10.0
+EXPONENT = 1.3
 THOUSAND_DAYS_MIN = 30.0
 
 
@@ -60,7 +64,8 @@ def window_bars(rows: pd.DataFrame) -> list[Bar]:
                          f"{share:.1%} of {int(part['instances'].sum())}",
                          share >= least if len(part) else None))
     stress = profiles.stress(rows)
-    solved, binding = _only(stress, "stressed instances"), _only(stress, "either")
+    solved = _only(stress, "stressed instances")
+    binding = _only(stress, "either")
     found.append(Bar(f"stressed instances in which voltages bind or PV is curtailed: {BINDING}",
                      f"{binding:g} of {solved:g}", binding >= BINDING if solved >= BINDING
                      else None))

@@ -153,8 +153,10 @@ def window_data(instance: Instance) -> WindowData:
 def operating_point(t: int) -> OperatingPoint:
     """AC power flow of a step of the packaged day: everybody served, batteries idle."""
     day = packaged()
-    net, index = day.network, day.network.bus_index
-    p, q = np.zeros(net.n_buses), np.zeros(net.n_buses)
+    net = day.network
+    index = day.network.bus_index
+    p = np.zeros(net.n_buses)
+    q = np.zeros(net.n_buses)
     at = [index[bus] for bus in day.customers.bus]
     np.add.at(p, at, -day.load_kw[t])
     np.add.at(q, at, -day.load_kvar[t])

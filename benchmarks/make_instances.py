@@ -52,7 +52,8 @@ def _windows(rng: Generator, counts: dict[int, int],
 def _first_step(rng: Generator, steps: int, place: str) -> int:
     """A first step that puts a window in its place, or anywhere where it fits in no such place."""
     outage = np.flatnonzero(packaged().outage)
-    begin, end = int(outage[0]), int(outage[-1]) + 1
+    begin = int(outage[0])
+    end = int(outage[-1]) + 1
     first = 6 if steps <= 12 else 0  # the nights alone are easy
     fits = list(range(first, 25 - steps))
     wanted = {"before": [t for t in fits if t + steps <= begin],
@@ -72,7 +73,8 @@ def _ordinary(rng: Generator, name: str, steps: int, t0: int) -> Instance:
 
 def _stressed(rng: Generator, i: int, steps: int, t0: int) -> Instance:
     """Too much load, or in every fourth one too much sun for full batteries."""
-    name, errors = f"s{i + 1:03d}", _errors(rng, i % 2 == 1)
+    name = f"s{i + 1:03d}"
+    errors = _errors(rng, i % 2 == 1)
     if i % 4 == 3:
         t0 = min(int(rng.choice(DAYLIGHT)), 24 - steps)
         return Instance(name, "stressed", t0, steps, **_state(rng, 0.8, 0.85),

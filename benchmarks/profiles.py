@@ -20,10 +20,13 @@ from vppres.report.plots import (
     VERMILLION,
 )
 
-GAP_REL, GAP_ABS, CERTIFY_S = 1e-4, 5e-3, 10.0
+GAP_REL = 1e-4
+GAP_ABS = 5e-3
+CERTIFY_S = 10.0
 AGREEMENT_REL = 1e-4
 H5_STEPS = 6
-AT_LIMIT_PU, CURTAILED_KWH = 1e-5, 1e-2
+AT_LIMIT_PU = 1e-5
+CURTAILED_KWH = 1e-2
 """What counts as at the limit, and as curtailed, in an answer."""
 OUTAGE_PLACES = ("across", "inside")
 COLOURS = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE, BLACK, GREY)

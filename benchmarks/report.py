@@ -20,9 +20,11 @@ from vppres.io.atomic import atomic_write_text
 from vppres.report.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
-MARKDOWN, HTML = "report.md", "report.html"
+MARKDOWN = "report.md"
+HTML = "report.html"
 FIGURES = "_static/benchmarks"
-BEGIN, END = "<!-- results begin -->", "<!-- results end -->"
+BEGIN = "<!-- results begin -->"
+END = "<!-- results end -->"
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,11 @@ class Case:
 
 def windows_of(case: Case, day: Scenario) -> list[WindowData]:
     """Windows of a point, in random states."""
-    b, rng, found = day.batteries, np.random.default_rng(case.size), []
-    steps, delta = case.n_steps(day), np.zeros((case.n_steps(day), day.network.n_lines))
+    b = day.batteries
+    rng = np.random.default_rng(case.size)
+    found = []
+    steps = case.n_steps(day)
+    delta = np.zeros((case.n_steps(day), day.network.n_lines))
     for hour in FIRST_HOURS:
         for mean in STATES:
             rows = slice(round(hour / day.grid.dt_h), round(hour / day.grid.dt_h) + steps)
@@ -84,7 +87,8 @@ def measure(case: Case) -> Row:
     limit_memory()
     day = case.scenario()
     solver = WindowSolver(Site.of(day), limits=SolveLimits(time_s=case.time_s))
-    windows, solved = windows_of(case, day), []
+    windows = windows_of(case, day)
+    solved = []
     first = _timed(solver, windows[0])
     with watched() as clock:
         begin = time.perf_counter()
@@ -130,7 +134,9 @@ def run_scaling(folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float,
     limits = {"buses": min(time_s, STEP_LIMIT_S)}
     cases = [Case(axis, size, limits.get(axis, time_s))
              for axis, values in sizes.items() for size in values]
-    task, store, rows = bar.add_task("scaling", total=len(cases)), Store(folder / "rows"), []
+    task = bar.add_task("scaling", total=len(cases))
+    store = Store(folder / "rows")
+    rows = []
     for case in cases:
         key = {"axis": case.axis, "size": case.size, "time_s": case.time_s}
         rows.append(store.row(key, partial(_point, case)))

@@ -40,7 +40,8 @@ def run_throughput(folder: Path, days: int, processes: int, bar: Progress) -> Ro
 
     def measure() -> Row:
         begin = time.perf_counter()
-        ends, seconds = [], []
+        ends = []
+        seconds = []
         with parallel_config("loky", inner_max_num_threads=1):
             parallel = Parallel(n_jobs=processes, return_as="generator_unordered", batch_size=1)
             work = (delayed(one_day)(options) for options in day_options(days))

@@ -108,9 +108,11 @@ class Bench:
         if method not in self.solvers:
             self.solvers[method] = WindowSolver(self.site, "decomposed", method.solver)
             self.solvers[method].cache = ModelCache(self.site)
-        solver, data = self.solvers[method], window_data(instance)
+        solver = self.solvers[method]
+        data = window_data(instance)
         solver.limits = limits
-        compiled, begin = solver.cache.compilations, time.perf_counter()
+        compiled = solver.cache.compilations
+        begin = time.perf_counter()
         try:
             answer = solver.solve(data)
             first_s = answer.solve_s
@@ -130,7 +132,8 @@ class Bench:
 
     def _monolithic(self, instance: Instance, method: Method, limits: SolveLimits) -> Row:
         """One solve of service, cost and curtailment as weighted, to the same gap."""
-        model, spec = self._model(method, instance.steps), _one_thread(method.solver)
+        model = self._model(method, instance.steps)
+        spec = _one_thread(method.solver)
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import typer
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import stats
 
 import data.uk_heatwave_2022.build as builder
@@ -24,16 +23,16 @@ from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import show_report
 from vppres.contract.forecast import ForecastErrors
+from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots import BLUE, draw_grid, save_figure
 
-Floats = NDArray[np.float64]
-
 CONTROLLERS = {"mpc": "MPC, H = 5 h", "full-horizon": "full horizon", "reserve": "reserve by rule",
                "idle": "no control", "perfect": "perfect information"}
-CONFIDENCE, RESAMPLES = 0.95, 9999
+CONFIDENCE = 0.95
+RESAMPLES = 9999
 TABLE_WIDTH = 120
 
 

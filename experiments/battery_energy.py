@@ -85,7 +85,8 @@ def energy_limits_kwh() -> tuple[float, float]:
 
 def _before_the_alert(name: str, day: DayResult) -> list[Row]:
     charge_kw = day.series("charge_kw")
-    night, morning = charge_kw[:3], charge_kw[3:7]
+    night = charge_kw[:3]
+    morning = charge_kw[3:7]
     return [
         asserted("R8", {"no hour discharges": bool((night > -NOISE_KW).all()),
                         "most at hour 2": int(night.argmax()) == 2},
@@ -97,11 +98,13 @@ def _before_the_alert(name: str, day: DayResult) -> list[Row]:
 
 
 def _from_the_alert_on(name: str, day: DayResult) -> list[Row]:
-    charge_kw, energy_kwh = day.series("charge_kw"), day.series("energy_kwh")
+    charge_kw = day.series("charge_kw")
+    energy_kwh = day.series("energy_kwh")
     first, last = outage_hours(day)
     lowest, highest = energy_limits_kwh()
     near = NEAR * (highest - lowest)
-    early, late = charge_kw[first:first + 4], charge_kw[first + 4:last]
+    early = charge_kw[first:first + 4]
+    late = charge_kw[first + 4:last]
     alert = charge_kw[ALERT_HOUR:first]
     return [
         asserted("R10", {"charges at hour 7": alert[0] > NOISE_KW,

@@ -124,7 +124,8 @@ def _play(drawn: RandomDay, faults: FaultPlan,
     injector = FaultInjector(faults, drawn.scenario)
     guard = make_controller(drawn.scenario, options, injector)
     assert isinstance(guard, GuardedController)
-    day, to_judge = Day(drawn.scenario, options, injector), []
+    day = Day(drawn.scenario, options, injector)
+    to_judge = []
     critical = drawn.scenario.customers.tier == drawn.scenario.tiers[0]
     try:
         for t in range(drawn.scenario.grid.n_steps):

@@ -9,14 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.results import DayResult
+from vppres.core.arrays import Floats
 from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, draw_grid
 
-Floats = NDArray[np.float64]
-
-MPC, FULL = "MPC", "full horizon"
+MPC = "MPC"
+FULL = "full horizon"
 WIDTH_IN = 8.0
 DAY_H = 24
 

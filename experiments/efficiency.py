@@ -80,7 +80,8 @@ def rows(config: Config, results: Results) -> list[Row]:
 def ours(config: Config, results: Results) -> str:
     """What our figure shows."""
     days = _days(config, results, config["scheme"])
-    mpc, full = days[MPC], days[FULL]
+    mpc = days[MPC]
+    full = days[FULL]
     return (f"With the {config['scheme']} step the full horizon stores {shortfall_kwh(full):,.0f} "
             "kWh less than planned at the end of hour 11 and reaches R = "
             f"{full.resilience:.3f}; the MPC reaches {mpc.resilience:.3f}. They import "
@@ -119,7 +120,8 @@ def _rows_of_drawings(config: Config, results: Results) -> list[Row]:
 
 
 def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
-    mpc, full = days[MPC], days[FULL]
+    mpc = days[MPC]
+    full = days[FULL]
     imported = {name: float(day.summary["import_kwh"]) for name, day in days.items()}
 
     def reason() -> str:
@@ -137,7 +139,8 @@ def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
 
 def _reason(full: DayResult) -> str:
     """Which hours were corrected, and how hot and inefficient the cells became."""
-    hottest, eta = full.series("temperature_max_c"), full.series("eta_charge")
+    hottest = full.series("temperature_max_c")
+    eta = full.series("eta_charge")
     followed = sum(full.series("outage") > full.series("corrected"))
     return (f"{full.why_corrected()} {followed:.0f} hours of the outage follow the plan and are "
             f"served as planned. Hottest cell before the outage: "

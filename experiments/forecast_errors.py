@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import stats
 
 from experiments import ideal
@@ -31,9 +30,9 @@ from experiments.results import DayResult
 from experiments.rows import Row, measured_all
 from experiments.runner import Results
 from vppres.contract.forecast import ForecastErrors
+from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 
-Floats = NDArray[np.float64]
 Quantity = Callable[[DayResult], float]
 
 CONTROLLERS = {MPC: "mpc", FULL: "full-horizon"}
@@ -221,7 +220,8 @@ def _draw_spread(ax: Axes, found: Sequence[Point]) -> None:
 def _draw_published(ax: Axes) -> None:
     """Shade the published ranges of both controllers."""
     for position, id in enumerate(("R13", "R14")):
-        low, high = STATEMENTS[id].low, STATEMENTS[id].high
+        low = STATEMENTS[id].low
+        high = STATEMENTS[id].high
         if low is not None and high is not None:
             ax.axhspan(low, high, color=PUBLISHED_RANGE, zorder=0,
                        label="_" if position else "published ranges")
@@ -243,5 +243,6 @@ def _corrections_text(found: Sequence[Point]) -> str:
 
 
 def _range(values: Sequence[float]) -> str:
-    low, high = min(values), max(values)
+    low = min(values)
+    high = max(values)
     return f"{low:.3f}" if high - low < 5e-4 else f"{low:.3f} to {high:.3f}"

@@ -67,7 +67,8 @@ def ours(config: Config, results: Results) -> str:
 
 
 def _rows_of(name: str, day: DayResult) -> list[Row]:
-    imported_kw, connected = day.series("p_grid_kw"), day.series("outage") == 0
+    imported_kw = day.series("p_grid_kw")
+    connected = day.series("outage") == 0
     island_kw = (imported_kw - day.series("losses_kw"))[~connected]
     curtailed = day.series("pv_curtailed_kw").sum() / day.series("pv_kw").sum()
     return [

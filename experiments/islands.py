@@ -72,9 +72,11 @@ class Claims:
 
 def claims_of(run: Trajectory) -> Claims:
     """What a run's record claims, held against its own tables."""
-    s, steps = run.scenario, run.steps
+    s = run.scenario
+    steps = run.steps
     T = len(steps)
-    net, b = s.network, s.batteries
+    net = s.network
+    b = s.batteries
     island = steps["outage"].to_numpy(bool)
     dark = steps["dark"].to_numpy() > 0
     v = run.buses["v_ac_pu"].to_numpy().reshape(T, -1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments import ideal
 from experiments.config import Config
@@ -12,6 +11,7 @@ from experiments.drawing import FULL, LINES, MPC, legend, panels
 from experiments.jobs import Job
 from experiments.rows import Row, asserted, measured, numbers
 from experiments.runner import Results
+from vppres.core.arrays import Floats
 
 LABEL = "fig:1a"
 TITLE = "MPC prediction horizon"
@@ -22,7 +22,6 @@ PAPER = ("Short horizons (H below 4 h) see the outage too late and lose resilien
 CHOSEN_H = 5
 PLATEAU_H = 4
 
-Floats = NDArray[np.float64]
 
 
 def jobs(config: Config) -> list[Job]:
@@ -61,7 +60,8 @@ def rows(config: Config, results: Results) -> list[Row]:
     horizons, resilience, cost = curves(config, results)
     full = results[ideal.FULL_HORIZON]
     chosen = results[ideal.mpc(CHOSEN_H)]
-    plateau, rising = horizons >= PLATEAU_H, horizons <= PLATEAU_H
+    plateau = horizons >= PLATEAU_H
+    rising = horizons <= PLATEAU_H
     short = resilience[~plateau]
     before = np.diff(cost[rising])
     return [

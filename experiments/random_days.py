@@ -7,17 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
 from vppres.contract.forecast import ForecastErrors
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 DRAWINGS = 5
 """Drawings of the paper's unpublished data; few, since every one has problems of its own."""
@@ -77,7 +75,8 @@ def small_day(rng: Generator, seed: int) -> Scenario:
     hour = np.arange(SMALL_STEPS) + 7.0
     sun = np.clip(np.sin((hour - 5.0) / 15.0 * np.pi), 0.0, None)
     cloud = rng.uniform(0.6, 1.0, (SMALL_STEPS, len(owners)))
-    begin, length = int(rng.integers(1, SMALL_STEPS - 1)), int(rng.integers(2, 7))
+    begin = int(rng.integers(1, SMALL_STEPS - 1))
+    length = int(rng.integers(2, 7))
     dark = (np.arange(SMALL_STEPS) >= begin) & (np.arange(SMALL_STEPS) < begin + length)
     return Scenario(
         name=f"random-{seed}", title="Random feeder",
@@ -95,7 +94,7 @@ def small_day(rng: Generator, seed: int) -> Scenario:
         temperature_c=np.full(SMALL_STEPS, 30.0), grid_limit_kw=np.where(dark, 0.0, np.inf))
 
 
-def _names(letter: str, numbers: NDArray[np.int64]) -> NDArray[np.object_]:
+def _names(letter: str, numbers: Wholes) -> Names:
     return np.array([f"{letter}{number}" for number in numbers], dtype=object)
 
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from vppres.contract.switching import SwitchingState
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 BASE_KV = 11.0
 WEIGHT = {"critical": 1.0, "high": 0.1, "low": 0.02}
@@ -63,7 +62,8 @@ def random_window(seed: int, stressed: bool = False) -> Window:
     """A random feeder with all of its steps as one window, in a random state."""
     scenario = random_scenario(seed, stressed)
     rng = np.random.default_rng([seed, int(stressed), 1])
-    b, steps = scenario.batteries, scenario.grid.n_steps
+    b = scenario.batteries
+    steps = scenario.grid.n_steps
     n_lines = scenario.network.n_lines
     offset = rng.choice([0.0, 1.0]) * rng.uniform(-3e-4, 3e-4, n_lines)
     return Window(scenario, WindowData(
@@ -96,12 +96,18 @@ def random_rules(seed: int) -> SwitchingRules:
 def random_state(seed: int, scenario: Scenario) -> SwitchingState:
     """Random rules, and customers with a random past."""
     rng = np.random.default_rng([seed, 3])
-    count, dt_h = len(scenario.customers), scenario.grid.dt_h
+    count = len(scenario.customers)
+    dt_h = scenario.grid.dt_h
     served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
     untouched = served & (rng.random(count) < 0.5)
     since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
     actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
     return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float))
+
+
+def _names(letter: str, numbers: Iterable[int]) -> Names:
+    """Identifiers: a letter and a number."""
+    return np.array([f"{letter}{i}" for i in numbers], dtype=object)
 
 
 def _customers(rng: Generator, n_buses: int) -> Customers:
@@ -110,8 +116,8 @@ def _customers(rng: Generator, n_buses: int) -> Customers:
     weight = np.array([WEIGHT[t] for t in tier])
     if rng.random() < 0.25:
         weight = weight * rng.uniform(0.8, 1.2, count)
-    return Customers(id=[f"c{i}" for i in range(count)], bus=rng.integers(2, n_buses + 1, count),
-                     tier=tier, weight=weight, power_factor=rng.uniform(0.9, 1.0, count))
+    return Customers(id=_names("c", range(count)),
+                     bus=rng.integers(2, n_buses + 1, count).astype(object), tier=tier, weight=weight, power_factor=rng.uniform(0.9, 1.0, count))
 
 
 def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) -> PVSystems:
@@ -119,7 +125,7 @@ def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) 
     owners = np.flatnonzero(rng.random(len(customers)) < rng.choice([0.0, 0.4, 0.8],
                                                                     p=[0.2, 0.4, 0.4]))
     p = p_max_kw[owners]
-    return PVSystems(id=[f"p{i}" for i in owners], customer=customers.id[owners], p_max_kw=p,
+    return PVSystems(id=_names("p", owners), customer=customers.id[owners], p_max_kw=p,
                      s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, len(owners)))
 
 
@@ -131,7 +137,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
     paper = {"alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
              "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": 22.0}
     return Batteries(
-        id=[f"b{i}" for i in range(count)], bus=rng.integers(2, n_buses + 1, count),
+        id=_names("b", range(count)), bus=rng.integers(2, n_buses + 1, count).astype(object),
         energy_kwh=p * rng.uniform(0.5, 3.0, count), p_max_kw=p,
         s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, count), soc_min=soc_min,
         soc_max=rng.uniform(0.8, 0.95, count), soc_initial=rng.uniform(soc_min, 0.8),
@@ -158,24 +164,24 @@ def _network(rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats
         flow = 2 * (r[n - 2] * demand[0, n] + x[n - 2] * demand[1, n]) / (1000 * BASE_KV**2)
         drop[n] = drop[above[n - 2]] + flow
     wanted = (1.0 - rng.uniform(*V_FULL_LOAD[stressed]) ** 2) / drop.max()
-    return Network(above, list(range(2, n_buses + 1)), r * wanted, x * wanted, slack_bus=1,
+    return Network(np.array(above, dtype=object), np.arange(2, n_buses + 1).astype(object), r * wanted, x * wanted, slack_bus=1,
                    base_kv=BASE_KV)
 
 
 def _prices(rng: Generator, steps: int) -> Floats:
     """Equal, in two levels (zero included), or anything."""
     kinds = (np.full(steps, 0.3), rng.choice([0.0, 0.5], steps), rng.uniform(0.05, 0.6, steps))
-    return kinds[int(rng.integers(3))]
+    return np.asarray(kinds[int(rng.integers(3))])
 
 
 def _import_limit(rng: Generator, load_kw: Floats) -> Floats | float:
     """No limit, or one around the demand."""
     if rng.random() < 0.7:
         return float("inf")
-    return load_kw.sum(axis=1) * rng.uniform(0.5, 1.3, len(load_kw))
+    return np.asarray(load_kw.sum(axis=1)) * rng.uniform(0.5, 1.3, len(load_kw))
 
 
-def _outage(rng: Generator, steps: int) -> NDArray[np.bool_]:
+def _outage(rng: Generator, steps: int) -> Flags:
     """None, all, one interval, or scattered steps."""
     begin, end = np.sort(rng.integers(0, steps + 1, 2))
     kinds = (np.zeros(steps, bool), np.ones(steps, bool),

@@ -21,7 +21,8 @@ from vppres.io.atomic import atomic_write_text
 from vppres.report.plots import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
-HTML, MARKDOWN = "report.html", "report.md"
+HTML = "report.html"
+MARKDOWN = "report.md"
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ def write_report(configs: Mapping[str, Config], results: Results, effort: Effort
     """
     figures = folder / "figures"
     figures.mkdir(parents=True, exist_ok=True)
-    sections, rows = [], []
+    sections = []
+    rows = []
     for name, config in configs.items():
         experiment = ALL[name]
         save_figure(experiment.figure(config, results), figures / name)

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from vppres.core.arrays import Floats
+
 
 @dataclass(frozen=True)
 class DayResult:

@@ -20,7 +20,9 @@ STEP_COLUMNS = ("outage", "price_gbp_per_kwh", "p_grid_kw", "losses_kw", "v_min_
 
 def shorten(run: Trajectory) -> DayResult:
     """Keep of a run what the figures and tables need."""
-    customers, pv, batteries = run.customers, run.pv, run.batteries
+    customers = run.customers
+    pv = run.pv
+    batteries = run.batteries
     steps = {name: run.steps[name].tolist() for name in STEP_COLUMNS}
     steps |= {
         "v_min_model_pu": run.buses.groupby("time")["v_model_pu"].min().tolist(),

@@ -115,7 +115,8 @@ def rows(config: Config, results: Results) -> list[Row]:
         reason = (f"{free.beyond:.2f} actions a day without the rule, {two.beyond:.2f} with it; R "
                   f"{free.resilience:.4f} and {two.resilience:.4f}, at most {two.lost_most:.4f} "
                   f"lost on one day; duties let go in {two.relaxed} steps.")
-        half, lost = two.beyond <= free.beyond / 2, two.lost <= MOST_LOST
+        half = two.beyond <= free.beyond / 2
+        lost = two.lost <= MOST_LOST
         found += [
             Row("S1", f"Actions beyond one pair, at least {TARGET_H:g} h: {name}",
                 "at most half", f"{two.beyond:.2f} of {free.beyond:.2f}", "", "", half,
@@ -158,7 +159,8 @@ def _words(name: str, rule: SwitchingRules) -> str:
 
 def _bars(ax: Axes, free: Outcome) -> None:
     """What is asked for: half of the actions, at most 0.01 of resilience."""
-    lowest, half = free.resilience - MOST_LOST, free.beyond / 2
+    lowest = free.resilience - MOST_LOST
+    half = free.beyond / 2
     ax.axhline(lowest, color=GREY, linestyle="--", linewidth=1.0)
     ax.axvline(half, color=GREY, linestyle="--", linewidth=1.0)
     ax.text(0.98, lowest, f"no rule \N{MINUS SIGN} {MOST_LOST:g}", ha="right", va="bottom",

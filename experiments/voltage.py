@@ -68,7 +68,8 @@ def ours(config: Config, results: Results) -> str:
 
 def _means_text(day: DayResult) -> str:
     """Where the mean over the day comes from."""
-    lowest_pu, in_outage = day.series("v_min_ac_pu"), day.series("outage") > 0
+    lowest_pu = day.series("v_min_ac_pu")
+    in_outage = day.series("outage") > 0
     return (f"Mean with grid {lowest_pu[~in_outage].mean():.4f} pu, in the outage "
             f"{lowest_pu[in_outage].mean():.4f} pu; power factors and places of PV systems are "
             "drawn, and the sensitivities give the mean of every drawing.")

@@ -10,14 +10,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.switching import SwitchingState
+from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 
 class Check(NamedTuple):

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from test_plant import decision
 
 from experiments.random_feeders import random_scenario
@@ -24,8 +23,6 @@ from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.scenario import Scenario
 from vppres.solve.dispatch import ModelCache
 from vppres.solve.ladder import WindowSolver
-
-Floats = NDArray[np.float64]
 
 ERRORS = ForecastErrors(0.1, 0.05, -0.1, 0.05)
 

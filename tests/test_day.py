@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from checker import check_dispatch
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from vppres.contract.decision import Decision
@@ -16,6 +15,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController
 from vppres.control.mpc import MPCController
+from vppres.core.arrays import Floats
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import resilience
 from vppres.day.options import RunOptions
@@ -25,8 +25,6 @@ from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 
 class Listener:

@@ -11,7 +11,6 @@ import pytest
 from checker import check_dispatch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from run_factory import small_scenario
 from test_plant import decision
 
@@ -25,6 +24,7 @@ from vppres.control.guard.relax import least_slack
 from vppres.control.mpc import MPCController
 from vppres.control.rules import best_subset, carry, rule_dispatch
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats
 from vppres.core.errors import InfeasibleError, LimitError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
@@ -37,7 +37,6 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
-Floats = NDArray[np.float64]
 TIERS = ("critical", "high", "low")
 SEEDS = st.integers(0, 10_000)
 

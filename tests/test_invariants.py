@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from experiments.random_feeders import random_scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.core.arrays import Floats
 from vppres.day.metrics import resilience
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -21,8 +21,6 @@ from vppres.day.trajectory import Trajectory
 from vppres.model.linearise import delta_offset
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 ERRORS = ForecastErrors(load_bias=0.05, load_alpha_per_h=0.05, pv_bias=-0.1, pv_alpha_per_h=0.1)
 N_STEPS = 5

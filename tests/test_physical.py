@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from checker import check_dispatch
-from numpy.typing import NDArray
 
 from experiments.islands import claims_of, imbalance_kw, random_day
 from experiments.random_feeders import Window, random_scenario, random_window
@@ -43,8 +42,6 @@ from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, WindowSolution
-
-Floats = NDArray[np.float64]
 
 CHECKER_TOLERANCE = 1e-5
 BOUND_TOLERANCE = 1e-6

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from experiments.random_feeders import random_scenario
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.plant.plant import BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 
 def decision(scenario: Scenario, served: ArrayLike = True, curtailed_kw: ArrayLike = 0.0,

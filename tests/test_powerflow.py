@@ -7,14 +7,13 @@ import opendssdirect as dss
 import pandapower.networks as pp_networks
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 
 import vppres
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, VerificationError
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import Network
 
-Floats = NDArray[np.float64]
 Case = tuple[Network, Floats, Floats]
 
 TIE_LINES = (33, 34, 35, 36, 37)

@@ -12,16 +12,15 @@ import numpy as np
 import pandapower
 import pandapower.networks
 import pytest
-from numpy.typing import NDArray
 
 from data.uk_heatwave_2022 import build as builder
 from data.uk_heatwave_2022 import published, series
 from data.uk_heatwave_2022.build import build, feeder
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.io import find_scenario, read_scenario, scenario_digest
 from vppres.scenario.scenario import Scenario
 
-Floats = NDArray[np.float64]
 PACKAGED = "uk-heatwave-2022"
 
 

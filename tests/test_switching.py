@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from checker import check_dispatch
-from numpy.typing import NDArray
 from test_windows import (
     CHECKER_TOLERANCE,
     DARK,
@@ -41,8 +40,6 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-
-Flags = NDArray[np.bool_]
 
 PAGE = Path(__file__).parents[1] / "docs" / "switching.md"
 RANDOM = [(seed, stressed) for stressed, count in ((False, 30), (True, 20))

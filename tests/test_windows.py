@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from checker import check_dispatch
-from numpy.typing import NDArray
 
 from experiments.random_feeders import Window, random_window
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError, NumericalError
@@ -25,8 +24,6 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-
-Floats = NDArray[np.float64]
 
 CHECKER_TOLERANCE = 1e-5
 BOUND_TOLERANCE = 1e-6

@@ -14,16 +14,14 @@ from pathlib import Path
 import numpy as np
 import pandapower.networks
 import pandas as pd
-from numpy.typing import NDArray
 
 import vppres
+from vppres.core.arrays import Floats
 from vppres.feeders import import_network
 from vppres.feeders.new_options import NewScenarioOptions
 from vppres.feeders.new_scenario import new_scenario
 from vppres.io import write_scenario
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 NAME = "two-outages-cigre-mv"
 TITLE = "Two outages in two days on the CIGRE medium-voltage feeder, in quarter hours"
@@ -40,7 +38,8 @@ PARTIAL_KW = 2000.0
 OTHER_FEEDER_MW = 2.0
 
 # Relative standard deviation of a quarter hour, and share that is kept from one to the next.
-LOAD_NOISE, LOAD_MEMORY = 0.06, 0.8
+LOAD_NOISE = 0.06
+LOAD_MEMORY = 0.8
 # Clouds take this share of the PV power on average and at most, on the first and the second day.
 CLOUDS = ((0.05, 0.20), (0.40, 0.75))
 CLOUD_MEMORY = 0.9

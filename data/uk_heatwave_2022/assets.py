@@ -6,15 +6,12 @@ Each quantity has its own random stream: a change of one option leaves the other
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from data.uk_heatwave_2022 import published
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-
-Floats = NDArray[np.float64]
-Names = NDArray[np.object_]
 
 STREAMS = ("tiers", "power_factors", "pv_places", "pv_sizes", "battery_sizes")
 # How far a size may stray from the customer's load: standard deviation of the logarithm.
@@ -107,13 +104,14 @@ def draw_tiers(nominal_kw: Floats, critical_share: float, rng: np.random.Generat
             tier[order] = np.repeat(list(counts), list(counts.values()))
             return tier
     ranked = np.sort(share)
-    low, high = ranked[:counts["critical"]].sum(), ranked[-counts["critical"]:].sum()
+    low = ranked[:counts["critical"]].sum()
+    high = ranked[-counts["critical"]:].sum()
     raise InputError(Problem("build", f"no {counts['critical']} customers have this share of the "
                              "load", f"Choose a share between {low:.3f} and {high:.3f}.",
                              field="critical_share", value=critical_share))
 
 
-def _exchange(share: Floats, order: NDArray[np.int64], goal: float) -> NDArray[np.int64]:
+def _exchange(share: Floats, order: Wholes, goal: float) -> Wholes:
     """Exchange the pair that brings the first 12 nearest to their share, while one does."""
     count = published.TIER_COUNTS["critical"]
     miss = share[order[:count]].sum() - goal
@@ -155,7 +153,7 @@ def smallest_rating(p_max_kw: Floats, ratings_kva: tuple[float, ...]) -> Floats:
     return np.array(ratings_kva)[np.searchsorted(ratings_kva, p_max_kw)]
 
 
-def zone_constants(buses: NDArray[np.int64],
+def zone_constants(buses: Wholes,
                    zone_pairing: tuple[int, ...]) -> tuple[Floats, Floats]:
     """Thermal resistance (°C/kW) and capacity (kWh/°C) of the battery at each bus.
 
@@ -177,5 +175,5 @@ def _stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, STREAMS.index(name)])
 
 
-def _ids(prefix: str, buses: NDArray[np.int64]) -> Names:
+def _ids(prefix: str, buses: Wholes) -> Names:
     return np.array([f"{prefix}{bus:02d}" for bus in buses], dtype=object)

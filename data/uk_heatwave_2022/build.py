@@ -9,21 +9,18 @@ from pathlib import Path
 import numpy as np
 import pandapower.networks
 import pandas as pd
-from numpy.typing import NDArray
 
 import vppres
 from data.uk_heatwave_2022 import published
 from data.uk_heatwave_2022.assets import draw_batteries, draw_customers, draw_pv
 from data.uk_heatwave_2022.series import load_and_pv_kw, price_gbp_per_kwh, temperature_c
+from vppres.core.arrays import Floats, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.core.frozen import freeze
 from vppres.core.units import mw_to_kw
 from vppres.io import write_scenario
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 NAME = "uk-heatwave-2022"
 TITLE = "UK heatwave of 19 July 2022 on the IEEE 33-bus feeder"

@@ -13,13 +13,10 @@ from pathlib import Path
 import cvxpy as cp
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from data.uk_heatwave_2022 import published
+from vppres.core.arrays import Floats, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.core.frozen import freeze
-
-Floats = NDArray[np.float64]
 
 PUBLIC_FIGURES = Path(__file__).with_name("public_figures.csv")
 
@@ -49,7 +46,8 @@ def load_and_pv_kw() -> tuple[Floats, Floats]:
     load_shape = _scaled(public_figures()["gb_transmission_demand_mw"], published.LOAD_PEAK_KW)
     pv_shape = _scaled(public_figures()["gb_embedded_solar_mw"], published.PV_TOTAL_KW)
     sun = np.flatnonzero(pv_shape > 0)
-    load_kw, pv_kw = cp.Variable(published.STEPS), cp.Variable(published.STEPS)
+    load_kw = cp.Variable(published.STEPS)
+    pv_kw = cp.Variable(published.STEPS)
     constraints = [
         cp.sum(load_kw) == published.LOAD_ENERGY_KWH,
         cp.sum(pv_kw) == published.PV_ENERGY_KWH,
@@ -107,7 +105,8 @@ def temperature_c() -> Floats:
 def _price_extremes(price: cp.Variable) -> list[cp.Constraint]:
     """Mean, extremes, the local minimum and the local maximum."""
     margin = PRICE_MARGIN_GBP_PER_KWH
-    trough, top = published.PRICE_LOCAL_MIN_HOUR, published.PRICE_LOCAL_MAX_HOUR
+    trough = published.PRICE_LOCAL_MIN_HOUR
+    top = published.PRICE_LOCAL_MAX_HOUR
     return [
         cp.sum(price) == published.STEPS * published.PRICE_MEAN_GBP_PER_KWH,
         *_peak(price, published.PRICE_MAX_HOUR, published.PRICE_MAX_GBP_PER_KWH, margin),

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
+from vppres.core.arrays import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +15,7 @@ class Dispatch:
     dispatch of a form without network has NaN in place of reactive power, flows and voltages.
     """
 
-    served: NDArray[np.bool_]
+    served: Flags
     pv_self_kw: Floats
     pv_export_kw: Floats
     pv_curtailed_kw: Floats

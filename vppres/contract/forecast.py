@@ -11,13 +11,11 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Wholes, freeze_fields
 from vppres.core.errors import InputError, Problem
-from vppres.core.frozen import freeze_fields
 from vppres.scenario.scenario import Scenario
 
-Floats = NDArray[np.float64]
 Kind = Literal["load", "pv"]
 
 STREAM_OF_KIND: dict[Kind, int] = {"load": 0, "pv": 1}
@@ -130,7 +128,8 @@ class Forecaster:
             If a step lies outside ``t0 .. T - 1``.
         """
         rows = self._checked(t0, steps)
-        s, e = self.scenario, self.errors
+        s = self.scenario
+        e = self.errors
         load_error = e.load_bias + e.load_alpha_per_h * self._spread("load", t0, rows)
         pv_error = e.pv_bias + e.pv_alpha_per_h * self._spread("pv", t0, rows)
         load = np.maximum(s.load_kw[rows] * (1.0 + load_error), 0.0)
@@ -139,7 +138,7 @@ class Forecaster:
         return Forecast(np.where(ahead, load, s.load_kw[rows]), np.where(ahead, pv, s.pv_kw[rows]),
                         s.price_gbp_per_kwh[rows], s.grid_limit_kw[rows], s.temperature_c[rows])
 
-    def _checked(self, t0: int, steps: range) -> NDArray[np.int64]:
+    def _checked(self, t0: int, steps: range) -> Wholes:
         """The steps as an array, none of them in the past or after the day."""
         rows = np.array(steps, dtype=np.int64)
         last = self.scenario.grid.n_steps - 1
@@ -150,7 +149,7 @@ class Forecaster:
                                      field="step", value=int(outside[0])))
         return rows
 
-    def _spread(self, kind: Kind, t0: int, rows: NDArray[np.int64]) -> Floats:
+    def _spread(self, kind: Kind, t0: int, rows: Wholes) -> Floats:
         """Standard normal draws times the hours ahead, shape (W, items)."""
         items = len(self.scenario.customers if kind == "load" else self.scenario.pv)
         spread = np.empty((len(rows), items))

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
-
-Floats = NDArray[np.float64]
+from vppres.core.arrays import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,4 +44,4 @@ class Observation:
     switching: SwitchingState | None = None
     moves: Moves | None = None
     battery_kw: Floats | None = None
-    online: NDArray[np.bool_] | None = None
+    online: Flags | None = None

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from vppres.core.arrays import Floats
 
-Floats = NDArray[np.float64]
 Centre = Literal["lossless", "literal", "none"]
 CENTRES: tuple[Centre, ...] = ("lossless", "literal", "none")
 

@@ -9,12 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats
 from vppres.scenario.rules import SwitchingRules
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 UNLIMITED = 1e6
 """Actions left where there is no limit."""
@@ -169,7 +166,8 @@ class SwitchingState:
 
     def window(self, n_steps: int) -> SwitchingData:
         """The rules of the window that begins now."""
-        rules, step = self.rules, np.arange(n_steps)[:, None]
+        rules = self.rules
+        step = np.arange(n_steps)[:, None]
         # A customer restored for good stays served for as long as any window looks.
         served_h = np.inf if rules.stay_restored else rules.min_served_h
         shape = RuleSteps(

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.rules import Carried, rule_dispatch
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
@@ -35,7 +35,9 @@ class IdleController:
     """
 
     def __init__(self, site: Site, tiers: Sequence[str], centre: Centre = "lossless") -> None:
-        self.site, self.tiers, self.centre = site, tiers, centre
+        self.site = site
+        self.tiers = tiers
+        self.centre = centre
 
     def horizon_steps(self, t0: int) -> range:
         """The current step alone."""
@@ -97,7 +99,10 @@ class ReserveController:
 
     def __init__(self, site: Site, grid: TimeGrid, tiers: Sequence[str],
                  rule: ReserveRule | None = None, centre: Centre = "lossless") -> None:
-        self.site, self.grid, self.tiers, self.centre = site, grid, tiers, centre
+        self.site = site
+        self.grid = grid
+        self.tiers = tiers
+        self.centre = centre
         self.rule = rule or ReserveRule()
 
     def horizon_steps(self, t0: int) -> range:
@@ -111,7 +116,7 @@ class ReserveController:
         charge_kw = self._missing_kw(state) if announced and not state.island else None
         return _decision(rule_dispatch(state, self.tiers, charge_kw), "reserve")
 
-    def _missing_kw(self, state: StepState) -> NDArray[np.float64]:
+    def _missing_kw(self, state: StepState) -> Floats:
         """Charging power that would reach the level within the step, (B,)."""
         b = self.site.batteries
         level = b.soc_max if self.rule.soc is None else np.minimum(self.rule.soc, b.soc_max)

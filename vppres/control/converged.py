@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, NumericalError
 from vppres.model.beyond_paper.losses import ACPoints, Sweeps, injections, linearised, lossless
 from vppres.model.data import Physics, WindowData
@@ -22,9 +22,6 @@ from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 VOLTAGE_TOLERANCE_PU = 1e-4
 LOSS_TOLERANCE_KW = 1.0
@@ -65,7 +62,9 @@ class ConvergedPlanner:
 
     def __init__(self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM,
                  passes: int = DEFAULT_PASSES) -> None:
-        self.solver, self.headroom, self.passes = solver, headroom, passes
+        self.solver = solver
+        self.headroom = headroom
+        self.passes = passes
         self._known: dict[int, tuple[bool, _Line]] = {}
         self._sweeps: dict[int, Sweeps] = {}
 
@@ -77,7 +76,8 @@ class ConvergedPlanner:
         SolveError
             If no dispatch was found, not even without losses.
         """
-        site, t0 = self.solver.site, observation.t0
+        site = self.solver.site
+        t0 = observation.t0
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
         physics = physics_of(site, whole, self.headroom)
@@ -113,7 +113,10 @@ class ConvergedPlanner:
     def _converge(self, data: WindowData,
                   solution: WindowSolution) -> tuple[WindowData, WindowSolution]:
         """The candidate at which model and AC meet, and the window linearised there."""
-        decided, decisions, solve_s, solver_s = solution, 1, solution.solve_s, solution.solver_s
+        decided = solution
+        decisions = 1
+        solve_s = solution.solve_s
+        solver_s = solution.solver_s
         passes = 1
         points = self.ac_points(data, solution.dispatch)
         while passes < self.passes and not agree(data, solution.dispatch, points):
@@ -127,8 +130,11 @@ class ConvergedPlanner:
                     again = decided = self.solver.solve(closer)
                 except (InfeasibleError, NumericalError):
                     break
-            data, solution, passes = closer, again, passes + 1
-            solve_s, solver_s = solve_s + again.solve_s, solver_s + again.solver_s
+            data = closer
+            solution = again
+            passes = passes + 1
+            solve_s = solve_s + again.solve_s
+            solver_s = solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
         reached = linearised(data, self.solver.site.network, points)
         return reached, replace(decided, dispatch=solution.dispatch, terms=solution.terms,
@@ -137,7 +143,8 @@ class ConvergedPlanner:
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""
-        physics, network = data.require_physics(), self.solver.site.network
+        physics = data.require_physics()
+        network = self.solver.site.network
         p, q = injections(self.solver.site, data.for_service(dispatch.served), dispatch)
         found = None
         for bus in np.unique(physics.reference):
@@ -191,7 +198,8 @@ def agree(data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
 
 def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
     """Reference, headroom and reserve of a window, without losses."""
-    b, W = site.batteries, data.n_steps
+    b = site.batteries
+    W = data.n_steps
     island = data.grid_limit_kw <= 0.0
     reference = np.zeros(W, dtype=int)
     if b.formers.any():
@@ -206,7 +214,8 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
 
 def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
     """Reserve for the headroom of the island steps that remain, as far as it can be had."""
-    b, dt_h = site.batteries, site.dt_h
+    b = site.batteries
+    dt_h = site.dt_h
     usable = b.soc_max - b.soc_min
     wanted = np.zeros_like(headroom_kw)
     later = np.zeros(len(b))

@@ -6,19 +6,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.core.arrays import Floats, Names
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 
-Floats = NDArray[np.float64]
 PVCheck = Literal["absorbing", "literal"]
 PV_CHECKS: tuple[PVCheck, ...] = ("absorbing", "literal")
 
@@ -66,7 +65,9 @@ class FullHorizonController:
 
     def __init__(self, solver: WindowSolver, grid: TimeGrid, pv_check: PVCheck = "absorbing",
                  centre: Centre = "lossless", planner: Planner | None = None) -> None:
-        self.solver, self.grid, self.centre = solver, grid, centre
+        self.solver = solver
+        self.grid = grid
+        self.centre = centre
         self.planner = planner or OnePass(solver, centre)
         self.literal = pv_check == "literal"
         self.plan: Dispatch | None = None
@@ -83,10 +84,12 @@ class FullHorizonController:
         window = WindowData.of(observation, self.solver.site, self.centre)
         if self.plan is None:
             solution = self.planner.plan(observation)
-            self.plan, self.loss_kw = solution.dispatch, solution.loss_kw
+            self.plan = solution.dispatch
+            self.loss_kw = solution.loss_kw
             self.first = observation.t0
             info = solve_info(solution, self.solver.cache.compilations)
-        f, row = observation.forecast, observation.t0 - self.first
+        f = observation.forecast
+        row = observation.t0 - self.first
         now = window.first(1).for_service(self.plan.served[row:row + 1])
         actual = _Actual(self.plan, row, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
                          observation, now,
@@ -111,7 +114,8 @@ class FullHorizonController:
 
     def _check_pv(self, site: Site, actual: _Actual) -> str:
         """PV power distribution feasibility, in the reading that was chosen."""
-        plan, t = actual.plan, actual.t
+        plan = actual.plan
+        t = actual.t
         if self.literal:
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
             split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
@@ -127,7 +131,8 @@ class FullHorizonController:
 
 def _check_battery(site: Site, actual: _Actual) -> str:
     """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
-    o, b = actual.observation, site.batteries
+    o = actual.observation
+    b = site.batteries
     power = actual.battery_kw
     apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
     disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
@@ -144,7 +149,8 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     it; losses count as far as the plan has paid for them. A surplus that cannot be exported
     violates as a shortage does.
     """
-    plan, t = actual.plan, actual.t
+    plan = actual.plan
+    t = actual.t
     served = plan.served[t]
     # What an owner consumes cannot be curtailed.
     own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
@@ -171,7 +177,7 @@ def _check_switching(site: Site, actual: _Actual) -> str:
     return f"switching rules: {broken.sum()} customers may not be switched as planned ({first})"
 
 
-def _worst(check: str, names: NDArray[np.object_], excess: Floats, tolerance: float,
+def _worst(check: str, names: Names, excess: Floats, tolerance: float,
            unit: str) -> str:
     """Text on the item with the largest excess, empty if all are within the tolerance."""
     if len(excess) == 0 or excess.max() <= tolerance:

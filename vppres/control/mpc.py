@@ -39,7 +39,10 @@ class MPCController:
     def __init__(self, solver: WindowSolver, grid: TimeGrid, horizon_h: float,
                  centre: Centre = "lossless", planner: Planner | None = None,
                  move_weight: float = 0.0) -> None:
-        self.solver, self.grid, self.horizon_h, self.centre = solver, grid, horizon_h, centre
+        self.solver = solver
+        self.grid = grid
+        self.horizon_h = horizon_h
+        self.centre = centre
         self.planner = planner or OnePass(solver, centre)
         self.move_weight = move_weight
         self._last: tuple[int, Dispatch] | None = None

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
-from vppres.control.step_state import Bools, Floats, StepState, network_state, one_step
+from vppres.control.step_state import StepState, network_state, one_step
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.solve.fleet.relaxation import weight_grid
 
 POWER_TOLERANCE_KW = 1e-6
@@ -90,11 +90,12 @@ def rule_dispatch(state: StepState, tiers: Sequence[str],
             tried[c] = True
             found = carry(state, tried, wanted)
             if found is not None and found.no_worse_than(best):
-                served, best = tried, found
+                served = tried
+                best = found
     return best
 
 
-def service_order(state: StepState, tiers: Sequence[str]) -> NDArray[np.int64]:
+def service_order(state: StepState, tiers: Sequence[str]) -> Wholes:
     """Positions of the customers by tier, then by weight per kW, shape (C,)."""
     customers = state.site.customers
     rank = np.array([list(tiers).index(tier) for tier in customers.tier], dtype=int)
@@ -102,7 +103,7 @@ def service_order(state: StepState, tiers: Sequence[str]) -> NDArray[np.int64]:
     return np.lexsort((-per_kw, rank))
 
 
-def best_subset(weights: Floats, loads_kw: Floats, capacity_kw: float) -> Bools:
+def best_subset(weights: Floats, loads_kw: Floats, capacity_kw: float) -> Flags:
     """The subset of largest weight that fits a capacity: branch and bound on the knapsack.
 
     Examples
@@ -111,16 +112,19 @@ def best_subset(weights: Floats, loads_kw: Floats, capacity_kw: float) -> Bools:
     array([ True,  True, False])
     """
     order = np.argsort(-weights / np.maximum(loads_kw, 1e-9), kind="stable")
-    w, load = weights[order], loads_kw[order]
+    w = weights[order]
+    load = loads_kw[order]
     unit = weight_grid(weights)
-    best_value, best_set = -1.0, np.zeros(len(w), dtype=bool)
+    best_value = -1.0
+    best_set = np.zeros(len(w), dtype=bool)
     stack = [(0, capacity_kw + ROUNDING_KW, 0.0, np.zeros(len(w), dtype=bool))]
     for _ in range(SEARCH_NODES):
         if not stack:
             break
         i, left_kw, value, chosen = stack.pop()
         if value > best_value:
-            best_value, best_set = value, chosen
+            best_value = value
+            best_set = chosen
         if i == len(w) or _bound(w[i:], load[i:], left_kw, value, unit) <= best_value + 1e-9:
             continue
         stack.append((i + 1, left_kw, value, chosen))
@@ -141,7 +145,7 @@ def _bound(weights: Floats, loads_kw: Floats, left_kw: float, value: float, unit
     return unit * np.floor(bound / unit + 1e-9) if unit else bound
 
 
-def carry(state: StepState, served: Bools, battery_kw: Floats) -> Carried | None:
+def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None:
     """Dispatch of a served set with batteries near what is wanted of them.
 
     Parameters
@@ -181,11 +185,13 @@ def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats,
     short_kw = need_kw + float(battery.sum()) - state.grid_limit_kw
     for lowest in (np.minimum(battery, 0.0), -state.discharge_max_kw):
         step = _shared(max(short_kw, 0.0), battery - lowest)
-        battery, short_kw = battery - step, short_kw - float(step.sum())
+        battery = battery - step
+        short_kw = short_kw - float(step.sum())
     surplus_kw = -(need_kw + float(battery.sum()))
     for highest in (np.maximum(battery, 0.0), state.charge_max_kw):
         step = _shared(max(surplus_kw, 0.0), highest - battery)
-        battery, surplus_kw = battery + step, surplus_kw - float(step.sum())
+        battery = battery + step
+        surplus_kw = surplus_kw - float(step.sum())
     return battery, short_kw if short_kw > 0 else -max(surplus_kw, 0.0)
 
 
@@ -197,22 +203,25 @@ def _shared(total: float, room: Floats) -> Floats:
 
 def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
     """Cancel charging of one battery from another: no more is discharged than customers take."""
-    charge, discharge = np.maximum(battery_kw, 0.0), np.maximum(-battery_kw, 0.0)
+    charge = np.maximum(battery_kw, 0.0)
+    discharge = np.maximum(-battery_kw, 0.0)
     excess_kw = max(float(discharge.sum()) - demand_kw, 0.0)
     return charge - _shared(excess_kw, charge) - (discharge - _shared(excess_kw, discharge))
 
 
-def _with_network(state: StepState, served: Bools, pv_kw: tuple[Floats, Floats],
+def _with_network(state: StepState, served: Flags, pv_kw: tuple[Floats, Floats],
                   battery_kw: Floats, grid_kw: float) -> Carried:
     """Add reactive power, flows and voltages to the active powers."""
-    site, (own, export) = state.site, pv_kw
+    site = state.site
+    (own, export) = pv_kw
     load_kvar = state.load_kw * served * site.customers.q_per_p
     pv_q, batt_q, short_kvar = _reactive(state, load_kvar, own + export, battery_kw)
     p = (site.pv_bus @ (own + export) - site.battery_bus @ battery_kw
          - site.customer_bus @ (state.load_kw * served))
     q = site.pv_bus @ pv_q + site.battery_bus @ batt_q - site.customer_bus @ load_kvar
     p_flow, q_flow, v_pu = network_state(state, p, q)
-    charge, discharge = np.maximum(battery_kw, 0.0), np.maximum(-battery_kw, 0.0)
+    charge = np.maximum(battery_kw, 0.0)
+    discharge = np.maximum(-battery_kw, 0.0)
     stored_kwh = (state.eta_charge * charge - discharge / state.eta_discharge) * site.dt_h
     net = site.network
     outside = np.maximum(v_pu[1:] - net.v_max_ac_pu, net.v_min_ac_pu - v_pu[1:])
@@ -233,7 +242,8 @@ def _reactive(state: StepState, load_kvar: Floats, pv_kw: Floats,
     Inverters supply the demand at their own bus. In an island the rest is shared by what is left of
     their ratings; with a grid it is imported.
     """
-    site, n_pv = state.site, len(pv_kw)
+    site = state.site
+    n_pv = len(pv_kw)
     ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva * state.online])
     room = np.sqrt(np.maximum(ratings**2 - np.concatenate([pv_kw, battery_kw])**2, 0.0))
     bus = np.concatenate([site.pv_bus.T @ np.arange(site.network.n_buses),
@@ -246,5 +256,6 @@ def _reactive(state: StepState, load_kvar: Floats, pv_kw: Floats,
     if state.island:
         missing = max(float(demand.sum() - q.sum()), 0.0)
         more = _shared(missing, room - q)
-        q, short_kvar = q + more, missing - float(more.sum())
+        q = q + more
+        short_kvar = missing - float(more.sum())
     return q[:n_pv], q[n_pv:], short_kvar

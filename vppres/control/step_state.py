@@ -7,17 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +45,14 @@ class StepState:
     eta_charge: Floats
     eta_discharge: Floats
     offset_pu2: Floats
-    online: Bools
+    online: Flags
 
     @classmethod
     def of(cls, site: Site, seen: Observation, centre: Centre = "lossless",
-           online: Bools | None = None) -> StepState:
+           online: Flags | None = None) -> StepState:
         """The first step of an observation; all batteries are online if nothing else is said."""
-        f, every = seen.forecast, np.ones(len(site.batteries), dtype=bool)
+        f = seen.forecast
+        every = np.ones(len(site.batteries), dtype=bool)
         load_kw = f.load_kw[0]
         if seen.switching is not None:  # demand is higher for those who would be restored now
             window = WindowData.of(seen, site, centre).first(1)
@@ -99,7 +97,7 @@ class StepState:
         """The same step with every battery off."""
         return replace(self, online=np.zeros_like(self.online))
 
-    def own_kw(self, served: Bools) -> Floats:
+    def own_kw(self, served: Flags) -> Floats:
         """Self-consumption of each PV system for a served set, (P,)."""
         return np.minimum((self.load_kw * served)[self.site.owner], self.usable_pv_kw)
 
@@ -108,13 +106,14 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats
                   ) -> tuple[Floats, Floats, Floats]:
     """Lossless flows (L,) twice, and voltages (N,) in pu, for the injections of all buses (N,)."""
     net = state.site.network
-    p_flow, q_flow = -(net.downstream @ p_kw), -(net.downstream @ q_kvar)
+    p_flow = -(net.downstream @ p_kw)
+    q_flow = -(net.downstream @ q_kvar)
     rise = state.offset_pu2 - 2 * (net.r_pu2_per_kw * p_flow + net.x_pu2_per_kvar * q_flow)
     u = net.v_slack_pu**2 + net.downstream.T @ rise
     return p_flow, q_flow, np.sqrt(np.maximum(u, 0.0))
 
 
-def one_step(**rows: Floats | Bools | float) -> Dispatch:
+def one_step(**rows: Floats | Flags | float) -> Dispatch:
     """A dispatch of one step from its rows; ``soc`` has its two rows already."""
     arrays: dict[str, Any] = {name: value if name == "soc" else np.asarray(value)[np.newaxis]
                               for name, value in rows.items()}

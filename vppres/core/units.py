@@ -7,13 +7,15 @@ times h everywhere else in the package.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from vppres.core.arrays import Floats
 
 KW_PER_MW = 1000.0
 W_PER_KW = 1000.0
 
 
-def kw_to_mw(p_kw: ArrayLike) -> NDArray[np.float64]:
+def kw_to_mw(p_kw: ArrayLike) -> Floats:
     """Power from kW (kvar, kVA) to MW (Mvar, MVA).
 
     >>> float(kw_to_mw(3715.0))
@@ -22,12 +24,12 @@ def kw_to_mw(p_kw: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(p_kw, dtype=float) / KW_PER_MW
 
 
-def mw_to_kw(p_mw: ArrayLike) -> NDArray[np.float64]:
+def mw_to_kw(p_mw: ArrayLike) -> Floats:
     """Power from MW (Mvar, MVA) to kW (kvar, kVA)."""
     return np.asarray(p_mw, dtype=float) * KW_PER_MW
 
 
-def kva_to_a(s_kva: ArrayLike, v_kv: ArrayLike) -> NDArray[np.float64]:
+def kva_to_a(s_kva: ArrayLike, v_kv: ArrayLike) -> Floats:
     """Line current in A of a balanced apparent power in kVA at a line-to-line voltage in kV.
 
     >>> round(float(kva_to_a(100.0, 11.0)), 4)
@@ -36,7 +38,7 @@ def kva_to_a(s_kva: ArrayLike, v_kv: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.asarray(s_kva, dtype=float) / (np.sqrt(3.0) * np.asarray(v_kv)))
 
 
-def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> NDArray[np.float64]:
+def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> Floats:
     """Impedance to the coefficient of LinDistFlow: change of V² (pu²) for each kW of flow.
 
     With the voltage in kV and the power in kW, ``r P / V²`` is dimensionless after a factor 1000.
@@ -48,7 +50,7 @@ def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> NDArray[np.float64]:
 
 
 def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike,
-                  voltage_v: ArrayLike) -> NDArray[np.float64]:
+                  voltage_v: ArrayLike) -> Floats:
     """Joule loss in kW of a DC power (kW) through a resistance (ohm) at a voltage (V).
 
     >>> float(joule_loss_kw(90.0, 0.0035, 900.0))

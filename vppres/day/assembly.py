@@ -59,7 +59,8 @@ def make_controller(scenario: Scenario, options: RunOptions,
 def _plain_controller(site: Site, scenario: Scenario, options: RunOptions,
                       solver_of: Callable[[Site], WindowSolver]) -> Decider:
     """A controller without guard for the whole fleet or a part of it."""
-    grid, centre = scenario.grid, options.centre
+    grid = scenario.grid
+    centre = options.centre
     if options.controller == "idle":
         return IdleController(site, scenario.tiers, centre)
     if options.controller == "reserve":

@@ -13,19 +13,17 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, InputError, LimitError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
-
-Floats = NDArray[np.float64]
 
 SolverFault = Literal["killed", "timed_out", "infeasible", "nan", "out_of_range", "wrong_shape"]
 Quantity = Literal["soc", "load", "pv"]
@@ -178,8 +176,10 @@ class FaultInjector:
 
     def __init__(self, plan: FaultPlan, scenario: Scenario) -> None:
         plan.check(scenario)
-        self.plan, self.scenario = plan, scenario
-        self.step, self._calls = 0, 0
+        self.plan = plan
+        self.scenario = scenario
+        self.step = 0
+        self._calls = 0
         self._frozen: dict[MeasurementFault, Floats] = {}
 
     def solver_fault(self) -> SolverFault | None:
@@ -192,7 +192,8 @@ class FaultInjector:
 
     def observe(self, true: Observation) -> Observation:
         """What the controller gets to see of an observation."""
-        self.step, self._calls = true.t0, 0
+        self.step = true.t0
+        self._calls = 0
         seen = replace(true, online=self._online(true.t0, silent_too=False))
         for fault in self.plan.measurements:
             if fault.start <= true.t0 < fault.end:
@@ -212,11 +213,11 @@ class FaultInjector:
             still[name] = values
         return replace(decision, dispatch=replace(plan, **still))
 
-    def online(self, t: int) -> NDArray[np.bool_]:
+    def online(self, t: int) -> Flags:
         """Batteries that are really there at a step, (B,)."""
         return self._online(t, silent_too=True)
 
-    def _online(self, t: int, silent_too: bool) -> NDArray[np.bool_]:
+    def _online(self, t: int, silent_too: bool) -> Flags:
         """Batteries that are there, (B,); those that tripped silently are if not asked for."""
         online = np.ones(len(self.scenario.batteries), dtype=bool)
         for trip in self.plan.trips:
@@ -245,8 +246,12 @@ class FaultySolver(WindowSolver):
     """
 
     def __init__(self, solver: WindowSolver, injector: FaultInjector) -> None:
-        self.method, self.limits, self.spec = solver.method, solver.limits, solver.spec
-        self.sides, self.cache, self._injector = solver.sides, solver.cache, injector
+        self.method = solver.method
+        self.limits = solver.limits
+        self.spec = solver.spec
+        self.sides = solver.sides
+        self.cache = solver.cache
+        self._injector = injector
 
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window, or fail at it."""
@@ -255,7 +260,7 @@ class FaultySolver(WindowSolver):
         solution = super().solve(data)
         return solution if fault is None else _garbled(solution, fault, self.site)
 
-    def solve_served(self, data: WindowData, served: NDArray[np.bool_]) -> WindowSolution | None:
+    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
         """Dispatch of a served set, or a failure."""
         fault = self._injector.solver_fault()
         _fail(fault)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats
 from vppres.core.units import kva_to_a
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
@@ -18,7 +18,6 @@ from vppres.io.digest import scenario_digest
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
 
-Floats = NDArray[np.float64]
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
@@ -157,7 +156,8 @@ def line_current_a(trajectory: Trajectory) -> Floats:
     ``I = |S| / (sqrt(3) V)`` with power and voltage at the sending end; without shunts it is the
     same along the line. Zero where a bus has no voltage.
     """
-    net, lines = trajectory.scenario.network, trajectory.lines
+    net = trajectory.scenario.network
+    lines = trajectory.lines
     shape = (len(trajectory.steps), net.n_lines)
     s_kva = np.hypot(lines["p_ac_kw"].to_numpy(float), lines["q_ac_kvar"].to_numpy(float))
     v_pu = trajectory.buses["v_ac_pu"].to_numpy(float).reshape(shape[0], -1)[:, net.parent]

@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+
+from vppres.core.arrays import Flags
 
 Phase = Literal["normal", "preparation", "island", "recovery"]
 
@@ -14,7 +15,7 @@ CHARGING_KW = 1.0
 """Net charging of the fleet above which it counts as being filled again after an outage."""
 
 
-def phases(outage: NDArray[np.bool_], returning: NDArray[np.bool_], n_seen: int) -> list[Phase]:
+def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
     """Phase of every step.
 
     An outage's steps are ``island``. A step with grid is ``preparation`` if an outage lies within
@@ -50,7 +51,7 @@ def phases(outage: NDArray[np.bool_], returning: NDArray[np.bool_], n_seen: int)
 
 
 def returning_steps(customers: pd.DataFrame, batteries: pd.DataFrame,
-                    n_steps: int) -> NDArray[np.bool_]:
+                    n_steps: int) -> Flags:
     """Steps in which somebody is not served or served again, or the fleet charges, shape (T,)."""
     served = customers["served"].to_numpy(bool)
     everyone = np.asarray(served.reshape(n_steps, -1).all(axis=1))

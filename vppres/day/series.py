@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Names
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
-
-Floats = NDArray[np.float64]
 
 
 def stored_energy_kwh(run: Trajectory) -> Floats:
@@ -60,7 +58,7 @@ def line_values(run: Trajectory, rated: bool) -> Floats:
     return 100.0 * line_loading(run) if rated else line_current_a(run)
 
 
-def edges_of(run: Trajectory) -> NDArray[np.object_]:
+def edges_of(run: Trajectory) -> Names:
     """Beginning of every step and the end of the last, as datetimes in UTC, shape (T + 1,)."""
     grid = run.scenario.grid
     times = pd.date_range(grid.start, periods=len(run.steps) + 1,

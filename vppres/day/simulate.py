@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
+from vppres.core.arrays import Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.options import PERFECT, RunOptions
@@ -78,7 +76,9 @@ class Day:
 
     def __init__(self, scenario: Scenario, options: RunOptions,
                  faults: FaultInjector | None = None) -> None:
-        self.scenario, self.options, self.faults = scenario, options, faults
+        self.scenario = scenario
+        self.options = options
+        self.faults = faults
         self.plant = Plant(scenario, options.thermal, options.switching)
         self.switching = (SwitchingState.start(options.switching, scenario.grid.dt_h,
                                                len(scenario.customers))
@@ -92,7 +92,7 @@ class Day:
         self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
-        self.battery_kw: NDArray[np.float64] | None = None
+        self.battery_kw: Floats | None = None
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
@@ -112,7 +112,8 @@ class Day:
         if self.faults is not None:
             decision = self.faults.actuate(t, decision)
         done = self.carry_out(t, decision)
-        realised, result = done.realised, done.ac
+        realised = done.realised
+        result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
         self.operating_point = None if done.dark else OperatingPoint(
             result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
@@ -135,8 +136,12 @@ class Day:
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
             done: Settled, mode: str) -> StepRecord:
     """Everything that is known of the step."""
-    plan, row, info = decision.dispatch, decision.row, decision.info
-    realised, ac, island = done.realised, done.ac, mode == "physical" and scenario.outage[t]
+    plan = decision.dispatch
+    row = decision.row
+    info = decision.info
+    realised = done.realised
+    ac = done.ac
+    island = mode == "physical" and scenario.outage[t]
     clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
     return StepRecord(
         t=t, served=realised.served, load_kw=realised.load_kw,
@@ -165,7 +170,8 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
 
 def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
     """What the record says of an island's step; the figures are 0 where nothing was cut."""
-    net, v = scenario.network, done.ac.v_pu
+    net = scenario.network
+    v = done.ac.v_pu
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
     return {"dark": float(done.dark), "dark_reason": done.dark_reason,
             "island_mismatch_kw": float(done.mismatch_kw.sum()),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Wholes
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.parts import part_names
 
@@ -39,7 +39,7 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
     return figures | ({"served_share_of_customer": shares} if shares else {})
 
 
-def actions_of_customers(trajectory: Trajectory) -> NDArray[np.int64]:
+def actions_of_customers(trajectory: Trajectory) -> Wholes:
     """Times that each customer was switched off or on, shape (C,)."""
     served = trajectory.customers["served"].to_numpy(bool).reshape(len(trajectory.steps), -1)
     before = np.vstack([np.ones((1, served.shape[1]), dtype=bool), served[:-1]])

@@ -16,14 +16,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.notebook import facts_html
 from vppres.day.phases import phases, returning_steps
 from vppres.io.scenario_folder import read_scenario
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
@@ -101,7 +100,7 @@ class StepRecord:
     """
 
     t: int
-    served: NDArray[np.bool_]
+    served: Flags
     load_kw: Floats
     load_kvar: Floats
     pv_available_kw: Floats
@@ -139,7 +138,7 @@ class StepRecord:
     ac_failed: str = ""
     notes: Mapping[str, float | str] = field(default_factory=dict)
     mismatch_kw: Floats | None = None
-    shed: NDArray[np.bool_] | None = None
+    shed: Flags | None = None
 
     def __post_init__(self) -> None:
         if self.mismatch_kw is None:
@@ -351,7 +350,10 @@ def _table_file(folder: Path, name: str) -> Path:
 
 def _layout(scenario: Scenario) -> dict[str, tuple[dict[str, NDArray[Any]], dict[str, str]]]:
     """Of each table with items: columns that no step changes, and columns taken from the steps."""
-    c, pv, b, net = scenario.customers, scenario.pv, scenario.batteries, scenario.network
+    c = scenario.customers
+    pv = scenario.pv
+    b = scenario.batteries
+    net = scenario.network
     owner_bus = c.bus[pv.owner(c)] if len(pv) else c.bus[:0]
     return {
         "customers": ({"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
@@ -364,7 +366,7 @@ def _layout(scenario: Scenario) -> dict[str, tuple[dict[str, NDArray[Any]], dict
     }
 
 
-def _bus_labels(buses: NDArray[np.object_]) -> NDArray[Any]:
+def _bus_labels(buses: Names) -> NDArray[Any]:
     """Bus identifiers as integers if all are, else as text: a Parquet column holds one type."""
     labels: list[BusId] = list(buses)
     if all(isinstance(bus, (int, np.integer)) for bus in labels):

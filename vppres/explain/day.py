@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Floats
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
-from vppres.model.data import Floats
 from vppres.solve.shadow_prices import ShadowPrices
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
@@ -62,7 +62,8 @@ def steps_of(trajectory: Trajectory) -> list[Step]:
 
 def _actions(step: Step) -> list[Row]:
     """One row for the step, each customer not served, each battery moved, each PV curtailed."""
-    site, t = step.site, step.t
+    site = step.site
+    t = step.t
     rows = [_row("step", "", step.phase, why_step(step))]
     rows += [_row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
              for c in np.flatnonzero(~step.served).tolist()]
@@ -94,8 +95,10 @@ def _prices(step: Step) -> list[Row]:
 
 def _families(step: Step) -> list[tuple[str, str, Floats]]:
     """Name, unit and items of each family of shadow prices."""
-    site, buses = step.site, step.scenario.network.buses
-    b, pv = site.batteries.id, site.pv.id
+    site = step.site
+    buses = step.scenario.network.buses
+    b = site.batteries.id
+    pv = site.pv.id
     return [("stored_energy", "kWh", b), ("energy_floor", "kWh", b), ("energy_ceiling", "kWh", b),
             ("battery_charging", "kW", b), ("battery_discharging", "kW", b),
             ("battery_inverter", "kVA", b), ("pv_inverter", "kVA", pv),

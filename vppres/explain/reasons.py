@@ -144,7 +144,8 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
 
 def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
     """Preparation, a voltage limit, surplus or the price."""
-    limit, charges = _at_limit(step, battery), verb == "Charges"
+    limit = _at_limit(step, battery)
+    charges = verb == "Charges"
     if _voltage_decides(step, battery):
         return Reason("voltage", "voltage", f"{verb}: it holds the voltage limit.")
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
@@ -173,7 +174,8 @@ def _voltage_decides(step: Step, battery: int) -> bool:
 
 def _at_limit(step: Step, battery: int) -> Binding:
     """The limit that a battery reached in the step, empty if none."""
-    b, soc_end = step.site.batteries, float(step.recorded.soc_end[step.t][battery])
+    b = step.site.batteries
+    soc_end = float(step.recorded.soc_end[step.t][battery])
     if step.limits.at_power[battery]:
         return "power"
     if step.limits.at_inverter[battery]:
@@ -187,7 +189,8 @@ def why_curtailed(step: Step, system: int) -> Reason:
     overruled = _overruled(step, "Curtailed")
     if overruled is not None:
         return overruled
-    pv, available = step.site.pv, float(step.scenario.pv_kw[step.t][system])
+    pv = step.site.pv
+    available = float(step.scenario.pv_kw[step.t][system])
     if available > pv.s_max_kva[system] + MOVE_KW:
         return Reason("inverter", "inverter", "Curtailed: its inverter passes no more than "
                       f"{figure(float(pv.s_max_kva[system]))} kVA.")

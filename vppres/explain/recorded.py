@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
 from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.core.arrays import Flags, Floats
 from vppres.day.trajectory import Trajectory
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
@@ -21,7 +21,8 @@ from vppres.solve.shadow_price_model import Held
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
 
-FULL_HORIZON, PERFECT = "full-horizon", "perfect"
+FULL_HORIZON = "full-horizon"
+PERFECT = "perfect"
 
 
 class Recorded:
@@ -34,7 +35,8 @@ class Recorded:
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory, self.scenario = trajectory, trajectory.scenario
+        self.trajectory = trajectory
+        self.scenario = trajectory.scenario
         self.options = trajectory.options
         self.site = Site.of(trajectory.scenario)
         self.n_steps = len(trajectory.steps)
@@ -138,7 +140,8 @@ class Recorded:
         """The AC solution of a step, None before the first and after one in the dark."""
         if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
             return None
-        site, run = self.site, self.trajectory
+        site = self.site
+        run = self.trajectory
         load = self.load_kw[t] * self.served[t]
         load_q = self._array(run.customers, "q_load_kvar")[t] * self.served[t]
         pv = self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t]
@@ -159,15 +162,16 @@ class Recorded:
 class Limits:
     """What a step's record itself shows to be at its limit; for steps without shadow prices."""
 
-    empty: NDArray[np.bool_]
-    at_power: NDArray[np.bool_]
-    at_inverter: NDArray[np.bool_]
-    low_voltage: NDArray[np.bool_]
+    empty: Flags
+    at_power: Flags
+    at_inverter: Flags
+    low_voltage: Flags
 
     @classmethod
     def of(cls, recorded: Recorded, t: int) -> Limits:
         """Limits reached in step ``t``, to 0.1 % of each rating, 0.002 pu of the voltage."""
-        b, net = recorded.site.batteries, recorded.scenario.network
+        b = recorded.site.batteries
+        net = recorded.scenario.network
         power = recorded.battery_kw[t]
         apparent = np.hypot(power, recorded.batt_q_kvar[t])
         return cls(recorded.soc_end[t] <= b.soc_min + 1e-3,

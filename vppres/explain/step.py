@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
-from vppres.model.data import Floats
 from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
@@ -46,8 +46,12 @@ class Step:
     """
 
     def __init__(self, recorded: Recorded, t: int, phase: Phase, prices: StepPrices) -> None:
-        self.recorded, self.t, self.phase, self.levels = recorded, t, phase, prices
-        self.site, self.scenario = recorded.site, recorded.scenario
+        self.recorded = recorded
+        self.t = t
+        self.phase = phase
+        self.levels = prices
+        self.site = recorded.site
+        self.scenario = recorded.scenario
         self.outage = bool(recorded.scenario.outage[t])
         self.load_kw = recorded.load_kw[t]
         self.served = recorded.served[t]
@@ -101,9 +105,11 @@ class Step:
         if self.service is None:
             return {name: np.zeros(count) for name in ("energy", "power", "inverter", "grid",
                                                        "voltage")}
-        p, bus = self.service, self.site.customer_bus
+        p = self.service
+        bus = self.site.customer_bus
         load_kvar = self.load_kw * self.site.customers.q_per_p
-        active, reactive = bus.T @ p.active, bus.T @ p.reactive
+        active = bus.T @ p.active
+        reactive = bus.T @ p.reactive
         system = max(p.active[0], 0.0) * self.load_kw
         share = self._fleet_shares(p)
         voltage = ((active - p.active[0]) * self.load_kw

@@ -30,7 +30,8 @@ def _calm_driver(step: Step) -> Driver:
 
 def _headline(step: Step) -> str:
     """Who is served and what the fleet does."""
-    count, total = int(step.served.sum()), len(step.served)
+    count = int(step.served.sum())
+    total = len(step.served)
     who = "Everyone is served." if count == total else f"{count} of {total} customers are served."
     power = float(step.battery_kw.sum())
     if abs(power) < 1.0:

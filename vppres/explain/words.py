@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vppres.core.arrays import Floats, Names
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
-from vppres.model.data import Floats
-from vppres.scenario.assets import Names
 
 SCARCE: dict[Binding, str] = {
     "energy": "the energy in store", "power": "the batteries' power",
@@ -42,7 +41,8 @@ def one_more(step: Step, binding: Binding) -> str:
     p = step.service
     if p is None:
         return ""
-    b, buses = step.site.batteries, step.scenario.network.buses
+    b = step.site.batteries
+    buses = step.scenario.network.buses
     offers: dict[Binding, tuple[float, str]] = {
         "energy": (_most(p.stored_energy), "one more kWh in store"),
         "power": _first((_most(p.battery_discharging), "one more kW of battery "

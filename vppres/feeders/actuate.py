@@ -78,7 +78,8 @@ def _write(net: Any, table: str, name: str, bus: int, p_kw: float, q_kvar: float
     """Power of the element of that name; it is made if there is none."""
     import pandapower as pp
 
-    p_mw, q_mvar = float(kw_to_mw(p_kw)), float(kw_to_mw(q_kvar))
+    p_mw = float(kw_to_mw(p_kw))
+    q_mvar = float(kw_to_mw(q_kvar))
     found = np.flatnonzero(net[table]["name"] == name)
     if len(found):
         net[table].loc[net[table].index[found[0]], ["p_mw", "q_mvar"]] = p_mw, q_mvar

@@ -6,14 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
-from vppres.core.frozen import freeze_fields
+from vppres.core.arrays import Floats, Names, freeze_fields
 from vppres.scenario.network import BusId, Network
-
-Floats = NDArray[np.float64]
-Names = NDArray[np.object_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.new_options import NewScenarioOptions, PriceRule, check_options, outages_of
@@ -24,9 +24,6 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 DECIMALS = 6
 NOTES_FILE = "notes.md"
@@ -44,8 +41,10 @@ PV_SHAPE = (
 
 # Hours of the day (from, to) and prices; mean, lowest and highest price of the paper.
 FLAT_PRICE = 0.36
-NIGHT, NIGHT_PRICE = (0, 6), 0.20
-EVENING, EVENING_PRICE = (16, 20), 0.54
+NIGHT = (0, 6)
+NIGHT_PRICE = 0.20
+EVENING = (16, 20)
+EVENING_PRICE = 0.54
 TEMPERATURE_C = 20.0
 
 PV_INVERTER_RATIO = 1.1
@@ -160,10 +159,11 @@ def _network(feeder: ImportedFeeder, options: NewScenarioOptions) -> Network:
     return replace(feeder.network, v_slack_pu=options.v_slack_pu)
 
 
-def _customers(feeder: ImportedFeeder, loaded: Whole, options: NewScenarioOptions,
+def _customers(feeder: ImportedFeeder, loaded: Wholes, options: NewScenarioOptions,
                draw: np.random.Generator) -> Customers:
     """One customer per bus with a load; tiers are drawn for those that the source leaves open."""
-    bus, p_kw = feeder.network.buses[loaded], feeder.p_load_kw[loaded]
+    bus = feeder.network.buses[loaded]
+    p_kw = feeder.p_load_kw[loaded]
     # The model's power factors lag: a load that feeds reactive power counts as purely active.
     q_kvar = np.maximum(feeder.q_load_kvar[loaded], 0.0)
     tier = feeder.tier[loaded].copy()
@@ -247,7 +247,7 @@ def _written(values: Floats) -> Floats:
     return np.round(values, DECIMALS)
 
 
-def _ids(prefix: str, buses: NDArray[np.object_]) -> NDArray[np.object_]:
+def _ids(prefix: str, buses: Names) -> Names:
     """Identifiers of assets, after their bus."""
     return np.array([f"{prefix}{bus}" for bus in buses], dtype=object)
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import opendssdirect as dss
 import pandas as pd
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
 from vppres.scenario.network import BusId
@@ -181,7 +181,8 @@ def _add_line(net: Any, name: str, at: dict[str, int]) -> None:
     """A line with its positive-sequence impedance."""
     import pandapower as pp
 
-    (start, end), closed = _buses(), _closed()
+    (start, end) = _buses()
+    closed = _closed()
     dss.Lines.Name(name)
     pp.create_line_from_parameters(
         net, at[start], at[end], length_km=dss.Lines.Length(),
@@ -197,7 +198,7 @@ def _positive_sequence(matrix: list[float], n_phases: int) -> float:
     >>> _positive_sequence([5.0, 2.0, 2.0, 2.0, 5.0, 2.0, 2.0, 2.0, 5.0], 3)
     3.0
     """
-    z: NDArray[np.float64] = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
+    z: Floats = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
     own = np.trace(z) / n_phases
     mutual = (z.sum() - np.trace(z)) / max(n_phases * (n_phases - 1), 1)
     return float(own - mutual)
@@ -207,13 +208,15 @@ def _add_transformer(net: Any, name: str, at: dict[str, int]) -> None:
     """A transformer at the nominal ratio of its buses; units of a bank are parallel ones."""
     import pandapower as pp
 
-    (start, end), closed = _buses(), _closed()
+    (start, end) = _buses()
+    closed = _closed()
     dss.Transformers.Name(name)
     percent = []
     for winding in (1, 2):
         dss.Transformers.Wdg(winding)
         percent.append(dss.Transformers.R())
-    rating_kva, x_percent = dss.Transformers.kVA(), dss.Transformers.Xhl()
+    rating_kva = dss.Transformers.kVA()
+    x_percent = dss.Transformers.Xhl()
     high, low = sorted((at[start], at[end]), key=lambda bus: -net.bus.at[bus, "vn_kv"])
     pp.create_transformer_from_parameters(
         net, high, low, sn_mva=float(kw_to_mw(rating_kva)), vn_hv_kv=net.bus.at[high, "vn_kv"],

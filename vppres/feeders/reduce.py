@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kva_to_a, mw_to_kw
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
-from vppres.feeders.feeder import Deviation, Floats, Generators, ImportedFeeder, Names
+from vppres.feeders.feeder import Deviation, Generators, ImportedFeeder
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva, shared_rating
 from vppres.io.messages import did_you_mean

@@ -6,8 +6,8 @@ import re
 from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
 from vppres.io.messages import did_you_mean
@@ -122,7 +122,9 @@ def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Probl
                 file, f"must not exceed s_max_kva ({battery.s_max_kva:g})",
                 "Correct the power or the inverter rating.", row=row, field="p_max_kw",
                 value=battery.p_max_kw))
-        low, high, start = battery.soc_min, battery.soc_max, battery.soc_initial
+        low = battery.soc_min
+        high = battery.soc_max
+        start = battery.soc_initial
         if not low < high:
             problems.append(Problem(file, f"must be less than soc_max ({high:g})",
                                     "Correct one of the limits.", row=row, field="soc_min",
@@ -135,7 +137,7 @@ def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Probl
     return problems
 
 
-def check_pv_series(series: Table, name: str, values: NDArray[np.float64],
+def check_pv_series(series: Table, name: str, values: Floats,
                     p_max_kw: float) -> list[Problem]:
     """Available PV power above the system's rating."""
     over = np.flatnonzero(values > p_max_kw * (1 + RATING_TOLERANCE))

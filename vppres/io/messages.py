@@ -110,7 +110,8 @@ def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]
 
 def _problem(details: ErrorDetails, model: type[BaseModel], where: str,
              row: int | None) -> Problem:
-    kind, place = details["type"], details["loc"]
+    kind = details["type"]
+    place = details["loc"]
     owner, field = _find(model, place)
     name = dotted(place)
     if kind == "extra_forbidden":
@@ -142,7 +143,8 @@ def dotted(place: tuple[int | str, ...]) -> str:
 def _find(model: type[BaseModel],
           place: tuple[int | str, ...]) -> tuple[type[BaseModel], FieldInfo]:
     """The innermost model and field on the way to a place."""
-    owner, field = model, FieldInfo()
+    owner = model
+    field = FieldInfo()
     inner: type[BaseModel] | None = model
     for part in place:
         if inner is None or isinstance(part, int):

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
 from vppres.io.messages import in_order
@@ -23,8 +23,6 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
-
-Floats = NDArray[np.float64]
 
 # Tables that a folder may lack, with the model of their rows.
 _OPTIONAL: dict[str, type[BaseModel]] = {"pv": schema.PVRow, "batteries": schema.BatteryRow}
@@ -119,8 +117,10 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
 
 def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     """Every check that needs more than one row or more than one file."""
-    lines, customers, pv, batteries = (content.lines, content.customers, content.pv,
-                                       content.batteries)
+    lines = content.lines
+    customers = content.customers
+    pv = content.pv
+    batteries = content.batteries
     problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
     if lines:
         problems += _check_network(lines, content.settings.slack_bus)
@@ -233,12 +233,14 @@ def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
 def _assemble(settings: Settings, rows: _Rows, series: _Series,
               read_bus: Callable[[str], BusId]) -> Scenario:
     """The scenario, from files in which no problem was found."""
-    file, grid = settings.file, settings.grid
+    file = settings.file
+    grid = settings.grid
     assert file is not None
     assert grid is not None
     limit_kw = series.grid_limit_kw
     for outage in file.outages:
-        start, end = pd.Timestamp(outage.start), pd.Timestamp(outage.end)
+        start = pd.Timestamp(outage.start)
+        end = pd.Timestamp(outage.end)
         limit_kw = np.where((grid.times >= start) & (grid.times < end), 0.0, limit_kw)
     return Scenario(
         name=file.name, title=file.title or file.name, grid=grid,

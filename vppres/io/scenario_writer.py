@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import tomli_w
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ValidationError
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.io import schema
 from vppres.io.atomic import atomic_folder
@@ -22,8 +23,6 @@ from vppres.scenario.assets import Batteries, Customers
 from vppres.scenario.network import BusId
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 
 def write_scenario(scenario: Scenario, folder: str | Path) -> None:
@@ -53,7 +52,8 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
 
 def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
-    network, grid = scenario.network, scenario.grid
+    network = scenario.network
+    grid = scenario.grid
     limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
     document = {
         "name": scenario.name,
@@ -94,7 +94,8 @@ def _tier_weight(customers: Customers, tier: str) -> float:
 
 def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
     """The tables by name of their file."""
-    network, customers = scenario.network, scenario.customers
+    network = scenario.network
+    customers = scenario.customers
     frames = {
         "lines": pd.DataFrame({name: getattr(network, name)
                                for name in schema.LineRow.model_fields}),

@@ -56,7 +56,8 @@ def _kind(field: FieldInfo) -> str:
     """Type of a field in plain words."""
     words: dict[Any, str] = {str: "text", float: "number", int: "whole number",
                              bool: "true or false", AwareDatetime: "date and time"}
-    kind, choices = field.annotation, get_args(field.annotation)
+    kind = field.annotation
+    choices = get_args(field.annotation)
     if get_origin(kind) is Literal:
         return "text"
     return words.get(choices[0] if type(None) in choices else kind, "table")

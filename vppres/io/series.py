@@ -6,17 +6,15 @@ import re
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
 from vppres.io.messages import shown
 from vppres.io.settings import iso
 from vppres.io.tables import Table
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 TIME = "time"
 _OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
@@ -95,9 +93,11 @@ def _read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     problems = []
     for line, text, time in zip(texts.index, texts, times, strict=True):
         if pd.isna(time) or not text[:4].isdigit():
-            message, cure = "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
+            message = "is not an ISO 8601 time"
+            cure = "Write it like 2022-07-19T12:00:00Z."
         elif not _OFFSET.search(text):
-            message, cure = "has no time zone", f"Add the offset, for example {text}Z."
+            message = "has no time zone"
+            cure = f"Add the offset, for example {text}Z."
         else:
             continue
         problems.append(Problem(table.file, message if text else "is empty", cure,

@@ -81,7 +81,8 @@ def check_voltages(network: schema.NetworkSection) -> list[Problem]:
     """Voltage limits that contradict each other or exclude the slack bus."""
     problems = []
     for low, high in (("v_min_pu", "v_max_pu"), ("v_min_ac_pu", "v_max_ac_pu")):
-        lower, upper = getattr(network, low), getattr(network, high)
+        lower = getattr(network, low)
+        upper = getattr(network, high)
         if not lower < upper:
             problems.append(Problem(SCENARIO_FILE, f"must be less than {high} ({upper:g})",
                                     "Correct one of the limits.", field=f"network.{low}",

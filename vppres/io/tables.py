@@ -118,7 +118,8 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
     if problems:
         return None, problems
     reader = csv.reader(StringIO(text, newline=""), strict=True)
-    lines, rows = [], []
+    lines = []
+    rows = []
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):

@@ -113,7 +113,8 @@ class Controller:
     """
 
     def __init__(self, scenario: Scenario, options: RunOptions, decider: Decider) -> None:
-        self.scenario, self.options = scenario, options
+        self.scenario = scenario
+        self.options = options
         self._decider = decider
         self._operating_point: OperatingPoint | None = None
         self._kept: tuple[SwitchingState | None, ColdLoad] | None = None
@@ -168,7 +169,8 @@ class Controller:
         """
         seen = see(self.scenario, observation, self.scenario.batteries.t_ref_c)
         day = Day(seen.scenario, self.options)
-        day.state, day.operating_point = seen.state, self._operating_point
+        day.state = seen.state
+        day.operating_point = self._operating_point
         if self._kept is not None:  # who was served since when
             day.switching, day.plant.cold_load = self._kept
         record = day.play(self._decider, seen.t)
@@ -179,7 +181,9 @@ class Controller:
 
 def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
     """The tables of a step."""
-    c, pv, b = scenario.customers, scenario.pv, scenario.batteries
+    c = scenario.customers
+    pv = scenario.pv
+    b = scenario.batteries
     solve = {name: getattr(step, name) for name in (
         "status", "gap", "objective", "bound", "solve_s", "corrected", "fallback",
         "fallback_reason", "estimated")}

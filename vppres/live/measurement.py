@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
 Values = Mapping[str, float] | pd.Series  # by identifier
 WHERE = "measurement"
 
@@ -90,7 +88,9 @@ def see(scenario: Scenario, measured: Measurement, t_cell_c: Floats) -> Seen:
         With every value that does not fit the scenario.
     """
     desk = _Desk(scenario.grid, measured.time)
-    c, pv, b = scenario.customers, scenario.pv, scenario.batteries
+    c = scenario.customers
+    pv = scenario.pv
+    b = scenario.batteries
     load = desk.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
     pv_kw = desk.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
     price = desk.series("price_gbp_per_kwh", measured.price_gbp_per_kwh,
@@ -123,7 +123,8 @@ class _Desk:
     """Reads the parts of one measurement and collects their problems."""
 
     def __init__(self, grid: TimeGrid, time: pd.Timestamp) -> None:
-        self.grid, self.problems = grid, list[Problem]()
+        self.grid = grid
+        self.problems = list[Problem]()
         self.t = int(self._steps("time", pd.Index([time]))[0])
 
     def finish(self) -> None:
@@ -176,7 +177,7 @@ class _Desk:
             if np.isnan(value) and name not in named]
         return result
 
-    def _steps(self, field: str, times: pd.Index) -> Whole:
+    def _steps(self, field: str, times: pd.Index) -> Wholes:
         """Steps of the scenario that begin at these times, -1 for those that do not."""
         known = {time: t for t, time in enumerate(self.grid.times)}
         steps = np.array([known.get(time, -1) for time in times], dtype=np.int64)
@@ -187,7 +188,7 @@ class _Desk:
                           f"{grid.step_minutes:g} min; there are {grid.n_steps}.", field, time)
         return steps
 
-    def _positions(self, field: str, names: Iterable[Any], ids: Iterable[Any]) -> Whole:
+    def _positions(self, field: str, names: Iterable[Any], ids: Iterable[Any]) -> Wholes:
         """Positions of identifiers, -1 for those that the scenario does not have."""
         position = {name: i for i, name in enumerate(ids)}
         for name in names:

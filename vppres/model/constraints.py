@@ -60,7 +60,8 @@ def pv_split(site: Site, v: Variables, p: Parameters) -> Named:
 
 def power_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Active and reactive balance at every bus, the slack bus with the grid's supply."""
-    A, at_bus = site.network.incidence, site.customer_bus
+    A = site.network.incidence
+    at_bus = site.customer_bus
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
     P_inj = v.P_exp @ site.pv_bus.T - v.P_batt @ site.battery_bus.T
     P_demand, Q_demand = _demand(v, p)
@@ -91,7 +92,8 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
     ``u_j = u_i - 2 (r P + x Q) + delta`` with ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``.
     """
     net = site.network
-    r, x = net.r_pu2_per_kw[None, :], net.x_pu2_per_kvar[None, :]
+    r = net.r_pu2_per_kw[None, :]
+    x = net.x_pu2_per_kvar[None, :]
     drop = 2 * (cp.multiply(r, v.P_flow) + cp.multiply(x, v.Q_flow))
     return {
         "voltage_slack": v.u[:, 0] == net.v_slack_pu**2,
@@ -197,7 +199,8 @@ def battery_headroom(site: Site, v: Variables, p: Parameters) -> Named:
 
 def _demand(v: Variables, p: Parameters) -> tuple[cp.Expression, cp.Expression]:
     """Active and reactive demand of those served, higher after a restoration, (W, C) each."""
-    P, Q = cp.multiply(p.P_load, v.x_served), cp.multiply(p.Q_load, v.x_served)
+    P = cp.multiply(p.P_load, v.x_served)
+    Q = cp.multiply(p.Q_load, v.x_served)
     if v.cold is None:
         return P, Q
     return (P + cp.multiply(v.cold.P_cold, v.cold.z), Q + cp.multiply(v.cold.Q_cold, v.cold.z))

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.switching import SwitchingData
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +34,7 @@ class Physics:
 
     loss_kw: Floats
     loss_kvar: Floats
-    reference: NDArray[np.int64]
+    reference: Wholes
     headroom_kw: Floats
     soc_reserve: Floats
 
@@ -88,7 +86,8 @@ class WindowData:
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
         """The window that an observation shows, linearised at its last AC point."""
-        forecast, switching = observation.forecast, observation.switching
+        forecast = observation.forecast
+        switching = observation.switching
         n_steps = len(forecast.price_gbp_per_kwh)
         offset = delta_offset(site.network, observation.operating_point, centre)
         return cls(
@@ -140,7 +139,7 @@ class WindowData:
         return (np.zeros(self.n_steps) if self.physics is None
                 else np.asarray(self.physics.loss_kw.sum(axis=1)))
 
-    def for_service(self, served: NDArray[np.bool_]) -> WindowData:
+    def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""
         if self.switching is None or not self.switching.steps.cold:
             return self

@@ -9,12 +9,12 @@ same injections match the lossless flows of the model and are about three times 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.core.arrays import Floats
 from vppres.scenario.network import Network
 
-Floats = NDArray[np.float64]
+
 def delta_offset(network: Network, point: OperatingPoint | None,
                  centre: Centre = "lossless") -> Floats:
     """Offset of each line in pu², zero before the first AC solution.
@@ -41,7 +41,8 @@ def delta_offset(network: Network, point: OperatingPoint | None,
     if point is None or centre == "none":
         return np.zeros(network.n_lines)
     if centre == "literal":
-        p, q = point.p_flow_kw, point.q_flow_kvar
+        p = point.p_flow_kw
+        q = point.q_flow_kvar
     else:
         p = -(network.downstream @ point.p_injection_kw)
         q = -(network.downstream @ point.q_injection_kvar)

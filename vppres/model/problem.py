@@ -7,10 +7,10 @@ from typing import Literal
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.switching import RuleSteps
+from vppres.core.arrays import Flags
 from vppres.core.errors import ModelError
 from vppres.model import constraints as families
 from vppres.model import objective as terms
@@ -77,7 +77,9 @@ class WindowModel:
     """
 
     def __init__(self, site: Site, n_steps: int, form: Form) -> None:
-        self.site, self.n_steps, self.form = site, n_steps, form
+        self.site = site
+        self.n_steps = n_steps
+        self.form = form
         self.p = Parameters.create(site, n_steps)
         self.physical = PhysicalParameters.create(site, n_steps) if form.physical else None
         self.v = Variables.create(site, n_steps, form.service, form.exclusivity)
@@ -90,7 +92,8 @@ class WindowModel:
 
     def _constraints(self) -> families.Named:
         """All constraints by the names of their equations."""
-        form, args = self.form, (self.site, self.v, self.p)
+        form = self.form
+        args = (self.site, self.v, self.p)
         inverters = (families.inverter_polygons(form.polygon_sides, form.outer)
                      if form.polygon_sides else families.inverter_discs)
         network = ((inverters, *families.NETWORK_FAMILIES) if form.network
@@ -102,7 +105,8 @@ class WindowModel:
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
         """The objective of the form's goal, scaled to numbers that solvers like."""
-        args, w = (self.site, self.v, self.p), self.site.weights
+        args = (self.site, self.v, self.p)
+        w = self.site.weights
         spending = cost_scale(self.site)
         cost = (spending * w.lambda_grid * terms.f2_cost(*args)
                 + spending * w.lambda_curt * terms.f3_curtailment(*args))
@@ -113,7 +117,7 @@ class WindowModel:
             service = service - self.switching.f6_switching
         return cp.Maximize(objective_scale(self.site) * (service - cost / spending))
 
-    def fill(self, data: WindowData, served: NDArray[np.bool_] | None = None) -> None:
+    def fill(self, data: WindowData, served: Flags | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
         if self.physical:
@@ -121,12 +125,13 @@ class WindowModel:
         if self.switching:
             self.switching.fill(data)
 
-    def dispatch(self, served: NDArray[np.bool_] | None = None) -> Dispatch:
+    def dispatch(self, served: Flags | None = None) -> Dispatch:
         """The solution of the last solve."""
         return self.v.dispatch(self.site, served)
 
 
-LARGEST_WITH_CONES, SIDES_BEYOND = 400, 16
+LARGEST_WITH_CONES = 400
+SIDES_BEYOND = 16
 
 
 def disc_sides(site: Site, n_steps: int) -> int:

@@ -7,9 +7,8 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from vppres.core.frozen import content_key
+from vppres.core.arrays import Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
@@ -49,7 +48,7 @@ class Site:
         return self.network.place(self.batteries.bus)
 
     @cached_property
-    def owner(self) -> NDArray[np.int64]:
+    def owner(self) -> Wholes:
         """Shape (P,): position of each PV system's customer."""
         return self.pv.owner(self.customers)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats
 from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.physical import PhysicalParameters
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.problem import disc_sides, require_dpp
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
@@ -40,8 +40,12 @@ class TieBreakerModel:
 
     def __init__(self, site: Site, n_steps: int, curtailing: bool,
                  physical: bool = False, moves: bool = False) -> None:
-        self.site, self.n_steps, self.curtailing = site, n_steps, curtailing
-        W, P, B = n_steps, len(site.pv), len(site.batteries)
+        self.site = site
+        self.n_steps = n_steps
+        self.curtailing = curtailing
+        W = n_steps
+        P = len(site.pv)
+        B = len(site.batteries)
         self.p = Parameters.create(site, W)
         self.physical = PhysicalParameters.create(site, W) if physical else None
         self.P_batt = cp.Variable((W, B), name="P_batt")
@@ -50,7 +54,8 @@ class TieBreakerModel:
         self.charging = cp.Parameter((W, B), name="charging", nonneg=True)
         self.Q_pv_max = cp.Parameter((W, P), name="Q_pv_max", nonneg=True)
         self.near = [cp.Parameter((W, B), name=n) for n in ("near_factor", "near_value") if moves]
-        self.f2_held, self.f3_held = cp.Parameter(name="f2_held"), cp.Parameter(name="f3_held")
+        self.f2_held = cp.Parameter(name="f2_held")
+        self.f3_held = cp.Parameter(name="f3_held")
         self.v = self._variables()
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
@@ -71,7 +76,8 @@ class TieBreakerModel:
 
     def _constraints(self) -> families.Named:
         """The network's families as they are, the devices' with what is held put in."""
-        args, b = (self.site, self.v, self.p), self.site.batteries
+        args = (self.site, self.v, self.p)
+        b = self.site.batteries
         named: families.Named = {}
         sides = disc_sides(self.site, self.n_steps)
         pv_discs = families.inverter_polygons(sides) if sides else families.pv_disc
@@ -85,7 +91,8 @@ class TieBreakerModel:
             named["pv_export"] = self.v.P_exp >= 0
         else:
             named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
-        soc, step = self.v.SoC, self.site.dt_h / b.energy_kwh[None, :]
+        soc = self.v.SoC
+        step = self.site.dt_h / b.energy_kwh[None, :]
         energy: families.Named = {
             "battery_soc_start": soc[0] == self.p.SoC_0,
             "battery_soc_dynamics":
@@ -109,7 +116,8 @@ class TieBreakerModel:
 
         Moves away from the previous plan come on top, in the same unit.
         """
-        args, w = (self.site, self.v, self.p), self.site.weights
+        args = (self.site, self.v, self.p)
+        w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
         moved = 0.0
@@ -119,24 +127,26 @@ class TieBreakerModel:
         return cp.Minimize(scale * w.lambda_l * terms.f4_flows(*args)
                            + scale * w.lambda_q * terms.f5_reactive(*args) + moved)
 
-    def fill(self, data: WindowData, dispatch: Dispatch, charging: NDArray[np.bool_],
+    def fill(self, data: WindowData, dispatch: Dispatch, charging: Flags,
              f2_held_gbp: float, f3_held_kwh: float) -> None:
         """Write the window's data and what is held of a dispatch."""
-        site, P_max = self.site, self.site.batteries.p_max_kw
+        site = self.site
+        P_max = self.site.batteries.p_max_kw
         self.p.fill(site, data, dispatch.served)
         if self.physical:
             self.physical.fill(site, data)
         self.charging.value = charging.astype(float)
         self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
-        self.P_min.value, self.P_max.value = (np.where(charging, 0.0, -P_max),
-                                              np.where(charging, P_max, 0.0))
+        self.P_min.value = np.where(charging, 0.0, -P_max)
+        self.P_max.value = np.where(charging, P_max, 0.0)
         self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
-        self.f2_held.value, self.f3_held.value = f2_held_gbp, f3_held_kwh
+        self.f2_held.value = f2_held_gbp
+        self.f3_held.value = f3_held_kwh
         if data.moves is not None:
             for parameter, value in zip(self.near, data.moves.targets(P_max), strict=True):
                 parameter.value = value
 
-    def dispatch(self, served: NDArray[np.bool_]) -> Dispatch:
+    def dispatch(self, served: Flags) -> Dispatch:
         """The solution of the last solve, exactly in its modes."""
         return self.v.dispatch(self.site, served)
 
@@ -153,7 +163,7 @@ def _sharper(constraint: cp.Constraint, factor: float) -> cp.Constraint:
     return factor * left <= factor * right
 
 
-def charging_modes(dispatch: Dispatch) -> NDArray[np.bool_]:
+def charging_modes(dispatch: Dispatch) -> Flags:
     """Mode of every battery and step; an idle battery takes the fleet's."""
     net: Floats = dispatch.charge_kw - dispatch.discharge_kw
     fleet = net.sum(axis=1, keepdims=True) >= 0

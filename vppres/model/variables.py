@@ -7,11 +7,11 @@ from typing import Literal
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import ColdLoad
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.site import Site
 
 Mode = Literal["integer", "relaxed", "fixed"]
@@ -36,7 +36,9 @@ class Parameters:
     @classmethod
     def create(cls, site: Site, W: int) -> Parameters:
         """Parameters of a window of W steps."""
-        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
+        C = len(site.customers)
+        P = len(site.pv)
+        B = len(site.batteries)
         shapes = {"P_load": (W, C), "Q_load": (W, C), "P_pv": (W, P), "P_self_max": (W, P),
                   "rho_dt": (W,), "P_grid_max": (W,), "Q_grid_max": (W,), "SoC_0": (B,),
                   "eta_ch": (W, B), "inv_eta_dch": (W, B), "delta": (W, site.network.n_lines)}
@@ -45,7 +47,7 @@ class Parameters:
                       for name, shape in shapes.items()})
 
     def fill(self, site: Site, data: WindowData,
-             served: NDArray[np.bool_] | None = None) -> None:
+             served: Flags | None = None) -> None:
         """Write a window's data: all values are computed first, then all are written.
 
         With a served set, shape (W, C), demand and self-consumption are those of the served
@@ -98,8 +100,11 @@ class Variables:
     @classmethod
     def create(cls, site: Site, W: int, service: Mode, exclusivity: Mode) -> Variables:
         """Variables of a window; binaries are boolean only where the form asks for it."""
-        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
-        N, L = site.network.n_buses, site.network.n_lines
+        C = len(site.customers)
+        P = len(site.pv)
+        B = len(site.batteries)
+        N = site.network.n_buses
+        L = site.network.n_lines
 
         def nonneg(name: str, *shape: int) -> cp.Variable:
             return cp.Variable(shape, name=name, nonneg=True)
@@ -107,7 +112,8 @@ class Variables:
         def free(name: str, *shape: int) -> cp.Variable:
             return cp.Variable(shape, name=name)
 
-        P_ch, P_dch = nonneg("P_ch", W, B), nonneg("P_dch", W, B)
+        P_ch = nonneg("P_ch", W, B)
+        P_dch = nonneg("P_dch", W, B)
         return cls(
             x_served=_service(W, C, service),
             P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
@@ -119,7 +125,7 @@ class Variables:
             P_flow=free("P_flow", W, L), Q_flow=free("Q_flow", W, L),
         )
 
-    def dispatch(self, site: Site, served: NDArray[np.bool_] | None = None) -> Dispatch:
+    def dispatch(self, site: Site, served: Flags | None = None) -> Dispatch:
         """The solution as arrays, cleaned of solver noise below 1e-7."""
 
         def clean(variable: cp.Expression, lower: float = -np.inf) -> Floats:

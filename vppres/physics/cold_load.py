@@ -5,12 +5,9 @@ from __future__ import annotations
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats
 from vppres.scenario.rules import SwitchingRules
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class ColdLoad:

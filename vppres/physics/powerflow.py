@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandapower as pp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from vppres.core.arrays import Floats, content_key, freeze_fields
 from vppres.core.errors import InputError, Problem, VerificationError
-from vppres.core.frozen import content_key, freeze_fields
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.scenario.network import Network
-
-Floats = NDArray[np.float64]
 
 TOLERANCE_MVA = 1e-9
 """Largest mismatch of power at any bus, 1 mW."""
@@ -115,7 +113,8 @@ class ACPowerFlow:
         if reference not in self._nets:
             self._nets[reference] = _build(self.network, reference)
         net = self._nets[reference]
-        net.load["p_mw"], net.load["q_mvar"] = -kw_to_mw(p), -kw_to_mw(q)
+        net.load["p_mw"] = -kw_to_mw(p)
+        net.load["q_mvar"] = -kw_to_mw(q)
         warm = reference in self._warm
         self._warm.discard(reference)
         if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
@@ -164,7 +163,8 @@ def _run(net: pp.pandapowerNet, init: str) -> bool:
 
 def _read(net: pp.pandapowerNet) -> ACResult:
     """Results of the net in the network's order and in kW."""
-    lines, slack = net.res_line, net.res_ext_grid
+    lines = net.res_line
+    slack = net.res_ext_grid
     return ACResult(
         v_pu=net.res_bus["vm_pu"].to_numpy(),
         p_from_kw=mw_to_kw(lines["p_from_mw"]), q_from_kvar=mw_to_kw(lines["q_from_mvar"]),

@@ -15,13 +15,13 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import W_PER_KW, joule_loss_kw
 from vppres.scenario.assets import Batteries
 
-Floats = NDArray[np.float64]
 JouleUnit = Literal["w", "kw"]
 ThermalScheme = Literal["off", "exact", "euler", "exact-joule-kw", "euler-joule-kw"]
 Step = Callable[[Floats, Floats, ArrayLike, Floats, Floats, float], Floats]

@@ -7,17 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.island import Settled
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def realise(plant: Plant, flow: ACPowerFlow, t: int, decision: Decision,
@@ -63,7 +60,8 @@ def _reduced(scenario: Scenario, t: int,
     for tier in reversed(scenario.tiers):
         served = served & (scenario.customers.tier != tier)
         yield f"{tier} and below", _with_served(decision, served)
-    plan, row = decision.dispatch, decision.row
+    plan = decision.dispatch
+    row = decision.row
     still: dict[str, Any] = {
         name: _with_row(getattr(plan, name), row, 0.0) for name in
         ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")}
@@ -72,7 +70,7 @@ def _reduced(scenario: Scenario, t: int,
     yield "everything", replace(empty, dispatch=replace(empty.dispatch, **still))
 
 
-def _with_served(decision: Decision, served: Bools) -> Decision:
+def _with_served(decision: Decision, served: Flags) -> Decision:
     rows = np.array(decision.dispatch.served, dtype=bool)
     rows[decision.row] = served
     return replace(decision, dispatch=replace(decision.dispatch, served=rows))

@@ -11,15 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 BALANCE_TOLERANCE_KW = 1e-6
 """Largest power that the source of the power flow may still give once the set has shared it."""
@@ -93,7 +90,8 @@ class IslandPlant:
     """
 
     def __init__(self, plant: Plant, flow: ACPowerFlow) -> None:
-        self.plant, self.flow = plant, flow
+        self.plant = plant
+        self.flow = flow
         self.formers = plant.scenario.batteries.formers
 
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
@@ -141,7 +139,8 @@ class IslandPlant:
         most_charge, most_discharge = self.plant.battery_limits_kw(state)
         reference = int(np.argmax(np.where(able, b.s_max_kva, -1.0)))
         bus = int(self.plant.battery_bus[reference])
-        batt_q, deficit_kw = powers.batt_q_kvar.copy(), 0.0
+        batt_q = powers.batt_q_kvar.copy()
+        deficit_kw = 0.0
         for _ in range(_MAX_SHARINGS):
             disc_kw = np.sqrt(np.maximum(b.s_max_kva**2 - batt_q**2, 0.0))
             lowest = -np.minimum(most_discharge, disc_kw)
@@ -154,7 +153,8 @@ class IslandPlant:
             realised = self.plant.realise(t, shared, state)
             ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, bus)
             left_kw = deficit_kw - given.sum()
-            change_kw, change_kvar = ac.p_slack_kw - left_kw, ac.q_slack_kvar
+            change_kw = ac.p_slack_kw - left_kw
+            change_kvar = ac.q_slack_kvar
             if max(abs(change_kw), abs(change_kvar)) <= BALANCE_TOLERANCE_KW:
                 excess_kvar = abs(batt_q[reference]) - b.s_max_kva[reference]
                 return _Balance(shared, ac, left_kw, float(excess_kvar))
@@ -198,7 +198,8 @@ class IslandPlant:
     def _dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
         """Nobody is served, nothing generates, nothing flows."""
         net = self.plant.scenario.network
-        pv, batteries = np.zeros(len(planned.pv_self_kw)), np.zeros(len(planned.charge_kw))
+        pv = np.zeros(len(planned.pv_self_kw))
+        batteries = np.zeros(len(planned.charge_kw))
         off = Powers(np.zeros_like(planned.served), pv, pv, self.plant.scenario.pv_kw[t], pv,
                      batteries, batteries)
         lines = np.zeros(net.n_lines)

@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision
+from vppres.core.arrays import Flags, Floats
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 CLIP_TOLERANCE_KW = 1e-3
 """Set-points that the plant had to move by more than this are named in the record."""
@@ -40,7 +38,7 @@ class Powers:
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
     """
 
-    served: NDArray[np.bool_]
+    served: Flags
     pv_self_kw: Floats
     pv_export_kw: Floats
     pv_curtailed_kw: Floats
@@ -56,7 +54,7 @@ class Realised:
     ``load_kw`` (C,) is the demand, served or not.
     """
 
-    served: NDArray[np.bool_]
+    served: Flags
     pv_self_kw: Floats
     pv_export_kw: Floats
     pv_curtailed_kw: Floats
@@ -86,7 +84,8 @@ class Plant:
 
     def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off",
                  rules: SwitchingRules | None = None) -> None:
-        self.scenario, self.thermal = scenario, thermal
+        self.scenario = scenario
+        self.thermal = thermal
         self.cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
                                    len(scenario.customers))
         index = scenario.network.bus_index
@@ -112,12 +111,14 @@ class Plant:
 
     def apply(self, t: int, decision: Decision, state: BatteryState) -> Realised:
         """Carry out a decision at step ``t``."""
-        plan, row = decision.dispatch, decision.row
+        plan = decision.dispatch
+        row = decision.row
         served = np.asarray(plan.served[row], dtype=bool)
         demand_kw = self.load_kw(t, served) * served
         own, export, curtailed = self._split_pv(t, demand_kw, plan.pv_curtailed_kw[row])
         charge, discharge = self._battery_power(plan.charge_kw[row], plan.discharge_kw[row], state)
-        pv, b = self.scenario.pv, self.scenario.batteries
+        pv = self.scenario.pv
+        b = self.scenario.batteries
         pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
         batt_q = _limit_q(plan.batt_q_kvar[row], charge - discharge, b.s_max_kva)
         clipped = max(np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
@@ -126,14 +127,15 @@ class Plant:
         powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
         return self.realise(t, powers, state, float(clipped))
 
-    def load_kw(self, t: int, served: NDArray[np.bool_]) -> Floats:
+    def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
         return np.asarray(self.scenario.load_kw[t] * self.cold_load.factors(served))
 
     def realise(self, t: int, powers: Powers, state: BatteryState,
                 clipped_kw: float = 0.0) -> Realised:
         """What powers that are within all limits do to the buses and the batteries."""
-        b, load_kw = self.scenario.batteries, self.load_kw(t, powers.served)
+        b = self.scenario.batteries
+        load_kw = self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)
         discharge = np.maximum(-powers.battery_kw, 0.0)
         stored = state.eta_charge * charge - discharge / state.eta_discharge
@@ -168,7 +170,8 @@ class Plant:
 
     def battery_limits_kw(self, state: BatteryState) -> tuple[Floats, Floats]:
         """Largest charge and discharge over one step, by rating and state of charge, (B,) each."""
-        b, dt_h = self.scenario.batteries, self.scenario.grid.dt_h
+        b = self.scenario.batteries
+        dt_h = self.scenario.grid.dt_h
         room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
         held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
         rating = np.minimum(b.p_max_kw, b.s_max_kva)

@@ -44,7 +44,8 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     flat_defaults = dict(_flat(asdict(defaults)))
     rows = []
     for name, value in _flat(options):
-        words, default = _words(value), _words(flat_defaults.get(name, value))
+        words = _words(value)
+        default = _words(flat_defaults.get(name, value))
         rows.append(OptionWords(name.replace("_", " ").replace(".", ", "), words,
                                 meanings.get(name, ""), "" if words == default else default))
     return rows
@@ -52,7 +53,8 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
 
 def simplifications(run: Trajectory) -> list[str]:
     """What the model leaves out, as it matters to this run."""
-    options, day = run.options, run.scenario
+    options = run.options
+    day = run.scenario
     errors = options.get("errors", {})
     exact = not any(errors.values()) if isinstance(errors, Mapping) else True
     sentences = [
@@ -81,7 +83,9 @@ def simplifications(run: Trajectory) -> list[str]:
 
 def data_words(run: Trajectory) -> list[tuple[str, str]]:
     """Size and limits of the scenario, each with its name."""
-    day, net, grid = run.scenario, run.scenario.network, run.scenario.grid
+    day = run.scenario
+    net = run.scenario.network
+    grid = run.scenario.grid
     weights = ", ".join(_tier_words(run, tier) for tier in day.tiers)
     rated = int(np.isfinite(net.i_max_a).sum())
     return [

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
+from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots import (
@@ -40,9 +40,8 @@ from vppres.report.plots import (
     stored_energy_kwh,
 )
 
-Floats = NDArray[np.float64]
-
-ROW_PX, FRAME_PX = 190, 110
+ROW_PX = 190
+FRAME_PX = 110
 GAP = 0.06  # between two rows, as a share of the height
 DASHES = ("solid", "dash", "dashdot", "dot")
 
@@ -101,7 +100,8 @@ def grid_chart(run: Trajectory) -> go.Figure:
     """Voltages of the AC power flow with their limits, and the most loaded line."""
     net = run.scenario.network
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
-    lowest, highest = v.argmin(axis=1), v.argmax(axis=1)
+    lowest = v.argmin(axis=1)
+    highest = v.argmax(axis=1)
     at_lowest = [f"bus {bus}" for bus in net.buses[lowest]]
     at_highest = [f"bus {bus}" for bus in net.buses[highest]]
     return _chart(run, [
@@ -116,7 +116,8 @@ def grid_chart(run: Trajectory) -> go.Figure:
 
 def _line_row(run: Trajectory) -> Row:
     """Loading of the most loaded line where lines have ratings, else the largest current."""
-    net, rated = run.scenario.network, run.scenario.network.has_ratings
+    net = run.scenario.network
+    rated = run.scenario.network.has_ratings
     values = np.nan_to_num(line_values(run, rated))
     lines = [f"line {net.from_bus[i]} to {net.to_bus[i]}" for i in values.argmax(axis=1)]
     name = "largest line loading (%)" if rated else "largest line current (A)"

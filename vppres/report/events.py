@@ -93,7 +93,8 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When the batteries reach the end of their usable energy in an outage."""
-    energy, (low, high) = stored_energy_kwh(run), energy_limits_kwh(run)
+    energy = stored_energy_kwh(run)
+    (low, high) = energy_limits_kwh(run)
     for first, last in outage_spans(run):
         empty = np.flatnonzero(energy[first + 1:last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
@@ -101,7 +102,8 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def _day(run: Trajectory) -> str:
-    grid, n_steps = run.scenario.grid, len(run.steps)
+    grid = run.scenario.grid
+    n_steps = len(run.steps)
     return (f"{n_steps} steps of {grid.step_minutes:g} min from {clock_words(run, 0)} to "
             f"{clock_words(run, n_steps)} UTC.")
 
@@ -135,7 +137,8 @@ def _import(summary: Mapping[str, Any]) -> str:
 
 def _voltage(run: Trajectory) -> str:
     """The lowest voltage, and where and when."""
-    net, live = run.scenario.network, run.buses[run.buses["v_ac_pu"] > 0]
+    net = run.scenario.network
+    live = run.buses[run.buses["v_ac_pu"] > 0]
     row = live.iloc[int(live["v_ac_pu"].to_numpy().argmin())]
     time = pd.Timestamp(row["time"]).tz_convert("UTC")
     return (f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "

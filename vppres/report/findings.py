@@ -24,7 +24,8 @@ def findings(run: Trajectory) -> list[str]:
 
 def _voltages(run: Trajectory) -> Iterator[str]:
     """Voltages of the AC power flow outside its limits."""
-    net, live = run.scenario.network, run.buses[run.buses["v_ac_pu"] > 0]
+    net = run.scenario.network
+    live = run.buses[run.buses["v_ac_pu"] > 0]
     v = live["v_ac_pu"]
     for words, limit, beyond in (("below", net.v_min_ac_pu, net.v_min_ac_pu - v),
                                  ("above", net.v_max_ac_pu, v - net.v_max_ac_pu)):
@@ -52,7 +53,8 @@ def _loadings(run: Trajectory) -> Iterator[str]:
 def _island(run: Trajectory) -> Iterator[str]:
     """Power that the AC check draws from a grid that is out."""
     island = island_figures(run)
-    drawn, surplus = island["island_import_max_kw"], island["island_export_max_kw"]
+    drawn = island["island_import_max_kw"]
+    surplus = island["island_export_max_kw"]
     if drawn is not None and drawn > ISLAND_TOLERANCE_KW:
         yield (f"In the outage the AC power flow still draws up to {drawn:,.1f} kW from the grid's "
                "bus: losses and mismatch that no battery covered.")

@@ -12,22 +12,24 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.colors import to_hex
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.tree_layout import tree_layout
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-COLUMN_PX, ROW_PX, MARGIN_PX, BELOW_PX = 50, 74, 40, 54
+COLUMN_PX = 50
+ROW_PX = 74
+MARGIN_PX = 40
+BELOW_PX = 54
 MAX_NAMED_BUSES = 150
 MAX_VOLTAGE_CLASSES = 8
 CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 OUT_OF_LIMITS = 9  # the class of voltages outside the AC limits
 LOADING_EDGES = (0.2, 0.4, 0.6, 0.8, 1.0)
-SERVED, PARTLY, NOT_SERVED = 0, 1, 2
+SERVED = 0
+PARTLY = 1
+NOT_SERVED = 2
 HALF_ULP = 1e-9
 
 
@@ -58,8 +60,10 @@ class Drawing:
 
 def drawing(run: Trajectory) -> Drawing:
     """Places of buses and lines, and the marks of what is connected."""
-    day, layout = run.scenario, tree_layout(run.scenario.network)
-    net, c = day.network, day.customers
+    day = run.scenario
+    layout = tree_layout(run.scenario.network)
+    net = day.network
+    c = day.customers
     x = MARGIN_PX + COLUMN_PX * layout.column
     y = MARGIN_PX + ROW_PX * layout.row
     at_bus = np.array([net.bus_index[bus] for bus in c.bus], dtype=int)
@@ -81,11 +85,13 @@ def voltage_edges(run: Trajectory) -> Floats:
 
     Voltages outside the AC limits are in a class of their own and do not count here.
     """
-    net, v = run.scenario.network, run.buses["v_ac_pu"].to_numpy(float)
+    net = run.scenario.network
+    v = run.buses["v_ac_pu"].to_numpy(float)
     inside = v[(v >= net.v_min_ac_pu) & (v <= net.v_max_ac_pu)]
     low, high = (inside.min(), inside.max()) if len(inside) else (net.v_min_ac_pu, net.v_max_ac_pu)
     for width in CLASS_WIDTHS_PU:
-        first, last = np.floor(low / width + HALF_ULP), np.ceil(high / width - HALF_ULP)
+        first = np.floor(low / width + HALF_ULP)
+        last = np.ceil(high / width - HALF_ULP)
         if last - first <= MAX_VOLTAGE_CLASSES:
             break
     return np.asarray(width * np.arange(first, max(last, first + 1) + 1))
@@ -143,7 +149,7 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def loading_classes(run: Trajectory) -> Ints:
+def loading_classes(run: Trajectory) -> Wholes:
     """Class of each line's loading, shape (T, L): the number of edges that it has reached.
 
     Without any ratings the current is taken as a share of the largest of the run.
@@ -157,15 +163,16 @@ def loading_classes(run: Trajectory) -> Ints:
     return np.digitize(loading, LOADING_EDGES)
 
 
-def _voltage_classes(run: Trajectory, v: Floats) -> Ints:
+def _voltage_classes(run: Trajectory, v: Floats) -> Wholes:
     """Class of each voltage, shape (T, N)."""
-    net, edges = run.scenario.network, voltage_edges(run)
+    net = run.scenario.network
+    edges = voltage_edges(run)
     classes = np.clip(np.digitize(v, edges) - 1, 0, len(edges) - 2)
     inside = (v >= net.v_min_ac_pu) & (v <= net.v_max_ac_pu)
     return np.where(inside, classes, OUT_OF_LIMITS)
 
 
-def _tile_classes(run: Trajectory, served: NDArray[np.bool_]) -> Ints:
+def _tile_classes(run: Trajectory, served: Flags) -> Wholes:
     """Whether all, some or none of a bus's customers are served, shape (T, N)."""
     at = run.scenario.network.place(run.scenario.customers.bus)
     total = np.asarray(at.sum(axis=1)).ravel()
@@ -184,6 +191,6 @@ def _info(run: Trajectory) -> list[str]:
     return lines
 
 
-def _digits(classes: Ints) -> list[str]:
+def _digits(classes: Wholes) -> list[str]:
     """One string per step, a digit per element."""
     return ["".join(map(str, row)) for row in classes.tolist()]

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vppres.core.frozen import freeze_fields
+from vppres.core.arrays import Wholes, freeze_fields
 from vppres.scenario.network import Network
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +19,8 @@ class TreeLayout:
     of the others.
     """
 
-    column: Ints
-    row: Ints
+    column: Wholes
+    row: Wholes
 
     def __post_init__(self) -> None:
         freeze_fields(self, column=int, row=int)
@@ -56,8 +53,8 @@ def tree_layout(network: Network) -> TreeLayout:
     return TreeLayout(column, row - row.min())
 
 
-def _place(bus: int, children: list[list[int]], reach: Ints, column: Ints,
-           sides: tuple[int, ...]) -> tuple[dict[int, int], dict[int, Ints]]:
+def _place(bus: int, children: list[list[int]], reach: Wholes, column: Wholes,
+           sides: tuple[int, ...]) -> tuple[dict[int, int], dict[int, Wholes]]:
     """Lay out a bus and all that it feeds, towards the given sides.
 
     Returns

@@ -9,14 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vppres.core.frozen import freeze_fields
-
-Floats = NDArray[np.float64]
-Names = NDArray[np.object_]
-Flags = NDArray[np.bool_]
-Wholes = NDArray[np.int64]
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +58,7 @@ class PVSystems:
     def __len__(self) -> int:
         return len(self.id)
 
-    def owner(self, customers: Customers) -> NDArray[np.int64]:
+    def owner(self, customers: Customers) -> Wholes:
         """Position of each system's owner in the customers' table."""
         position = {c: i for i, c in enumerate(customers.id)}
         return np.array([position[c] for c in self.customer], dtype=int)

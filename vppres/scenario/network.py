@@ -7,17 +7,16 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from vppres.core.arrays import Floats, Names, Wholes, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.core.frozen import freeze
 from vppres.core.units import ohm_to_pu2_per_kw
 
 BusId = int | str
 
 
-def _no_ratings() -> NDArray[np.float64]:
+def _no_ratings() -> Floats:
     """Stands for lines without thermal ratings; the network replaces it by infinities."""
     return np.empty(0)
 
@@ -61,10 +60,10 @@ class Network:
     ([1, 2, 3], [2, 3], [0, 1])
     """
 
-    from_bus: NDArray[np.object_]
-    to_bus: NDArray[np.object_]
-    r_ohm: NDArray[np.float64]
-    x_ohm: NDArray[np.float64]
+    from_bus: Names
+    to_bus: Names
+    r_ohm: Floats
+    x_ohm: Floats
     slack_bus: BusId
     base_kv: float
     v_slack_pu: float = 1.0
@@ -72,13 +71,14 @@ class Network:
     v_max_pu: float = 1.053
     v_min_ac_pu: float = 0.94
     v_max_ac_pu: float = 1.06
-    i_max_a: NDArray[np.float64] = field(default_factory=_no_ratings)
-    buses: NDArray[np.object_] = field(init=False)
-    parent: NDArray[np.int64] = field(init=False)
+    i_max_a: Floats = field(default_factory=_no_ratings)
+    buses: Names = field(init=False)
+    parent: Wholes = field(init=False)
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.from_bus, dtype=object), np.asarray(self.to_bus, dtype=object)
-        r, x = np.asarray(self.r_ohm, float), np.asarray(self.x_ohm, float)
+        r = np.asarray(self.r_ohm, float)
+        x = np.asarray(self.x_ohm, float)
         i_max = np.asarray(self.i_max_a, float)
         i_max = i_max if len(i_max) else np.full(len(r), np.inf)
         problems = (check_radial(ends[0], ends[1], self.slack_bus) + _check_impedance(r, x)
@@ -133,23 +133,23 @@ class Network:
         return sp.csr_array(dense)
 
     @cached_property
-    def r_pu2_per_kw(self) -> NDArray[np.float64]:
+    def r_pu2_per_kw(self) -> Floats:
         """Drop of V² per kW of flow and unit factor, without the factor 2 of LinDistFlow."""
         return ohm_to_pu2_per_kw(self.r_ohm, self.base_kv)
 
     @cached_property
-    def x_pu2_per_kvar(self) -> NDArray[np.float64]:
+    def x_pu2_per_kvar(self) -> Floats:
         """Drop of V² per kvar of flow, without the factor 2 of LinDistFlow."""
         return ohm_to_pu2_per_kw(self.x_ohm, self.base_kv)
 
-    def place(self, bus: NDArray[np.object_]) -> sp.csr_array:
+    def place(self, bus: Names) -> sp.csr_array:
         """Matrix of shape (N, len(bus)) that sums items onto their buses."""
         rows = [self.bus_index[b] for b in bus]
         return sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))),
                             shape=(self.n_buses, len(rows)))
 
 
-def check_radial(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_],
+def check_radial(from_bus: Names, to_bus: Names,
                  slack_bus: BusId) -> list[Problem]:
     """Problems that keep a set of lines from being a tree with the slack bus in it."""
     if len(from_bus) == 0:
@@ -178,8 +178,8 @@ def check_radial(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_],
     return problems
 
 
-def find_loops(from_bus: NDArray[np.object_],
-               to_bus: NDArray[np.object_]) -> list[tuple[int, list[BusId]]]:
+def find_loops(from_bus: Names,
+               to_bus: Names) -> list[tuple[int, list[BusId]]]:
     """Lines that close a loop, taken in order, each with the buses of its loop."""
     neighbours: dict[BusId, list[BusId]] = {}
     loops = []
@@ -211,17 +211,18 @@ def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> li
     return path
 
 
-def _graph(from_bus: NDArray[np.object_],
-           to_bus: NDArray[np.object_]) -> tuple[dict[BusId, int], sp.csr_array]:
+def _graph(from_bus: Names,
+           to_bus: Names) -> tuple[dict[BusId, int], sp.csr_array]:
     """Bus numbering by first appearance and the adjacency matrix."""
     ends = (bus for line in zip(from_bus, to_bus, strict=True) for bus in line)
     names = {b: i for i, b in enumerate(dict.fromkeys(ends))}
-    rows, cols = [names[b] for b in from_bus], [names[b] for b in to_bus]
+    rows = [names[b] for b in from_bus]
+    cols = [names[b] for b in to_bus]
     return names, sp.csr_array((np.ones(len(rows)), (rows, cols)), shape=(len(names),) * 2)
 
 
-def _orient(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_], slack_bus: BusId
-            ) -> tuple[NDArray[np.object_], NDArray[np.int64], NDArray[np.int64]]:
+def _orient(from_bus: Names, to_bus: Names, slack_bus: BusId
+            ) -> tuple[Names, Wholes, Wholes]:
     """Buses in breadth-first order, parent of each but the first, and the line that feeds it."""
     names, graph = _graph(from_bus, to_bus)
     order, before = breadth_first_order(graph, names[slack_bus], directed=False)
@@ -234,7 +235,7 @@ def _orient(from_bus: NDArray[np.object_], to_bus: NDArray[np.object_], slack_bu
     return labels[order], position[before[order[1:]]], np.array(line_of, dtype=int)
 
 
-def _check_impedance(r_ohm: NDArray[np.float64], x_ohm: NDArray[np.float64]) -> list[Problem]:
+def _check_impedance(r_ohm: Floats, x_ohm: Floats) -> list[Problem]:
     """Lines without a resistance above zero, or with a negative reactance."""
     bad = [("r_ohm", i, r_ohm[i]) for i in np.flatnonzero(~(r_ohm > 0))]
     bad += [("x_ohm", i, x_ohm[i]) for i in np.flatnonzero(~(x_ohm >= 0))]
@@ -243,7 +244,7 @@ def _check_impedance(r_ohm: NDArray[np.float64], x_ohm: NDArray[np.float64]) -> 
             for name, i, value in bad]
 
 
-def _check_ratings(i_max_a: NDArray[np.float64], n_lines: int) -> list[Problem]:
+def _check_ratings(i_max_a: Floats, n_lines: int) -> list[Problem]:
     """Ratings that are not one positive current for each line."""
     if i_max_a.shape != (n_lines,):
         return [Problem("lines", f"must have one value for each of the {n_lines} lines", "Give "

@@ -6,11 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.scenario.scenario import Scenario
-
-Repeats = NDArray[np.int64]
 
 
 def split_sheddable(scenario: Scenario) -> Scenario:
@@ -30,7 +28,8 @@ def split_sheddable(scenario: Scenario) -> Scenario:
     Scenario
         The same object where all customers are all or nothing.
     """
-    customers, pv = scenario.customers, scenario.pv
+    customers = scenario.customers
+    pv = scenario.pv
     parts = customers.shed_steps
     if (parts == 1).all():
         return scenario
@@ -71,13 +70,13 @@ def part_names(customer: str, count: int) -> list[str]:
     return [f"{customer}/{k}" for k in range(1, count + 1)]
 
 
-def _part_names(names: NDArray[np.object_], parts: Repeats) -> NDArray[np.object_]:
+def _part_names(names: Names, parts: Wholes) -> Names:
     """Names of all parts in order; whoever is all or nothing keeps its name."""
     split = [[name] if count == 1 else part_names(str(name), int(count))
              for name, count in zip(names, parts, strict=True)]
     return np.array([name for group in split for name in group], dtype=object)
 
 
-def _shared(values: NDArray[np.float64], parts: Repeats) -> NDArray[np.float64]:
+def _shared(values: Floats, parts: Wholes) -> Floats:
     """Values divided among the parts, along the last axis."""
     return np.repeat(values / parts, parts, axis=-1)

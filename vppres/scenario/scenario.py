@@ -7,16 +7,13 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from vppres.core.frozen import freeze_fields
+from vppres.core.arrays import Flags, Floats, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.timegrid import TimeGrid
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ class Scenario:
                       temperature_c=float, grid_limit_kw=float)
 
     @cached_property
-    def outage(self) -> NDArray[np.bool_]:
+    def outage(self) -> Flags:
         """True where the grid gives nothing, shape (T,)."""
         return self.grid_limit_kw <= 0.0
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.switching import RuleSteps
+from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import rule_steps
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.problem import Form, WindowModel, disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
@@ -32,7 +32,8 @@ from vppres.solve.solvers import SolverSpec, run, run_conic
 POLYGON_SIDES = 16
 """Default sides of an inverter's polygon."""
 
-HELD_REL, HELD_ABS = 1e-6, 1e-5
+HELD_REL = 1e-6
+HELD_ABS = 1e-5
 """How much the tie-breakers may worsen cost (GBP) and curtailment (kWh)."""
 
 CURTAILMENT_HELD_REL = 1e-7
@@ -60,7 +61,8 @@ class ModelCache:
     def window(self, form: Form, data: WindowData) -> WindowModel:
         """The window problem of a form, of the window's length, mode and switching rules."""
         rules = None if form.service == "fixed" else rule_steps(data)
-        form, n_steps = replace(form, physical=data.physical, switching=rules), data.n_steps
+        form = replace(form, physical=data.physical, switching=rules)
+        n_steps = data.n_steps
         if (form, n_steps) not in self.models:
             self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
         return self.models[form, n_steps]
@@ -124,7 +126,7 @@ class Stage:
     dispatch: Dispatch | None
 
 
-def solve_cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
+def solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
                form: Form, time_s: float) -> Stage:
     """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
@@ -151,7 +153,7 @@ def cost_form(polygon_sides: int, network: bool) -> Form:
     return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network=network)
 
 
-def _cost(cache: ModelCache, data: WindowData, served: NDArray[np.bool_], spec: SolverSpec,
+def _cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
           form: Form, time_s: float) -> Stage:
     model = cache.window(form, data)
     model.fill(data, served)
@@ -168,7 +170,8 @@ def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatc
     SoC limit can forbid it.
     """
     net = dispatch.charge_kw - dispatch.discharge_kw
-    charge, discharge = np.maximum(net, 0.0), np.maximum(-net, 0.0)
+    charge = np.maximum(net, 0.0)
+    discharge = np.maximum(-net, 0.0)
     soc = soc_path(site, data, charge, discharge)
     return (replace(dispatch, charge_kw=charge, discharge_kw=discharge, soc=soc),
             bool((soc <= site.batteries.soc_max + 1e-7).all()))
@@ -211,7 +214,9 @@ def least_reactive(cache: ModelCache, data: WindowData, dispatch: Dispatch,
 
     A step without an answer keeps the reactive power that it has.
     """
-    begin, model, changed = time.perf_counter(), cache.reactive, dispatch
+    begin = time.perf_counter()
+    model = cache.reactive
+    changed = dispatch
     status = Status.OPTIMAL
     for t in range(data.n_steps):
         model.fill(data, dispatch, t)

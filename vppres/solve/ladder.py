@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.problem import Form, objective_scale
@@ -24,7 +24,6 @@ from vppres.solve.search import GRACE_S, Candidate, Search
 from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
 
 METHODS = ("decomposed", "monolithic")
-Served = NDArray[np.bool_]
 Rung = Callable[[WindowData, Search], None]
 
 LARGE = 1500
@@ -59,7 +58,8 @@ class WindowSolver:
             raise InputError(Problem("options", "is not a known method",
                                      f"Use one of: {', '.join(METHODS)}.", field="method",
                                      value=method))
-        self.method, self.limits = method, limits or SolveLimits()
+        self.method = method
+        self.limits = limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)
         self.sides = 0 if self.spec.mip_cones else polygon_sides
         self.cache = shared_cache(site)
@@ -97,7 +97,7 @@ class WindowSolver:
             self._full(data, search)
         return self._finish(data, search)
 
-    def solve_served(self, data: WindowData, served: Served) -> WindowSolution | None:
+    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none; no bound."""
         whole = self.site.customers.weight.sum() * self.site.dt_h * data.n_steps
         search = Search(self.limits, self.limits.absolute(whole))
@@ -126,11 +126,13 @@ class WindowSolver:
 
     def _enter_network(self, data: WindowData, search: Search) -> None:
         """Put the best dispatch into the network, at a higher cost where that is needed."""
-        best, master = search.best, None
+        best = search.best
+        master = None
         assert best is not None
         if applies(self.site, data):
             master = NetworkMaster(self.site, self.cache.reactance, data, search.left_s)
-        large, found = is_large(self.site, data), None
+        large = is_large(self.site, data)
+        found = None
         if master is None or not large or master.unit * (master.most_units + 0.5) > best.service:
             found = self._polished(data, best, search)
         if found is None and master is not None:
@@ -147,7 +149,7 @@ class WindowSolver:
         return (not search.certified and search.left_s > 0.0
                 and not (known and is_large(self.site, data)))
 
-    def _in_network(self, data: WindowData, served: Served, search: Search) -> Candidate | None:
+    def _in_network(self, data: WindowData, served: Flags, search: Search) -> Candidate | None:
         """Cheapest dispatch of a served set in the network, with the true discs."""
         inner = cost_form(self.sides, network=True)
         found = self._cheapest("network_cost", data, served, inner, search)
@@ -164,7 +166,7 @@ class WindowSolver:
         terms = evaluate(self.site, data, stage.dispatch)
         return replace(found, dispatch=stage.dispatch, terms=terms, in_network=True)
 
-    def _cheapest(self, name: str, data: WindowData, served: Served, form: Form,
+    def _cheapest(self, name: str, data: WindowData, served: Flags, form: Form,
                   search: Search) -> Candidate | None:
         """Cheapest dispatch of a served set in a form of the cost level."""
         # A started answer is always finished: recovery gets a moment even when time is up. In a
@@ -175,7 +177,8 @@ class WindowSolver:
         search.note(name, stage.outcome)
         if stage.dispatch is None:
             return None
-        terms, weights = evaluate(self.site, data, stage.dispatch), self.site.weights
+        terms = evaluate(self.site, data, stage.dispatch)
+        weights = self.site.weights
         value = terms.upper_levels(weights)
         slack = abs(stage.outcome.value - stage.outcome.bound)
         return Candidate(stage.dispatch, terms, value + weights.lambda_grid * terms.f2, value,
@@ -187,7 +190,8 @@ class WindowSolver:
         self._recover(data, served, search)
         best = search.best
         if best is not None and whole - best.service <= 1e-6 * search.gap:
-            search.service_bound, search.cost_bound_gbp = whole, best.cost_bound_gbp
+            search.service_bound = whole
+            search.cost_bound_gbp = best.cost_bound_gbp
             weight = self.site.weights.lambda_grid
             # Any other served set loses at least the smallest weight, or the bound says less.
             loss = self.site.customers.weight.min() * self.site.dt_h
@@ -218,7 +222,9 @@ class WindowSolver:
         or costs at least what the linear relaxation says.
         """
         assert search.best is not None
-        best, weight, unit = search.best, self.site.weights.lambda_grid, master.unit
+        best = search.best
+        weight = self.site.weights.lambda_grid
+        unit = master.unit
         admitted = max(best.value, best.service - 0.5 * unit)
         # Within less than one customer of the bound nobody connected can be left out.
         everyone = search.service_bound - admitted < 0.99 * unit
@@ -241,7 +247,7 @@ class WindowSolver:
             self._recover(data, served, search)
 
     def _aggregate(self, data: WindowData, search: Search, lumped: bool) -> None:
-        """Served set and bound of the lumped relaxation with all terms as weighted."""
+        """Flags set and bound of the lumped relaxation with all terms as weighted."""
         model = self.cache.aggregate(data, lumped=lumped)
         model.fill(data)
         outcome = run(model.problem, self.spec, 0.8 * search.gap, search.left_s,
@@ -249,7 +255,7 @@ class WindowSolver:
         self._take("aggregate", outcome, model.x.value, data, search)
 
     def _per_battery(self, data: WindowData, search: Search) -> None:
-        """Served set and bound of the relaxation with every battery but without the network."""
+        """Flags set and bound of the relaxation with every battery but without the network."""
         form = Form("service", "integer", "integer", 0, network=False)
         self._window(form, "per_battery", data, 0.8 * search.gap, search)
 
@@ -299,7 +305,7 @@ class WindowSolver:
         elif name != "full" or not self.sides:
             search.prove(outcome)
 
-    def _recover(self, data: WindowData, served: Served, search: Search,
+    def _recover(self, data: WindowData, served: Flags, search: Search,
                  network: bool = False) -> None:
         """Cheapest dispatch of a served set; kept if it is the best so far.
 
@@ -318,7 +324,8 @@ class WindowSolver:
         if search.best is None or not search.answered:
             search.no_answer().require_answer(f"The window of {data.n_steps} steps")
             raise AssertionError("an outcome without answer always raises")
-        best, weights = search.best, self.site.weights
+        best = search.best
+        weights = self.site.weights
         bound_gbp = max(search.cost_bound_gbp, 0.0)
         # Whatever serves more than the bound on F allows would have to cost more than is possible.
         dearest = float(data.price_gbp_per_kwh @ data.grid_p_max_kw(self.site)) * self.site.dt_h

@@ -8,14 +8,11 @@ import cvxpy as cp
 import highspy
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
-from vppres.model.data import Floats
 from vppres.solve.result import Status
 from vppres.solve.solvers import COMPILER
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +37,7 @@ class Program:
     rows: sp.csc_array
     lower: Floats
     upper: Floats
-    integer: Ints
+    integer: Wholes
 
     def with_rows(self, rows: sp.csc_array, lower: Floats) -> Program:
         """The program with rows ``rows @ x >= lower`` more."""
@@ -80,11 +77,15 @@ class Program:
         model = highspy.HighsModel()
         lp = model.lp_
         lp.num_row_, lp.num_col_ = self.rows.shape
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = self.cost, self.x_lower, self.x_upper
-        lp.row_lower_, lp.row_upper_ = self.lower, self.upper
+        lp.col_cost_ = self.cost
+        lp.col_lower_ = self.x_lower
+        lp.col_upper_ = self.x_upper
+        lp.row_lower_ = self.lower
+        lp.row_upper_ = self.upper
         lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = (
-            self.rows.indptr, self.rows.indices, self.rows.data)
+        lp.a_matrix_.start_ = self.rows.indptr
+        lp.a_matrix_.index_ = self.rows.indices
+        lp.a_matrix_.value_ = self.rows.data
         if len(self.integer):
             kinds = [highspy.HighsVarType.kContinuous] * len(self.cost)
             for position in self.integer:
@@ -108,7 +109,8 @@ class Answer:
     def of(cls, solver: highspy.Highs) -> Answer:
         """Run a solver; duals come only without whole numbers."""
         solver.run()
-        solution, info = solver.getSolution(), solver.getInfo()
+        solution = solver.getSolution()
+        info = solver.getInfo()
         whole = len(solver.getLp().integrality_) > 0
         value = info.objective_function_value
         return cls(_status(solver.getModelStatus(), info.primal_solution_status), value,
@@ -126,7 +128,9 @@ def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
         Equalities come first; the first column of each variable by its name.
     """
     data, _, _ = problem.get_problem_data(cp.HIGHS, canon_backend=COMPILER)
-    place, equal, count = data["param_prob"].var_id_to_col, data["dims"].zero, len(data["c"])
+    place = data["param_prob"].var_id_to_col
+    equal = data["dims"].zero
+    count = len(data["c"])
     lower = np.full(len(data["b"]), -np.inf)
     lower[:equal] = data["b"][:equal]
     bounds = [np.full(count, free) if data[name] is None else data[name] for name, free in

@@ -6,9 +6,9 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.core.errors import (
     InfeasibleError,
     LimitError,
@@ -17,8 +17,6 @@ from vppres.core.errors import (
     UnboundedError,
 )
 from vppres.model.terms import Terms
-
-Floats = NDArray[np.float64]
 
 
 class Status(enum.StrEnum):

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import cvxpy as cp
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.model import constraints as families
 from vppres.model import objective as terms
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.problem import disc_sides, require_dpp
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
@@ -62,7 +63,8 @@ class RecoveryModel:
     """
 
     def __init__(self, site: Site, n_steps: int) -> None:
-        self.site, self.n_steps = site, n_steps
+        self.site = site
+        self.n_steps = n_steps
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
@@ -80,7 +82,8 @@ class RecoveryModel:
 
     def _constraints(self) -> families.Named:
         """The paper's families, and what is held."""
-        args, v = (self.site, self.v, self.p), self.v
+        args = (self.site, self.v, self.p)
+        v = self.v
         discs = families.inverter_polygons(self.sides) if self.sides else families.inverter_discs
         named: families.Named = {}
         for family in (*families.DEVICE_FAMILIES, discs, *families.NETWORK_FAMILIES):
@@ -105,8 +108,10 @@ class RecoveryModel:
         self.p.fill(self.site, _padded(cost, missing))
         self.x_min.value = _rows(held.service_min, missing)
         self.x_max.value = _rows(held.service_max, missing)
-        self.mode_min.value, self.mode_max.value = held.mode_min, held.mode_max
-        self.weight_f1.value, self.weight_f3.value = goal.service, goal.curtailment
+        self.mode_min.value = held.mode_min
+        self.mode_max.value = held.mode_max
+        self.weight_f1.value = goal.service
+        self.weight_f3.value = goal.curtailment
         # All PV energy of the window is a limit that never binds.
         everything = float(data.pv_kw.sum()) * self.site.dt_h + 1.0
         self.f3_max.value = min(goal.curtailed_max_kwh, everything)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Floats
+from vppres.model.data import WindowData
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
 from vppres.solve.solvers import run_conic
@@ -112,7 +113,8 @@ def solve_recovery(model: RecoveryModel, data: WindowData, held: Held, goal: Goa
     outcome = run_conic(model.problem, time_s)
     if outcome.status != Status.OPTIMAL:
         return None
-    v, W = model.v, data.n_steps
+    v = model.v
+    W = data.n_steps
     return Recovery(
         value=outcome.value, served_share=np.clip(_value(v.x_served)[:W], 0.0, 1.0),
         curtailed_kwh=float(_value(v.P_curt).sum()) * model.site.dt_h,
@@ -127,8 +129,10 @@ def _value(expression: cp.Expression) -> Floats:
 
 def _prices(model: RecoveryModel) -> ShadowPrices:
     """The duals in the record's units; the signs are those of a gain."""
-    site, v = model.site, model.v
-    net, energy_kwh = site.network, site.batteries.energy_kwh
+    site = model.site
+    v = model.v
+    net = site.network
+    energy_kwh = site.batteries.energy_kwh
     mode = _value(v.delta)[0]
     dual = _Duals(model)
     # A demand on the right of the balance costs what an injection gains.
@@ -170,7 +174,8 @@ class _Duals:
 
     def disc(self, name: str, count: int) -> Floats:
         """Value of one more kVA in the first step, from a cone or from a polygon's sides."""
-        W, sides = self.model.n_steps, self.model.sides
+        W = self.model.n_steps
+        sides = self.model.sides
         if count == 0:
             return np.zeros(0)
         if sides:

@@ -141,7 +141,8 @@ def read_values(parameter: Parameter, text: str) -> list[Value]:
     InputError
         If one is not of the parameter's kind, or comes twice.
     """
-    values, problems = [], []
+    values = []
+    problems = []
     for part in (part.strip() for part in text.split(",")):
         value = _read(parameter.kind, part)
         if value is None:
@@ -252,7 +253,8 @@ def _with_outage_hours(day: Scenario, hours: float) -> Scenario:
     if len(steps) == 0 or np.any(np.diff(steps) != 1):
         raise InputError(Problem("scenario", "has not exactly one outage",
                                  "Sweep the hours of a scenario with one outage."))
-    n_steps, left = hours / day.grid.dt_h, day.grid.n_steps - int(steps[0])
+    n_steps = hours / day.grid.dt_h
+    left = day.grid.n_steps - int(steps[0])
     if not (0 <= n_steps <= left and float(n_steps).is_integer()):
         raise InputError(Problem(
             "scenario", f"the outage must last from 0 to {left * day.grid.dt_h:g} h in steps of "

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats, Names
 from vppres.model.site import Site
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,8 @@ class _Row:
 
     @classmethod
     def of(cls, decision: Decision) -> _Row:
-        plan, row = decision.dispatch, decision.row
+        plan = decision.dispatch
+        row = decision.row
         return cls(np.asarray(plan.served[row], dtype=float), plan.pv_curtailed_kw[row],
                    plan.pv_q_kvar[row], plan.charge_kw[row], plan.discharge_kw[row],
                    plan.batt_q_kvar[row], plan.v_pu[row])
@@ -158,7 +157,8 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     taken = float(state.load_kw @ row.served + row.charge_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = within.loss_share * max(taken, given)
-    short, surplus = taken - given - state.grid_limit_kw, given - taken
+    short = taken - given - state.grid_limit_kw
+    surplus = given - taken
     if short > within.balance_kw:
         return f"balance: {short:.1f} kW short"
     if surplus > within.balance_kw + losses_kw:
@@ -173,7 +173,7 @@ def _voltage(row: _Row, limits_pu: tuple[float, float], within: Tolerances) -> s
     return f"voltage: {v[worst]:.4f} pu" if outside[worst] > within.v_pu else ""
 
 
-def _worst(check: str, names: NDArray[np.object_], excess: Floats, beyond: Floats,
+def _worst(check: str, names: Names, excess: Floats, beyond: Floats,
            unit: str) -> str:
     """Text on the item that is furthest beyond its tolerance, empty if none is."""
     if len(excess) == 0 or excess.max() <= 0:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.observation import Observation
+from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.model.site import Site
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SOC_TOLERANCE = 1e-3
 """A reading that stands still is frozen if the balance of energy moved by more than this."""
@@ -22,7 +19,8 @@ FROZEN_CHANGE = 0.05
 SOC_MARGIN = 0.05
 """A state of charge further outside the battery's limits than this is no measurement."""
 
-RESPONSE_SHARE, SILENT_SHARE = 0.02, 1e-3
+RESPONSE_SHARE = 0.02
+SILENT_SHARE = 1e-3
 """A battery asked for more than the first share of its rating that gives less than the second is
 out."""
 
@@ -45,7 +43,7 @@ class Known:
     """
 
     observation: Observation
-    online: Bools
+    online: Flags
     estimated: str
 
 
@@ -65,7 +63,7 @@ class Estimator:
         self._raw: Observation | None = None
         self._frozen_series: set[str] = set()
         self._command_kw: Floats = np.zeros(len(site.batteries))
-        self._out_until: NDArray[np.int64] = np.zeros(len(site.batteries), dtype=np.int64)
+        self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
     def known(self, seen: Observation) -> Known:
         """The observation with estimates in place of what cannot be trusted."""
@@ -79,7 +77,9 @@ class Estimator:
         forecast = replace(seen.forecast, load_kw=load, pv_kw=pv) if load_words or pv_words \
             else seen.forecast
         known = Known(replace(seen, forecast=forecast, soc=soc), online, "; ".join(words))
-        self._before, self._last, self._raw = self._last, known, seen
+        self._before = self._last
+        self._last = known
+        self._raw = seen
         return known
 
     def commanded(self, charge_kw: Floats, discharge_kw: Floats) -> None:
@@ -92,7 +92,7 @@ class Estimator:
             return self._command_kw
         return np.where(np.isfinite(seen.battery_kw), seen.battery_kw, self._command_kw)
 
-    def _online(self, seen: Observation, power_kw: Floats) -> Bools:
+    def _online(self, seen: Observation, power_kw: Floats) -> Flags:
         """Batteries that report to be there and did what they were told."""
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
         rating = self.site.batteries.p_max_kw
@@ -127,7 +127,7 @@ class Estimator:
         return np.clip(o.soc + stored * self.site.dt_h / b.energy_kwh, b.soc_min, b.soc_max)
 
     def _series(self, name: str, seen: Observation,
-                ids: NDArray[np.object_]) -> tuple[Floats, list[str]]:
+                ids: Names) -> tuple[Floats, list[str]]:
         """Demand or PV power of the window, its first step estimated where it must be."""
         values: Floats = getattr(seen.forecast, name)
         now = values[0]
@@ -154,7 +154,8 @@ class Estimator:
         """
         if self._raw is None:
             return False
-        now, before = getattr(seen.forecast, name)[0], getattr(self._raw.forecast, name)[0]
+        now = getattr(seen.forecast, name)[0]
+        before = getattr(self._raw.forecast, name)[0]
         same = bool(np.array_equal(now, before) and now.any())
         older, newer = (_total_ahead(known, name) for known in (self._before, self._last))
         moved = abs(newer - older) > FROZEN_CHANGE * max(older, newer)  # NaN: not known to have

@@ -23,7 +23,8 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with, w
 from vppres.control.guard.relax import relaxed_answers
 from vppres.control.planner import solve_info
 from vppres.control.rules import carry, rule_dispatch
-from vppres.control.step_state import Bools, Floats, StepState
+from vppres.control.step_state import StepState
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -84,10 +85,12 @@ class GuardedController:
 
     def __init__(self, controller_of: ControllerOf, solver_of: SolverOf, site: Site,
                  options: GuardOptions) -> None:
-        self.site, self.options = site, options
+        self.site = site
+        self.options = options
         self.inner = controller_of(site)
         self.known: Known | None = None
-        self._controller_of, self._solver_of = controller_of, solver_of
+        self._controller_of = controller_of
+        self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
         self._critical: dict[bytes, WindowSolver] = {}
         self._estimator = Estimator(site)
@@ -109,7 +112,8 @@ class GuardedController:
         decision = self._checked_answer(known, state)
         if self.options.protect_critical:
             decision = self._critical_first(decision, known, state)
-        plan, row = decision.dispatch, decision.row
+        plan = decision.dispatch
+        row = decision.row
         self._estimator.commanded(plan.charge_kw[row], plan.discharge_kw[row])
         return replace(decision, estimated=known.estimated)
 
@@ -191,7 +195,8 @@ class GuardedController:
         """The step of the last good plan, its balance closed by what is measured now."""
         if self._plan is None:
             return None
-        plan, row = self._plan[0], known.observation.t0 - self._plan[1]
+        plan = self._plan[0]
+        row = known.observation.t0 - self._plan[1]
         if not 0 <= row < plan.n_steps:
             return None
         carried = carry(state, np.asarray(plan.served[row], dtype=bool),
@@ -236,7 +241,9 @@ class GuardedController:
 
         The step alone would serve everyone it can and leave no energy for the steps to come.
         """
-        plan, row, tier = decision.dispatch, decision.row, self.site.customers.tier
+        plan = decision.dispatch
+        row = decision.row
+        tier = self.site.customers.tier
         wanted_kw = plan.charge_kw[row] - plan.discharge_kw[row]
         first = alone.dispatch.served[0] & (tier == self.options.tiers[0])
         for lowest in range(len(self.options.tiers), 0, -1):
@@ -263,7 +270,7 @@ class GuardedController:
         except Exception as error:
             return self._rule(state, _words(error))
 
-    def _critical_solver(self, online: Bools) -> WindowSolver:
+    def _critical_solver(self, online: Flags) -> WindowSolver:
         """Solver of the one-step problem that puts the first tier above everything else."""
         key = online.tobytes()
         if key not in self._critical:
@@ -271,7 +278,7 @@ class GuardedController:
             self._critical[key] = self._solver_of(site)
         return self._critical[key]
 
-    def _critical_weight(self, served: Bools | Floats) -> float:
+    def _critical_weight(self, served: Flags | Floats) -> float:
         """Weight of the served customers of the first tier."""
         first = self.site.customers.tier == self.options.tiers[0]
         return float(self.site.customers.weight[first] @ np.asarray(served, dtype=float)[first])
@@ -282,7 +289,8 @@ def critical_site(site: Site, tier: str) -> Site:
 
     Its one-step window says who of the tier can be served at all.
     """
-    first, weight = site.customers.tier == tier, site.customers.weight
+    first = site.customers.tier == tier
+    weight = site.customers.weight
     if not first.any():
         return site
     factor = np.ceil(weight[~first].sum() / weight[first].min()) + 1.0

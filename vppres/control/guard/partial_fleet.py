@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.core.arrays import Flags, Floats
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
-
-def site_with(site: Site, online: Bools) -> Site:
+def site_with(site: Site, online: Flags) -> Site:
     """The site with the batteries that are online, shape (B,); itself if all are."""
     if online.all():
         return site
@@ -25,7 +22,7 @@ def site_with(site: Site, online: Bools) -> Site:
     return replace(site, batteries=left)
 
 
-def reduced_observation(seen: Observation, online: Bools) -> Observation:
+def reduced_observation(seen: Observation, online: Flags) -> Observation:
     """The observation of the batteries that are online."""
     if online.all():
         return seen
@@ -33,7 +30,7 @@ def reduced_observation(seen: Observation, online: Bools) -> Observation:
                    eta_discharge=seen.eta_discharge[online], battery_kw=None, online=None)
 
 
-def whole_fleet(dispatch: Dispatch, online: Bools, soc: Floats) -> Dispatch:
+def whole_fleet(dispatch: Dispatch, online: Flags, soc: Floats) -> Dispatch:
     """A dispatch of the batteries online as one of all; those that are out rest at their SoC."""
     if online.all():
         return dispatch

@@ -16,16 +16,12 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.frozen import freeze_fields
+from vppres.core.arrays import Complexes, Flags, Floats, freeze_fields
 from vppres.model.data import Physics, WindowData
 from vppres.model.site import Site
 from vppres.scenario.network import Network
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 TOLERANCE_PU = 1e-10
 _MAX_SWEEPS = 60
@@ -41,13 +37,13 @@ class ACPoints:
     q_flow_kvar: Floats
     loss_kw: Floats
     loss_kvar: Floats
-    converged: NDArray[np.bool_]
+    converged: Flags
 
     def __post_init__(self) -> None:
         freeze_fields(self, v_pu=float, p_flow_kw=float, q_flow_kvar=float, loss_kw=float,
                       loss_kvar=float, converged=bool)
 
-    def where(self, chosen: NDArray[np.bool_], other: ACPoints) -> ACPoints:
+    def where(self, chosen: Flags, other: ACPoints) -> ACPoints:
         """These points with those of ``other`` in the chosen steps, (W,)."""
         rows = np.flatnonzero(chosen)
         values = {f.name: np.array(getattr(self, f.name)) for f in fields(self)}
@@ -82,7 +78,8 @@ class Sweeps:
     """
 
     def __init__(self, network: Network, reference: int = 0) -> None:
-        self.network, self.reference = network, reference
+        self.network = network
+        self.reference = reference
 
     @cached_property
     def _downstream(self) -> sp.csr_array:
@@ -102,7 +99,8 @@ class Sweeps:
 
     def solve(self, p_kw: Floats, q_kvar: Floats) -> ACPoints:
         """AC points of the injections, shape (W, N) each; the reference bus supplies the rest."""
-        net, feeds = self.network, self._downstream
+        net = self.network
+        feeds = self._downstream
         z = (net.r_pu2_per_kw + 1j * net.x_pu2_per_kvar)[:, None]
         drawn = -(p_kw + 1j * q_kvar).T
         v: Complexes = np.full(drawn.shape, net.v_slack_pu, dtype=complex)
@@ -134,7 +132,8 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
 
 def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:
     """The window with losses and voltages as at these points; steps without one keep theirs."""
-    old, sound = data.require_physics(), points.converged[:, None]
+    old = data.require_physics()
+    sound = points.converged[:, None]
     physics = replace(old, loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
                       loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar))
     offset = np.where(sound, points.offset_pu2(network), data.delta_pu2)

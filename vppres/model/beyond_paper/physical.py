@@ -12,8 +12,9 @@ from dataclasses import dataclass, fields
 import cvxpy as cp
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.model.constraints import Named
-from vppres.model.data import Floats, Physics, WindowData
+from vppres.model.data import Physics, WindowData
 from vppres.model.site import Site
 from vppres.model.variables import Variables
 
@@ -41,7 +42,8 @@ class PhysicalParameters:
     @classmethod
     def create(cls, site: Site, W: int) -> PhysicalParameters:
         """Parameters of a window of W steps."""
-        N, B = site.network.n_buses, len(site.batteries)
+        N = site.network.n_buses
+        B = len(site.batteries)
         shapes = {"P_loss": (W, N), "Q_loss": (W, N), "held": (W, N), "u_root_min": (W,),
                   "u_root_max": (W,), "P_room": (W, B), "S_room": (W, B), "SoC_min": (W, B)}
         return cls(**{name: cp.Parameter(shape, name=name, nonneg=True)
@@ -49,7 +51,8 @@ class PhysicalParameters:
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        physics, net = data.require_physics(), site.network
+        physics = data.require_physics()
+        net = site.network
         island = physics.reference > 0
         values = {
             "P_loss": _at_far_ends(physics.loss_kw), "Q_loss": _at_far_ends(physics.loss_kvar),

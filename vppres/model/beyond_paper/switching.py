@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.contract.switching import RuleSteps, SwitchingData
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Floats
+from vppres.model.data import WindowData
 from vppres.model.site import Site
 
 Named = dict[str, cp.Constraint]
@@ -33,7 +34,8 @@ class ColdLoad:
     @classmethod
     def create(cls, site: Site, W: int) -> ColdLoad:
         """Variable and parameters of a window of W steps."""
-        C, P = len(site.customers), len(site.pv)
+        C = len(site.customers)
+        P = len(site.pv)
         named = {name: cp.Parameter((W, width), name=name, nonneg=True) for name, width in
                  (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))}
         return cls(cp.Variable((W, C), name="z_cold", nonneg=True), **named)
@@ -42,7 +44,8 @@ class ColdLoad:
         """Write the added demand, and the added self-consumption of PV owners."""
         cold = data.all_cold()
         added: Floats = cold.load_kw - data.load_kw
-        self.P_cold.value, self.Q_cold.value = added, added * site.customers.q_per_p
+        self.P_cold.value = added
+        self.Q_cold.value = added * site.customers.q_per_p
         self.P_self_cold.value = cold.self_limit_kw(site) - data.self_limit_kw(site)
 
 
@@ -60,7 +63,9 @@ class SwitchingModel:
     """
 
     def __init__(self, site: Site, x: cp.Expression, steps: RuleSteps) -> None:
-        self.site, self.x, self.steps = site, x, steps
+        self.site = site
+        self.x = x
+        self.steps = steps
         W, C = x.shape
         self.on = cp.Variable((W, C), name="y_on", nonneg=True)
         self.off = cp.Variable((W, C), name="y_off", nonneg=True)
@@ -122,7 +127,8 @@ def cold_load(m: SwitchingModel) -> Named:
 
     A restoration before the window counts as long as it lasts.
     """
-    cold, W = m.cold, m.x.shape[0]
+    cold = m.cold
+    W = m.x.shape[0]
     assert cold is not None
     K = m.steps.cold
     after = {f"cold_load_after_{k}": cold.z[k:] >= m.on[:W - k] + m.x[k:] - 1 for k in range(K)}

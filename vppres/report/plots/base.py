@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, DateFormatter
 from matplotlib.figure import Figure
 
+from vppres.core.arrays import Floats
 from vppres.day.metrics import horizon_h
-from vppres.day.series import Floats, edges_of, outage_spans
+from vppres.day.series import edges_of, outage_spans
 from vppres.day.trajectory import Trajectory
 
 Runs = Trajectory | Mapping[str, Trajectory]
@@ -171,7 +172,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     list of Path
         The files written.
     """
-    png, svg = stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.svg")
+    png = stem.with_name(f"{stem.name}.png")
+    svg = stem.with_name(f"{stem.name}.svg")
     with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
         figure.savefig(svg, metadata={"Date": None})
     # The places are found; to find them again would take half of the time.

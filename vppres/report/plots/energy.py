@@ -7,8 +7,8 @@ import itertools
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vppres.core.arrays import Floats
 from vppres.day.series import (
-    Floats,
     battery_power_kw,
     demand_kw,
     edges_of,

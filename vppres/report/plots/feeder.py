@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from vppres.day.series import Floats, edges_of, line_values
+from vppres.core.arrays import Floats, Wholes
+from vppres.day.series import edges_of, line_values
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import (
     BLACK,
@@ -66,7 +66,8 @@ def solve_times(runs: Runs) -> Figure:
 
 def feeder_maps(run: Trajectory) -> Figure:
     """A row per bus with its voltage, and a row per line with its loading, over the day."""
-    net, rated = run.scenario.network, run.scenario.network.has_ratings
+    net = run.scenario.network
+    rated = run.scenario.network.has_ratings
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
     rows = min(net.n_buses, MAX_NAMED_ROWS)
     figure = Figure(figsize=(8.6, 2.6 + 2 * ROW_IN * max(rows, 12)), layout="constrained")
@@ -86,7 +87,7 @@ def feeder_maps(run: Trajectory) -> Figure:
     return figure
 
 
-def _along_the_feeder(run: Trajectory) -> NDArray[np.int64]:
+def _along_the_feeder(run: Trajectory) -> Wholes:
     """Buses as they stand in the one-line diagram, row by row: neighbours stay together."""
     layout = tree_layout(run.scenario.network)
     return np.lexsort((layout.column, layout.row))

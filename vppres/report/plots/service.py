@@ -11,8 +11,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier as share_by_tier
-from vppres.day.series import Floats, edges_of
+from vppres.day.series import edges_of
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import (
     BLACK,
@@ -43,7 +44,8 @@ def service_by_tier(runs: Runs) -> Figure:
     axes = figure.subplots(2, len(named), squeeze=False, sharex="col",
                            height_ratios=(tiles_in, 1.7))
     for column, (label, run) in enumerate(named.items()):
-        tiles, share = axes[0, column], axes[1, column]
+        tiles = axes[0, column]
+        share = axes[1, column]
         tiles.set_title(label, fontsize=10, loc="left")
         _draw_tiles(tiles, run)
         _draw_shares(share, run)
@@ -78,7 +80,9 @@ def tile_rows(run: Trajectory) -> TileRows:
     size = -(-len(day.customers) // MAX_ROWS)
     layout = tree_layout(day.network)
     along = np.lexsort((layout.column[at_bus], layout.row[at_bus]))
-    names, shares, tiers = [], [], []
+    names = []
+    shares = []
+    tiers = []
     for tier in day.tiers:
         members = np.flatnonzero(day.customers.tier == tier)
         if size > 1:
@@ -93,7 +97,8 @@ def tile_rows(run: Trajectory) -> TileRows:
 
 def _draw_tiles(ax: Axes, run: Trajectory) -> None:
     """A tile per row and step, grouped by tier; crosses carry the message without colour."""
-    rows, edges = tile_rows(run), edges_of(run)
+    rows = tile_rows(run)
+    edges = edges_of(run)
     many = rows.share.size > RASTER_ABOVE
     ax.pcolormesh(edges, np.arange(len(rows.names) + 1), rows.share, vmin=0, vmax=1,
                   cmap=LinearSegmentedColormap.from_list("service", [UNSERVED, SERVED]),

@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from vppres.day.series import Floats, battery_power_kw, edges_of
+from vppres.core.arrays import Floats
+from vppres.day.series import battery_power_kw, edges_of
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import BLACK, GREEN, GREY, ORANGE, SERVED, UNSERVED, clock
 
@@ -21,7 +22,8 @@ PHASE_GREYS = ("#FFFFFF", "#D0D0D0", "#F0F0F0", "#B8B8B8")
 LETTERS_ACROSS = 120  # that fit across the figure
 DARK, LIMITED, GIVING = "#707070", "#C8C8C8", "#FFFFFF"
 STRIP_IN, FRAME_IN = 0.42, 1.0  # below the strips are the clock and the legend
-LEFT, WIDTH = 0.12, 0.85
+LEFT = 0.12
+WIDTH = 0.85
 
 
 def timeline(run: Trajectory) -> Figure:
@@ -48,7 +50,9 @@ def timeline(run: Trajectory) -> Figure:
 
 def _phase_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """Phases of the day as the record names them."""
-    edges, phases, start = edges_of(run), run.steps["phase"].astype(str).tolist(), 0
+    edges = edges_of(run)
+    phases = run.steps["phase"].astype(str).tolist()
+    start = 0
     greys = {phase: PHASE_GREYS[i % len(PHASE_GREYS)]
              for i, phase in enumerate(dict.fromkeys(phases))}
     _strip(ax, run, row, [(greys[phase], "") for phase in phases])
@@ -71,7 +75,8 @@ def _grid_strip(ax: Axes, run: Trajectory, row: int) -> str:
 
 def _battery_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """Whether the batteries together charge or discharge."""
-    power, rated = battery_power_kw(run), float(run.scenario.batteries.p_max_kw.sum())
+    power = battery_power_kw(run)
+    rated = float(run.scenario.batteries.p_max_kw.sum())
     share = power / max(rated, 1e-9)
     states = np.select([share > IDLE_SHARE, share < -IDLE_SHARE], [1, 2], 0)
     styles = (("#FFFFFF", ""), (GREEN, "///"), (ORANGE, "..."))
@@ -102,7 +107,8 @@ def _service_strip(ax: Axes, run: Trajectory, row: int) -> str:
 
 def _strip(ax: Axes, run: Trajectory, row: int, styles: Iterable[tuple[Any, str]]) -> None:
     """One box for each stretch of steps that look alike; ``styles`` are colour and hatch."""
-    edges, start = edges_of(run), 0
+    edges = edges_of(run)
+    start = 0
     for (colour, hatch), steps in groupby(styles):
         end = start + len(list(steps))
         ax.fill_between([edges[start], edges[end]], row - 0.36, row + 0.36, facecolor=colour,

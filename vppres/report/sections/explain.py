@@ -33,7 +33,8 @@ def explain_section(run: Run) -> Section | None:
     :func:`vppres.explain.day.explain_day` makes the tables that are shown here.
     """
     trajectory = run.trajectory
-    explanations, prices = trajectory.explanations, trajectory.shadow_prices
+    explanations = trajectory.explanations
+    prices = trajectory.shadow_prices
     if explanations is None or prices is None:
         return None
     return section("explain", "What happened when, and why", {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from vppres.day.series import Floats
+from vppres.core.arrays import Floats
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import BLUE, GREY, VERMILLION, draw_steps, panels
 

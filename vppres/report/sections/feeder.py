@@ -21,7 +21,8 @@ EN_DASH = "\N{EN DASH}"
 
 def feeder_section(run: Run) -> Section:
     """The diagram in the worst outage step, with a choice of the others."""
-    day, states = run.trajectory.scenario, step_states(run.trajectory)
+    day = run.trajectory.scenario
+    states = step_states(run.trajectory)
     voltages = _voltage_words(run.trajectory)
     customers = [f"{name} ({tier})"
                  for name, tier in zip(day.customers.id, day.customers.tier, strict=True)]

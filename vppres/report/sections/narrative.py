@@ -98,7 +98,8 @@ def _service(tables: Tables) -> str:
     total = len(tables.customers) // max(len(served), 1)
     if served.min() == total:
         return f"All {total} customers were served."
-    low, high = int(served.min()), int(served.max())
+    low = int(served.min())
+    high = int(served.max())
     many = f"{low}" if low == high else f"{low} to {high}"
     out = tables.explanations[tables.explanations["action"] == "not_served"]
     why = ", ".join(f"{DRIVERS[str(driver)]} {count}" for driver, count in
@@ -141,7 +142,8 @@ def _range(prices: pd.DataFrame, name: str, column: str) -> str:
     if best.empty:
         return ""
     text = money if column == "gbp" else figure
-    low, high = text(float(best.min())), text(float(best.max()))
+    low = text(float(best.min()))
+    high = text(float(best.max()))
     return low if low == high else f"{low} to {high}"
 
 

@@ -25,7 +25,9 @@ def network_section(run: Run) -> Section:
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     """The most loaded lines, or those with the largest current where there are no ratings."""
-    net, current, loading = run.scenario.network, line_current_a(run), line_loading(run)
+    net = run.scenario.network
+    current = line_current_a(run)
+    loading = line_loading(run)
     rated = np.isfinite(net.i_max_a)
     peak = current.max(axis=0)
     share = np.where(rated, peak / net.i_max_a, np.nan)

@@ -13,17 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.data import WindowData
 from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import Answer, Ints, Program
+from vppres.solve.programs import Answer, Program
 from vppres.solve.result import Outcome, Status
-
-Served = NDArray[np.bool_]
-Steps = NDArray[np.bool_]
 
 TOLERANCE = 1e-6
 SERVICE_SHARE = 0.6
@@ -39,14 +36,14 @@ class _Layout:
     """
 
     n_steps: int
-    step: Ints
-    customer: Ints
-    count: Ints
-    count_step: Ints
-    weight: Ints
+    step: Wholes
+    customer: Wholes
+    count: Wholes
+    count_step: Wholes
+    weight: Wholes
 
     @classmethod
-    def of(cls, units: Ints, able: Served, free: NDArray[np.bool_]) -> _Layout:
+    def of(cls, units: Wholes, able: Flags, free: Flags) -> _Layout:
         """Shares and counts of the steps in which not everyone is served."""
         step, customer = np.nonzero(able & free[:, None] & (units > 0))
         span = int(units.max(initial=0)) + 1
@@ -64,7 +61,7 @@ class _Layout:
         return self.n_steps + 1
 
     @property
-    def counts(self) -> Ints:
+    def counts(self) -> Wholes:
         """Columns of the counts."""
         return self.n_steps + 2 + len(self.step) + np.arange(len(self.weight))
 
@@ -96,7 +93,7 @@ class _Found:
     status: Status
     value: float
     bound: float
-    served: Served
+    served: Flags
     point: Floats
 
 
@@ -116,11 +113,15 @@ class Counts:
     prefix = ""
 
     def __init__(self, model: DemandModel, data: WindowData, time_s: float) -> None:
-        self.end, self.unit = time.perf_counter() + time_s, model.relaxation.grid
+        self.end = time.perf_counter() + time_s
+        self.unit = model.relaxation.grid
         model.fill(data)
-        self.load_kw, self.able, self.units = data.load_kw, model.able, model.customer_units
-        self.unlimited: Steps = np.isinf(data.grid_limit_kw)
-        self.demand_kw, self.worst = np.asarray(model.p["load_all"].value), model.worst()
+        self.load_kw = data.load_kw
+        self.able = model.able
+        self.units = model.customer_units
+        self.unlimited: Flags = np.isinf(data.grid_limit_kw)
+        self.demand_kw = np.asarray(model.p["load_all"].value)
+        self.worst = model.worst()
         self.paid = bool((data.price_gbp_per_kwh < 0.0).any())
         self.reach = Reach(model, time_s)
         self.cuts: list[Cut] = []
@@ -132,14 +133,16 @@ class Counts:
         """Seconds until the masters' time limit."""
         return self.end - time.perf_counter()
 
-    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units to a gap, whole without loss; everyone connected is served."""
-        begin, free = time.perf_counter(), ~self.unlimited
+        begin = time.perf_counter()
+        free = ~self.unlimited
         self.gap = gap
         found = self._carried(lambda: self._most(free, integer=False))
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
-            end, self.end = self.end, begin + SERVICE_SHARE * (self.end - begin)
+            end = self.end
+            self.end = begin + SERVICE_SHARE * (self.end - begin)
             whole = self._carried(lambda: self._in_blocks(free, solved))
             found = whole if whole.status.has_answer else self._rounded(found, free)
             self.end = end
@@ -149,7 +152,7 @@ class Counts:
         return outcome, self._completed(found, free) if found.status.has_answer else None
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Served | None]:
+             gap_gbp: float) -> tuple[Outcome, Flags | None]:
         """Least cost in GBP of all sets with so many units.
 
         Parameters
@@ -190,12 +193,12 @@ class Counts:
                 return replace(found, status=Status.NO_ANSWER)
             self.cuts.append(cut)
 
-    def _rounded(self, linear: _Found, free: Steps) -> _Found:
+    def _rounded(self, linear: _Found, free: Flags) -> _Found:
         """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
         units = int((linear.served[free] * self.units).sum())
         return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
 
-    def _in_blocks(self, free: Steps, solved: dict[tuple[bytes, int], _Found]) -> _Found:
+    def _in_blocks(self, free: Flags, solved: dict[tuple[bytes, int], _Found]) -> _Found:
         """Most service, block by block: steps that no cut joins have nothing to do with another."""
         parts = []
         for block in self._blocks(free):
@@ -213,8 +216,8 @@ class Counts:
             np.append(np.min([part.point[:-2] for part in parts], axis=0),
                       np.max([part.point[-2:] for part in parts], axis=0)))
 
-    def _blocks(self, free: Steps) -> list[Steps]:
-        """Steps in which not everyone is served, in groups that share a cut."""
+    def _blocks(self, free: Flags) -> list[Flags]:
+        """Flags in which not everyone is served, in groups that share a cut."""
         if not free.any() or any(cut.weights[-2] for cut in self.cuts):
             return [free]  # loss is one quantity of the whole window
         joined = np.array([cut.weights[:-2] * free != 0.0 for cut in self.cuts]
@@ -222,11 +225,11 @@ class Counts:
         _, group = connected_components(sp.csr_array(joined.T @ joined), directed=False)
         return [free & (group == number) for number in np.unique(group[free])]
 
-    def _touching(self, block: Steps) -> list[Cut]:
+    def _touching(self, block: Flags) -> list[Cut]:
         """Cuts that a block's steps or the loss have a part in."""
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
-    def _most(self, block: Steps, integer: bool) -> _Found:
+    def _most(self, block: Flags, integer: bool) -> _Found:
         """Least of the loss minus the service of a block's steps, in units."""
         cuts = self._touching(block)
         layout, program = self._program(block, cuts)
@@ -238,17 +241,18 @@ class Counts:
         # Service is whole, so its bound may be rounded.
         return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found
 
-    def _least(self, free: Steps, units_min: float, gap_gbp: float, integer: bool) -> _Found:
+    def _least(self, free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
         """Least cost of so many units."""
         layout, plain = self._program(free, self.cuts)
         plain.cost[layout.spent] = 1.0
         enough = np.zeros((1, layout.size))
-        enough[0, layout.counts], enough[0, layout.lost] = layout.weight, -1.0
+        enough[0, layout.counts] = layout.weight
+        enough[0, layout.lost] = -1.0
         anyway = (self.able[~free] * self.units).sum()
         program = plain.with_rows(sp.csc_array(enough), np.array([units_min - anyway]))
         return self._solve(program, layout, gap_gbp, integer)
 
-    def _program(self, free: Steps, cuts: list[Cut]) -> tuple[_Layout, Program]:
+    def _program(self, free: Flags, cuts: list[Cut]) -> tuple[_Layout, Program]:
         """Limits of demand, loss and cost, shares and counts, and cuts; without objective."""
         key = free.tobytes()
         if key not in self.plain:
@@ -261,11 +265,12 @@ class Counts:
         program = plain.with_rows(rows, np.array([-cut.most for cut in cuts]))
         return layout, replace(program, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
 
-    def _without_cuts(self, free: Steps) -> tuple[_Layout, Program]:
+    def _without_cuts(self, free: Flags) -> tuple[_Layout, Program]:
         """The same before the first cut."""
         layout = _Layout.of(self.units, self.able, free)
         members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
-        lower, upper = np.zeros(layout.size), np.ones(layout.size)
+        lower = np.zeros(layout.size)
+        upper = np.ones(layout.size)
         lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
         upper[:layout.n_steps] = self.demand_kw
         lower[layout.spent] = -np.inf if self.paid else 0.0
@@ -288,20 +293,21 @@ class Counts:
         return _Found(answer.status, answer.value, answer.bound, served,
                       answer.x[:layout.n_steps + 2])
 
-    def _choose(self, served: Served, layout: _Layout, counts: Ints) -> None:
+    def _choose(self, served: Flags, layout: _Layout, counts: Wholes) -> None:
         """Leave out all but so many of each weight, those with the smallest demand."""
         for t, weight, count in zip(layout.count_step, layout.weight, counts, strict=True):
             alike = np.flatnonzero(self.able[t] & (self.units == weight))
             order = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
             served[t, order[count:]] = False
 
-    def _completed(self, found: _Found, free: Steps) -> Served:
+    def _completed(self, found: _Found, free: Flags) -> Flags:
         """The set with as many of each weight whose demand takes up the PV power.
 
         Those with the smallest demand serve as much with the least, but where there is more PV
         power than the fleet can store, some of it would be lost with them.
         """
-        served, point = found.served.copy(), found.point.copy()
+        served = found.served.copy()
+        point = found.point.copy()
         point[:-2] = (self.load_kw * served).sum(axis=1)
         needed = self.reach.least_demand(point)
         if needed is None:
@@ -310,14 +316,15 @@ class Counts:
             served[t] = self._with_demand(served[t], int(t), float(needed[t]))
         return served
 
-    def _with_demand(self, served: NDArray[np.bool_], t: int, needed_kw: float
-                     ) -> NDArray[np.bool_]:
+    def _with_demand(self, served: Flags, t: int, needed_kw: float
+                     ) -> Flags:
         """As many of each weight with the least demand above what is needed, or else the most."""
         able = np.flatnonzero(self.able[t] & (self.units > 0))
         weights, kind = np.unique(self.units[able], return_inverse=True)
         counts = np.bincount(kind, served[able], len(weights)).astype(float)
         rows = sp.coo_array((np.ones(len(able)), (kind, np.arange(len(able)))))
-        load, each = self.load_kw[t, able], np.ones(len(able))
+        load = self.load_kw[t, able]
+        each = np.ones(len(able))
         program = Program(load, 0.0 * each, each, sp.csc_array(rows), counts, counts,
                           np.arange(len(able)))
         enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))

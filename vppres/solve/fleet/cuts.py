@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.model.data import Floats
+from vppres.core.arrays import Floats
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.programs import Answer, compiled
 from vppres.solve.result import Status
@@ -41,12 +41,14 @@ class Reach:
 
     def __init__(self, model: DemandModel, time_s: float) -> None:
         program, first = compiled(model.problem)
-        W, size = model.relaxation.n_steps, len(program.cost)
+        W = model.relaxation.n_steps
+        size = len(program.cost)
         self.places = np.concatenate([first["load"] + np.arange(W), [first["lost"]],
                                       [first["spent"]]])
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
         direction = np.concatenate([np.asarray(model.p["load_all"].value), model.worst()])
-        self.program, self.largest = program, float(direction.max() + model.fleet_kw())
+        self.program = program
+        self.largest = float(direction.max() + model.fleet_kw())
         rows = sp.csc_array(
             (np.concatenate([self.signs, direction]),
              (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)]))),
@@ -82,8 +84,10 @@ class Reach:
 
         It is more than the point's where PV power would otherwise be lost; None if there is none.
         """
-        step, loads = len(self.program.cost), self.places[:-2].astype(np.int32)
-        count, size = len(self.asked), len(loads)
+        step = len(self.program.cost)
+        loads = self.places[:-2].astype(np.int32)
+        count = len(self.asked)
+        size = len(loads)
         self.solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
         cost = self.solver.getLp().col_cost_[step]
         self.solver.changeColCost(step, 0.0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Flags, Floats
+from vppres.model.data import WindowData
 from vppres.model.problem import require_dpp
 from vppres.solve.fleet.relaxation import AggregateModel
 
@@ -29,8 +29,10 @@ class DemandModel:
     """
 
     def __init__(self, relaxation: AggregateModel) -> None:
-        self.relaxation, W = relaxation, relaxation.n_steps
-        site, v = relaxation.site, relaxation.v
+        self.relaxation = relaxation
+        W = relaxation.n_steps
+        site = relaxation.site
+        v = relaxation.v
         self.load = cp.Variable(W, name="load", nonneg=True)
         self.lost = cp.Variable(1, name="lost", nonneg=True)
         self.spent = cp.Variable(1, name="spent")
@@ -49,9 +51,12 @@ class DemandModel:
 
     def _power(self) -> dict[str, cp.Constraint]:
         """Sums of the power balances and limits, where who is served is not known."""
-        v, p = self.relaxation.v, self.p
-        P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
-        P_pv, room = self.relaxation.p["P_pv"], self.relaxation.room
+        v = self.relaxation.v
+        p = self.p
+        P_ch = cp.sum(v["P_ch"], axis=1)
+        P_dch = cp.sum(v["P_dch"], axis=1)
+        P_pv = self.relaxation.p["P_pv"]
+        room = self.relaxation.room
         loss = room["loss"] if room else 0.0
         return {
             "demand_balance":
@@ -64,7 +69,7 @@ class DemandModel:
         }
 
     @property
-    def able(self) -> NDArray[np.bool_]:
+    def able(self) -> Flags:
         """Who can be served at all, (W, C)."""
         return np.asarray(self.relaxation.p["x_max"].value) > 0.5
 
@@ -81,14 +86,16 @@ class DemandModel:
 
     def worst(self) -> tuple[float, float]:
         """Loss (units) and cost (GBP) that no dispatch exceeds."""
-        site, p = self.relaxation.site, self.relaxation.p
+        site = self.relaxation.site
+        p = self.relaxation.p
         lost = site.weights.lambda_curt * site.dt_h / (self.relaxation.grid or 1.0)
         prices: Floats = np.maximum(self.relaxation.rho_dt.value, 0.0)
         return float(lost * p["P_pv"].value.sum()), float(prices @ p["P_grid_max"].value)
 
     def fleet_kw(self) -> float:
         """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
-        p, b = self.relaxation.p, self.relaxation.site.batteries
+        p = self.relaxation.p
+        b = self.relaxation.site.batteries
         factor = max(1.0, float(p["eta_hi"].value.max(initial=1.0)),
                      float(p["inv_hi"].value.max(initial=1.0)))
         return float(b.p_max_kw.sum() * factor)

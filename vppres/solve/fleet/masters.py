@@ -8,15 +8,13 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.solve.dispatch import ModelCache
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.result import Outcome
 from vppres.solve.solvers import SolverSpec, run
-
-Served = NDArray[np.bool_]
 
 COST_GAP_REL = 1e-3
 """Gap of the cost level's search over served sets, relative to the cost."""
@@ -31,11 +29,11 @@ class Master(Protocol):
     prefix: str
     unit: float
 
-    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units to a gap, and a set that has it."""
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Served | None]:
+             gap_gbp: float) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; a bound is enough within a known cost's gap.
 
         With ``everyone`` nobody is left out where the import has no limit.
@@ -53,11 +51,15 @@ class Binaries:
 
     def __init__(self, cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: float,
                  lumped: bool) -> None:
-        self.cache, self.data, self.spec, self.lumped = cache, data, spec, lumped
+        self.cache = cache
+        self.data = data
+        self.spec = spec
+        self.lumped = lumped
         self.model = cache.aggregate(data, lumped=lumped)
-        self.unit, self.end = self.model.grid, time.perf_counter() + time_s
+        self.unit = self.model.grid
+        self.end = time.perf_counter() + time_s
 
-    def service(self, gap: float) -> tuple[Outcome, Served | None]:
+    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
         outcome = run(self.model.grid_problem, self.spec, 0.99, self.end - time.perf_counter())
@@ -66,7 +68,7 @@ class Binaries:
         return outcome, self._set(outcome)
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Served | None]:
+             gap_gbp: float) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; linear where any gap will do."""
         integer = np.isfinite(gap_gbp)
         model = self.model if integer else self.cache.aggregate(self.data, False, self.lumped)
@@ -76,7 +78,7 @@ class Binaries:
                       self.end - time.perf_counter())
         return outcome, self._set(outcome) if integer else None
 
-    def _set(self, outcome: Outcome) -> Served | None:
+    def _set(self, outcome: Outcome) -> Flags | None:
         """Who is served by the last answer."""
         return np.asarray(self.model.x.value) > 0.5 if outcome.status.has_answer else None
 
@@ -110,6 +112,6 @@ def fleets_of(data: WindowData) -> tuple[bool, ...]:
     return (True, False) if alike else (False,)
 
 
-def _spread(values: NDArray[np.float64]) -> float:
+def _spread(values: Floats) -> float:
     """Difference of the largest and the smallest value, 0 for none."""
     return float(np.ptp(values)) if len(values) else 0.0

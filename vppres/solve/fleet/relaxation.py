@@ -16,9 +16,10 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.switching import RuleSteps
+from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.beyond_paper.switching import SwitchingModel, added_demand
-from vppres.model.data import Floats, WindowData
+from vppres.model.data import WindowData
 from vppres.model.problem import objective_scale, require_dpp
 from vppres.model.site import Site
 
@@ -59,8 +60,12 @@ class AggregateModel:
     def __init__(self, site: Site, n_steps: int, integer: bool = True,
                  lumped: bool = True, physical: bool = False,
                  switching: RuleSteps | None = None) -> None:
-        self.site, self.n_steps, self.lumped = site, n_steps, lumped
-        W, C, G = n_steps, len(site.customers), 1 if lumped else len(site.batteries)
+        self.site = site
+        self.n_steps = n_steps
+        self.lumped = lumped
+        W = n_steps
+        C = len(site.customers)
+        G = 1 if lumped else len(site.batteries)
         self.x = cp.Variable((W, C), name="x_served", boolean=integer)
         self.v = {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in {
             "P_ch": (W, G), "P_dch": (W, G), "stored": (W, G), "drawn": (W, G), "P_curt": (W,),
@@ -110,7 +115,9 @@ class AggregateModel:
 
     def _power(self) -> dict[str, cp.Constraint]:
         """Sums of the power balances and limits."""
-        v, p, x = self.v, self.p, self.x
+        v = self.v
+        p = self.p
+        x = self.x
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
         if self.room:
             load = load + self.room["loss"]
@@ -119,7 +126,8 @@ class AggregateModel:
         if cold is not None:
             load = load + cp.sum(cp.multiply(cold.P_cold, cold.z), axis=1)
             own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)
-        P_ch, P_dch = cp.sum(v["P_ch"], axis=1), cp.sum(v["P_dch"], axis=1)
+        P_ch = cp.sum(v["P_ch"], axis=1)
+        P_dch = cp.sum(v["P_dch"], axis=1)
         return {
             "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
             "lumped_circular_charging": P_dch <= load - own,
@@ -132,7 +140,10 @@ class AggregateModel:
 
     def _energy(self) -> dict[str, cp.Constraint]:
         """Sums of the SoC recursions and of the limits that exclusivity implies."""
-        v, p, b, dt = self.v, self.p, self.site.batteries, self.site.dt_h
+        v = self.v
+        p = self.p
+        b = self.site.batteries
+        dt = self.site.dt_h
         e_min, e_max = (self._fleet(b.energy_kwh * soc)[None, :] for soc in (b.soc_min, b.soc_max))
         triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
         energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
@@ -162,7 +173,8 @@ class AggregateModel:
     def _range(self, values: Floats) -> tuple[Floats, Floats]:
         """Smallest and largest value of each group over all steps, (W, G) each."""
         if self.lumped and len(values):
-            low, high = values.min(keepdims=True), values.max(keepdims=True)
+            low = values.min(keepdims=True)
+            high = values.max(keepdims=True)
         else:
             low = high = values if not self.lumped else np.ones(1)
         return np.tile(low, (self.n_steps, 1)), np.tile(high, (self.n_steps, 1))
@@ -173,7 +185,8 @@ class AggregateModel:
         With ``all_connected`` everyone who can be is served where the import has no limit. That
         loses no service: more import serves them, and no battery notices.
         """
-        site, b = self.site, self.site.batteries
+        site = self.site
+        b = self.site.batteries
         limit = data.self_limit_kw(site)
         eta_lo, eta_hi = self._range(data.eta_charge)
         inv_lo, inv_hi = self._range(1.0 / data.eta_discharge)
@@ -207,7 +220,8 @@ class AggregateModel:
 
     def _fill_room(self, data: WindowData) -> None:
         """Write losses, and the batteries' limits less their headroom."""
-        b, physics = self.site.batteries, data.require_physics()
+        b = self.site.batteries
+        physics = data.require_physics()
         e_min = b.energy_kwh * (b.soc_min + physics.soc_reserve)
         limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
         self.room["loss"].value = data.loss_kw
@@ -220,8 +234,10 @@ class AggregateModel:
         With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
-        b, dt = self.site.batteries, self.site.dt_h
-        limit, least = b.active_max_kw, b.soc_min
+        b = self.site.batteries
+        dt = self.site.dt_h
+        limit = b.active_max_kw
+        least = b.soc_min
         if data.physics is not None:
             limit = active_room_kw(self.site, data.physics)[0]
             least = least + data.physics.soc_reserve[0]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
@@ -20,13 +20,14 @@ from vppres.solve.network.master import TOLERANCE, NetworkMaster
 from vppres.solve.result import Outcome
 from vppres.solve.search import GRACE_S, Candidate, Search
 
-Served = NDArray[np.bool_]
 Polish = Callable[[Candidate], Candidate | None]
 
 LARGE = 1500
 """Buses times steps beyond which the tie-breakers take seconds and are not asked in vain."""
 
-SERVICE_SHARE, FLEET_SHARE, COST_SHARE = 0.5, 0.1, 0.04
+SERVICE_SHARE = 0.5
+FLEET_SHARE = 0.1
+COST_SHARE = 0.04
 """Shares of the time left for the searches of a set, of the fleet's cost and of a cheaper set."""
 
 
@@ -81,7 +82,8 @@ class InNetwork:
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""
-        search, gap_gbp = self.search, cost_gap_gbp(found.terms.f2)
+        search = self.search
+        gap_gbp = cost_gap_gbp(found.terms.f2)
         if (is_large(self.cache.site, self.data)
                 or found.terms.f2 - search.cost_bound_gbp <= gap_gbp):
             return found
@@ -98,7 +100,8 @@ class InNetwork:
         A set with ``F`` above the candidate's serves more than that ``F``. Where the fleet's bound
         is not enough, that of shares of customers in the network may be.
         """
-        search, unit = self.search, self.master.unit
+        search = self.search
+        unit = self.master.unit
         enough = (found.value - 1e-9) / unit
         for name, least in (("cost_level", self._fleet_cost), ("network_least_cost",
                                                                self._network_cost)):
@@ -131,7 +134,7 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def _cheapest(self, served: Served) -> Candidate | None:
+    def _cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         outcome, dispatch = self.master.cheapest(served, GRACE_S)
         self.search.note("network_dispatch", outcome)

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.data import WindowData
 from vppres.model.site import Site
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +26,7 @@ class Rows:
     upper: Floats
 
     @classmethod
-    def of(cls, columns: Ints, values: Floats, lower: Floats | float, upper: Floats | float,
+    def of(cls, columns: Wholes, values: Floats, lower: Floats | float, upper: Floats | float,
            size: int) -> Rows:
         """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
         count, width = columns.shape
@@ -50,7 +48,8 @@ class Reactance:
     """Squared voltage of every bus per kW and kvar injected at every bus of a site, (N, N) each."""
 
     def __init__(self, site: Site) -> None:
-        net, fed = site.network, site.network.downstream.toarray()
+        net = site.network
+        fed = site.network.downstream.toarray()
         self.per_kw: Floats = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
         self.per_kvar: Floats = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
         self.fed: Floats = fed
@@ -77,9 +76,15 @@ class Injections:
     """
 
     def __init__(self, site: Site, reactance: Reactance, data: WindowData) -> None:
-        self.site, self.reactance, self.data = site, reactance, data
-        W, C, P, B = data.n_steps, len(site.customers), len(site.pv), len(site.batteries)
-        self.size, self.at = 0, {}
+        self.site = site
+        self.reactance = reactance
+        self.data = data
+        W = data.n_steps
+        C = len(site.customers)
+        P = len(site.pv)
+        B = len(site.batteries)
+        self.size = 0
+        self.at = {}
         for name, width in {"x": C, "P_ch": B, "P_dch": B, "energy": B, "Q_batt": B, "P_exp": P,
                             "Q_pv": P, "P_grid": 1, "Q_grid": 1}.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
@@ -90,7 +95,9 @@ class Injections:
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
-        site, b, data = self.site, self.site.batteries, self.data
+        site = self.site
+        b = self.site.batteries
+        data = self.data
         q_grid = data.grid_q_max_kvar(site)[:, None]
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
             "x": (0.0, 1.0), "P_ch": (0.0, b.active_max_kw), "P_dch": (0.0, b.active_max_kw),
@@ -98,14 +105,18 @@ class Injections:
             "Q_batt": (-b.s_max_kva, b.s_max_kva), "P_exp": (0.0, data.pv_kw),
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
             "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]), "Q_grid": (-q_grid, q_grid)}
-        lower, upper = np.zeros(self.size), np.zeros(self.size)
+        lower = np.zeros(self.size)
+        upper = np.zeros(self.size)
         for name, (low, high) in limits.items():
-            lower[self.at[name]], upper[self.at[name]] = low, high
+            lower[self.at[name]] = low
+            upper[self.at[name]] = high
         return lower, upper
 
     def rows(self) -> Rows:
         """Balances, circular charging, PV systems and batteries."""
-        at, site, data = self.at, self.site, self.data
+        at = self.at
+        site = self.site
+        data = self.data
         active = np.hstack([at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"]])
         signs = np.hstack([np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
                            -np.ones((data.n_steps, len(site.batteries))), -self.net_kw])
@@ -125,7 +136,10 @@ class Injections:
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""
-        at, b, data, dt = self.at, self.site.batteries, self.data, self.site.dt_h
+        at = self.at
+        b = self.site.batteries
+        data = self.data
+        dt = self.site.dt_h
         change = np.stack([at["energy"], at["P_ch"], at["P_dch"]], axis=-1)
         gain = np.stack([np.ones(len(b)), -dt * data.eta_charge, dt / data.eta_discharge], axis=-1)
         held = b.energy_kwh * data.soc
@@ -144,7 +158,8 @@ class Injections:
 
     def _injected(self, x: Floats) -> tuple[Floats, Floats]:
         """Active and reactive injections of a solution, the grid's left out, (W, N) each."""
-        at, reach = self.at, self.reactance
+        at = self.at
+        reach = self.reactance
         p, q = (np.zeros((self.data.n_steps, self.site.network.n_buses)) for _ in range(2))
         steps = np.arange(self.data.n_steps)[:, None]
         for power, bus, kw in ((p, reach.customer, -self.net_kw * x[at["x"]]),
@@ -162,7 +177,9 @@ class Injections:
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
-        net, u, found = self.site.network, self.u_pu2(x), []
+        net = self.site.network
+        u = self.u_pu2(x)
+        found = []
         for sign, beyond in ((1.0, net.v_min_pu**2 - u), (-1.0, u - net.v_max_pu**2)):
             beyond[:, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
@@ -176,15 +193,19 @@ class Injections:
 
     def _voltage_row(self, t: int, bus: int, sign: float) -> Rows:
         """A lower (1) or upper (-1) limit, in thousandths of pu²."""
-        at, reach, net = self.at, self.reactance, self.site.network
-        r, x = reach.per_kw[bus], reach.per_kvar[bus]
+        at = self.at
+        reach = self.reactance
+        net = self.site.network
+        r = reach.per_kw[bus]
+        x = reach.per_kvar[bus]
         columns = np.concatenate([at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp",
                                                            "Q_pv")])
         values = np.concatenate([
             -r[reach.customer] * self.net_kw[t] - x[reach.customer] * self.load_kvar[t],
             r[reach.battery], -r[reach.battery], x[reach.battery], r[reach.pv], x[reach.pv]])
         limit = net.v_min_pu**2 if sign > 0 else net.v_max_pu**2
-        used, scale = np.abs(values) > 0.0, 1e3 * sign
+        used = np.abs(values) > 0.0
+        scale = 1e3 * sign
         return Rows.of(columns[used][None, :], scale * values[used],
                        scale * (limit - self._empty_u()[t, bus]), np.inf, self.size)
 
@@ -193,7 +214,8 @@ class Injections:
 
         The tangents may lie inside by another share, so that few of them end within the disc.
         """
-        at, site = self.at, self.site
+        at = self.at
+        site = self.site
         net_kw = x[at["P_ch"]] - x[at["P_dch"]]
         through = x[at["P_exp"]] + self.own_kw * x[at["x"]][:, site.owner]
         tangents = []
@@ -205,7 +227,8 @@ class Injections:
             size = np.hypot(p, x[q])
             out = size > radius * (1.0 + tolerance)
             if out.any():
-                cos, sin = p[out] / size[out], x[q][out] / size[out]
+                cos = p[out] / size[out]
+                sin = x[q][out] / size[out]
                 columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
                 values = np.column_stack([*(cos * np.broadcast_to(f, p.shape)[out]
                                             for _, f in pieces), sin])
@@ -214,9 +237,11 @@ class Injections:
                                         self.size))
         return tangents
 
-    def dispatch(self, x: Floats, served: NDArray[np.bool_]) -> Dispatch:
+    def dispatch(self, x: Floats, served: Flags) -> Dispatch:
         """A solution as a dispatch of a served set; flows and voltages follow from it."""
-        at, data, net = self.at, self.data, self.site.network
+        at = self.at
+        data = self.data
+        net = self.site.network
         own = self.own_kw * served[:, self.site.owner]
         export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
         p, q = self._injected(x)

@@ -13,25 +13,25 @@ from functools import cached_property
 import highspy
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from vppres.contract.dispatch import Dispatch
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.fleet.relaxation import weight_grid
 from vppres.solve.network.injections import Injections, Reactance, Rows
-from vppres.solve.programs import Answer, Ints, Program
+from vppres.solve.programs import Answer, Program
 from vppres.solve.result import Outcome, Status
-
-Served = NDArray[np.bool_]
 
 VOLTAGE_PU2 = 1e-6
 """By how much a squared voltage may miss its limit in a relaxation."""
-DISC, EXACT_DISC = 2e-3, 5e-6
+DISC = 2e-3
+EXACT_DISC = 5e-6
 """Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
 INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: few end inside them."""
-SMALL, ROUNDS = 2000, 3
+SMALL = 2000
+ROUNDS = 3
 """Binaries up to which the search has the network in it, after so many sets were tried."""
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution."""
@@ -65,7 +65,8 @@ class NetworkMaster:
 
     def __init__(self, site: Site, reactance: Reactance, data: WindowData, time_s: float) -> None:
         self.end = time.perf_counter() + time_s
-        self.site, self.data = site, data
+        self.site = site
+        self.data = data
         self.model = Injections(site, reactance, data)
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
@@ -93,14 +94,15 @@ class NetworkMaster:
         root = self.root[1]
         return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    def service(self, share: float) -> tuple[Outcome, Served | None]:
+    def service(self, share: float) -> tuple[Outcome, Flags | None]:
         """Most service in whole units, whatever is curtailed for it, in a share of the time left.
 
         The linear problem in which nobody is served beyond a set bounds the service of all sets by
         its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
         one is carried in full.
         """
-        begin, x = time.perf_counter(), self.model.at["x"].ravel()
+        begin = time.perf_counter()
+        x = self.model.at["x"].ravel()
         end = begin + share * self.left_s
         solver, root = self.root
         if root.status != Status.OPTIMAL:
@@ -118,9 +120,13 @@ class NetworkMaster:
     def _close(self, solver: highspy.Highs, linear: Answer, known: _Known, cuts: _ServiceCuts,
                end: float) -> None:
         """Try sets until the best has as much as the bound."""
-        x, few, rounds = self.model.at["x"].ravel(), list(self.found), 0
+        x = self.model.at["x"].ravel()
+        few = list(self.found)
+        rounds = 0
         while not known.closed(self.units) and time.perf_counter() < end:
-            left_s, rounds, before = end - time.perf_counter(), rounds + 1, len(self.found)
+            left_s = end - time.perf_counter()
+            rounds = rounds + 1
+            before = len(self.found)
             whole = len(x) <= SMALL and rounds > ROUNDS
             enough = float(self.units @ known.best)
             known.take(self._searched(few, left_s) if whole
@@ -159,17 +165,22 @@ class NetworkMaster:
         return _outcome(self._until_carried(self._loaded(self._enough(units_min))), begin)
 
     def cost_level(self, units_min: float, known_gbp: float, gap_gbp: float,
-                   share: float) -> tuple[Outcome, Served | None]:
+                   share: float) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units, to a gap or in a share of the time left.
 
         The search has the limits of the network that are known; whatever it finds is put into all
         of them, which adds some. The set in the answer is cheaper than the known cost.
         """
-        begin, x, best = time.perf_counter(), self.model.at["x"], None
-        end, bound, size = begin + share * self.left_s, 0.0, -1
+        begin = time.perf_counter()
+        x = self.model.at["x"]
+        best = None
+        end = begin + share * self.left_s
+        bound = 0.0
+        size = -1
         program = replace(self._enough(units_min), integer=x.ravel())
         while known_gbp - bound > gap_gbp and time.perf_counter() < end and len(self.found) > size:
-            size, limited = len(self.found), _limited(program, self.found)
+            size = len(self.found)
+            limited = _limited(program, self.found)
             found = Answer.of(limited.loaded(end - time.perf_counter(), 0.5 * gap_gbp))
             bound = max(bound, found.bound if np.isfinite(found.bound) else 0.0)
             if not found.status.has_answer:
@@ -177,7 +188,8 @@ class NetworkMaster:
             served = np.round(found.x[x])
             carried = self._until_carried(self._loaded(self._of_set(served)))
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
-                known_gbp, best = carried.value, served > 0.5
+                known_gbp = carried.value
+                best = served > 0.5
         return Outcome(Status.OPTIMAL, known_gbp, bound, time.perf_counter() - begin), best
 
     def _enough(self, units_min: float) -> Program:
@@ -186,24 +198,28 @@ class NetworkMaster:
         enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, self.model.size)
         return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
 
-    def _of_set(self, served: Floats | Served) -> Program:
+    def _of_set(self, served: Floats | Flags) -> Program:
         """Least cost of a set."""
-        x, program = self.model.at["x"], self._with_cost(*self.price)
-        program.x_lower[x], program.x_upper[x] = served, served
+        x = self.model.at["x"]
+        program = self._with_cost(*self.price)
+        program.x_lower[x] = served
+        program.x_upper[x] = served
         return program
 
-    def cheapest(self, served: Served, grace_s: float) -> tuple[Outcome, Dispatch | None]:
+    def cheapest(self, served: Flags, grace_s: float) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs; it has so much time at least."""
-        begin, end = time.perf_counter(), self.end
+        begin = time.perf_counter()
+        end = self.end
         self.end = max(end, begin + grace_s)
         answer = self._cheapest(served)
         self.end = end
         done = answer.status == Status.OPTIMAL
         return _outcome(answer, begin), self.model.dispatch(answer.x, served) if done else None
 
-    def _cheapest(self, served: Served) -> Answer:
+    def _cheapest(self, served: Flags) -> Answer:
         """Cheapest dispatch of a set, with tangents well within the discs or else at them."""
-        known, program = self.found, self._of_set(served)
+        known = self.found
+        program = self._of_set(served)
         for inside in INSIDE:
             self.found = list(known)
             answer = self._until_carried(self._loaded(program), EXACT_DISC, inside)
@@ -213,12 +229,12 @@ class NetworkMaster:
         return answer
 
     @property
-    def price(self) -> tuple[Ints, Floats]:
+    def price(self) -> tuple[Wholes, Floats]:
         """Columns of the import and its price for a step, in GBP/kW."""
         return (self.model.at["P_grid"].ravel(),
                 self.data.price_gbp_per_kwh * self.site.dt_h)
 
-    def _with_cost(self, columns: Ints, values: Floats) -> Program:
+    def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""
         cost = np.zeros(self.model.size)
         cost[columns] = values
@@ -301,9 +317,11 @@ class _ServiceCuts:
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
         service or lack of it would alone cost too much by the first bound is decided beforehand.
         """
-        away, spare = 1.0 - shares, self.most_units[0] + float(self.gains[0].sum()) - at_least
+        away = 1.0 - shares
+        spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
-        low, high = self.first_left < -spare, self.first_left <= spare
+        low = self.first_left < -spare
+        high = self.first_left <= spare
         program = Program(cost, low.astype(float), high.astype(float),
                           sp.csc_array(self.units - np.array(self.gains)),
                           np.full(len(self.gains), -np.inf), np.array(self.most_units),

@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
-from vppres.model.data import Floats, WindowData
+from vppres.core.arrays import Floats
+from vppres.model.data import WindowData
 from vppres.model.problem import require_dpp
 from vppres.model.site import Site
 
@@ -28,10 +29,14 @@ class ReactiveModel:
     """
 
     def __init__(self, site: Site) -> None:
-        net, pv, batteries = site.network, len(site.pv), len(site.batteries)
+        net = site.network
+        pv = len(site.pv)
+        batteries = len(site.batteries)
         self.site = site
-        self.Q_pv, self.Q_batt = cp.Variable(pv, name="Q_pv"), cp.Variable(batteries, name="Q_batt")
-        self.Q_grid, self.Q_flow = cp.Variable(name="Q_grid"), cp.Variable(net.n_lines)
+        self.Q_pv = cp.Variable(pv, name="Q_pv")
+        self.Q_batt = cp.Variable(batteries, name="Q_batt")
+        self.Q_grid = cp.Variable(name="Q_grid")
+        self.Q_flow = cp.Variable(net.n_lines)
         self.u = cp.Variable(net.n_buses, name="u")
         self.Q_load = cp.Parameter(net.n_buses, name="Q_load")
         self.rise = cp.Parameter(net.n_lines, name="rise")
@@ -44,7 +49,8 @@ class ReactiveModel:
 
     def _objective(self) -> cp.Minimize:
         """Squared reactive flows and squared use of the inverters, in about kW of loss."""
-        site, w = self.site, self.site.weights
+        site = self.site
+        w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
         flows = cp.sum_squares(cp.multiply(np.sqrt(site.network.r_ohm), self.Q_flow))
@@ -54,7 +60,8 @@ class ReactiveModel:
 
     def _constraints(self) -> list[cp.Constraint]:
         """Balance and voltage of every bus, limits of inverters and of the grid."""
-        site, net = self.site, self.site.network
+        site = self.site
+        net = self.site.network
         slack = sp.csr_array(([1.0], ([0], [0])), shape=(net.n_buses, 1))
         given = (site.pv_bus @ self.Q_pv + site.battery_bus @ self.Q_batt
                  + slack @ cp.reshape(self.Q_grid, (1,), order="C"))
@@ -68,7 +75,8 @@ class ReactiveModel:
 
     def fill(self, data: WindowData, dispatch: Dispatch, t: int) -> None:
         """Write step ``t`` of a dispatch; a limit that it misses by a tolerance gives way."""
-        site, net = self.site, self.site.network
+        site = self.site
+        net = self.site.network
         u = dispatch.v_pu[t] ** 2
         load = data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p
         self.Q_load.value = site.customer_bus @ load

@@ -1,4 +1,4 @@
-"""Read-only arrays: inputs are never overwritten."""
+"""Read-only arrays, since inputs are never overwritten, and the names of array types."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Wholes = NDArray[np.int64]
+Names = NDArray[np.object_]
+Complexes = NDArray[np.complex128]
 
 
 def freeze(values: ArrayLike, dtype: Any = None) -> NDArray[Any]:
