@@ -116,8 +116,13 @@ def _customers(rng: Generator, n_buses: int) -> Customers:
     weight = np.array([WEIGHT[t] for t in tier])
     if rng.random() < 0.25:
         weight = weight * rng.uniform(0.8, 1.2, count)
-    return Customers(id=_names("c", range(count)),
-                     bus=rng.integers(2, n_buses + 1, count).astype(object), tier=tier, weight=weight, power_factor=rng.uniform(0.9, 1.0, count))
+    return Customers(
+        id=_names("c", range(count)),
+        bus=rng.integers(2, n_buses + 1, count).astype(object),
+        tier=tier,
+        weight=weight,
+        power_factor=rng.uniform(0.9, 1.0, count),
+    )
 
 
 def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) -> PVSystems:
@@ -164,8 +169,14 @@ def _network(rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats
         flow = 2 * (r[n - 2] * demand[0, n] + x[n - 2] * demand[1, n]) / (1000 * BASE_KV**2)
         drop[n] = drop[above[n - 2]] + flow
     wanted = (1.0 - rng.uniform(*V_FULL_LOAD[stressed]) ** 2) / drop.max()
-    return Network(np.array(above, dtype=object), np.arange(2, n_buses + 1).astype(object), r * wanted, x * wanted, slack_bus=1,
-                   base_kv=BASE_KV)
+    return Network(
+        np.array(above, dtype=object),
+        np.arange(2, n_buses + 1).astype(object),
+        r * wanted,
+        x * wanted,
+        slack_bus=1,
+        base_kv=BASE_KV,
+    )
 
 
 def _prices(rng: Generator, steps: int) -> Floats:
