@@ -75,6 +75,9 @@ def _plain(record: Any) -> Any:
 
 def _tables(name: str, one: pd.DataFrame, other: pd.DataFrame) -> Iterator[str]:
     """Columns in which two tables differ."""
+    if len(one) != len(other):
+        yield f"{name}: {len(one)} and {len(other)} rows"
+        return
     columns = sorted({str(column) for column in [*one, *other]} - EFFORT)
     for column in columns:
         if column not in one or column not in other:

@@ -19,7 +19,7 @@ _HOME_OF = {
     "InputError": "vppres.core.errors",
     "Measurement": "vppres.live.measurement",
     "NewScenarioOptions": "vppres.feeders.new_options",
-    "RunOptions": "vppres.day.simulate",
+    "RunOptions": "vppres.day.options",
     "Scenario": "vppres.scenario.scenario",
     "SetPoints": "vppres.live.controller",
     "SwitchingRules": "vppres.scenario.rules",
