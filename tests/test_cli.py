@@ -12,18 +12,13 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner, Result
 
 import vppres
+from tests.support.command_line import call
 from vppres.cli import commands as cli
 from vppres.day import simulate
 
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
-
-
-def call(*arguments: str | Path) -> Result:
-    """Run the command in this process; stdout and stderr are kept apart."""
-    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="vppres")
 
 
 def names_below(folder: Path) -> list[str]:

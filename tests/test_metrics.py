@@ -7,8 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
 
+from tests.support.made_up_runs import (
+    OPTIONS,
+    SERVED,
+    day_run,
+    day_scenario,
+    small_run,
+    small_scenario,
+)
 from vppres.day import metrics
 from vppres.day.trajectory import Trajectory
 
