@@ -157,6 +157,19 @@ def test_hot_cells_lose_efficiency_in_the_next_step(tiny: Scenario) -> None:
     assert after.eta_charge[0] < after.eta_charge[1] < 0.95
 
 
+def test_idle_cells_follow_the_ambient_of_their_own_step(tiny: Scenario) -> None:
+    # T = T_amb + (T_0 - T_amb) exp(-dt / (R C)), with R C = 3.5 C/kW x 0.3 kWh/C = 1.05 h. The
+    # hours have 28, 30, 32 and 34 C: an ambient of another step gives another temperature.
+    plant = Plant(tiny, "exact")
+    now = plant.initial_state()
+    expected_c = 28.0
+    for t in range(4):
+        now = plant.advance(t, now, plant.apply(t, decision(tiny), now))
+        ambient_c = tiny.temperature_c[t]
+        expected_c = ambient_c + (expected_c - ambient_c) * np.exp(-1.0 / 1.05)
+        assert now.t_cell_c == pytest.approx([expected_c, expected_c], abs=1e-12)
+
+
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), stressed=st.booleans(), size=st.sampled_from([0.1, 1.0, 5.0]))
 def test_limits_hold_whatever_is_asked_for(seed: int, stressed: bool, size: float) -> None:
