@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import tiny_scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
 from vppres.io.messages import MAX_PROBLEMS_PER_FILE

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from run_factory import small_scenario
 
+from tests.support.made_up_runs import small_scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.baselines import ReserveRule
 from vppres.core.errors import InputError

@@ -12,18 +12,14 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner, Result
 
 import vppres
+from tests.support.command_line import call
+from tests.support.offenders import assert_for_all
 from vppres.cli import commands as cli
 from vppres.day import simulate
 
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
-
-
-def call(*arguments: str | Path) -> Result:
-    """Run the command in this process; stdout and stderr are kept apart."""
-    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="vppres")
 
 
 def names_below(folder: Path) -> list[str]:
@@ -56,12 +52,16 @@ def test_version_of_a_checkout_that_is_not_installed(monkeypatch: pytest.MonkeyP
     monkeypatch.delitem(vars(vppres), "__version__")
 
 
-@pytest.mark.parametrize("name", [name for name in vppres.__all__ if name != "__version__"])
-def test_public_name_is_its_own(name: str) -> None:
-    found = getattr(vppres, name)
-    assert found.__name__ == name
-    assert inspect.getmodule(found).__name__ == vppres._HOME_OF[name]
-    assert name in dir(vppres)
+def test_public_names_are_their_own() -> None:
+    def check(name: str) -> None:
+        found = getattr(vppres, name)
+        assert found.__name__ == name
+        assert inspect.getmodule(found).__name__ == vppres._HOME_OF[name]
+        assert name in dir(vppres)
+
+    names = [name for name in vppres.__all__ if name != "__version__"]
+    assert len(names) > 10
+    assert_for_all({name: name for name in names}, check)
 
 
 def test_unknown_public_name() -> None:

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from run_factory import small_run, small_scenario
-from test_cli import call
 
+from tests.support.command_line import call
+from tests.support.made_up_runs import small_run, small_scenario
 from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 import pytest
-from checker import check_dispatch
 from scipy.optimize import linprog
 
+from tests.support.dispatch_check import check_dispatch
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation

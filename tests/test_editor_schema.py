@@ -9,8 +9,8 @@ from typing import Any
 
 import jsonschema
 import pytest
-from conftest import tiny_scenario
 
+from tests.support.tiny_day import tiny_scenario
 from vppres.io import find_scenario, packaged_scenarios
 from vppres.io.editor import editor_schema, schema_text
 from vppres.io.scenario_writer import _document

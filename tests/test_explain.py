@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import tiny_scenario
-from run_factory import batteries, small_run
 
 import vppres
+from tests.support.made_up_runs import batteries, small_run
+from tests.support.tiny_day import tiny_scenario
 from vppres.day.metrics import reason_figures
 from vppres.day.options import RunOptions
 from vppres.day.phases import phases

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_plant import decision
 
 from experiments.random_feeders import random_scenario
+from tests.support.set_points import decision
 from vppres.contract.decision import Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation

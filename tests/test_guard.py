@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checker import check_dispatch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from run_factory import small_scenario
-from test_plant import decision
 
 from experiments.random_feeders import random_window
+from tests.support.dispatch_check import check_dispatch
+from tests.support.made_up_runs import small_scenario
+from tests.support.set_points import decision
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_plant import decision, state
 
 from experiments.random_feeders import random_scenario
+from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.island import (

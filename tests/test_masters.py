@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checker import check_dispatch
 
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
 from experiments.random_feeders import random_window
+from tests.support.dispatch_check import check_dispatch
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions

@@ -7,8 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
 
+from tests.support.made_up_runs import (
+    OPTIONS,
+    SERVED,
+    day_run,
+    day_scenario,
+    small_run,
+    small_scenario,
+)
 from vppres.day import metrics
 from vppres.day.trajectory import Trajectory
 
@@ -114,6 +121,17 @@ def test_summary_has_the_keys_of_the_contract():
     assert summary["gap_max"] == 0.003
     assert summary["options"] == {"errors": OPTIONS["errors"], "thermal": "off"}
     assert summary["versions"]["numpy"] == np.__version__
+
+
+def test_summary_tells_the_outage_from_the_connected_steps():
+    # In the outage a is served in one of two steps, b and c in one of four customer-steps; while
+    # the grid is there, c is let go once of four.
+    served = small_run().customers["served"].to_numpy().copy()
+    served[11] = False
+    run = replace(small_run(), customers=small_run().customers.assign(served=served))
+    summary = metrics.summarise(run)
+    assert summary["served_share"] == {"critical": 0.5, "high": None, "low": 0.25}
+    assert summary["served_share_connected"] == {"critical": 1.0, "high": None, "low": 0.75}
 
 
 def test_summary_counts_corrections():

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from checker import check_dispatch
 
 from experiments.islands import claims_of, imbalance_kw, random_day
 from experiments.random_feeders import Window, random_scenario, random_window
+from tests.support.dispatch_check import check_dispatch
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (

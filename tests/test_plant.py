@@ -11,35 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from experiments.random_feeders import random_scenario
+from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
-from vppres.contract.dispatch import Dispatch
-from vppres.plant.plant import BatteryState, Plant, Realised
+from vppres.plant.plant import Plant, Realised
 from vppres.scenario.scenario import Scenario
-
-
-def decision(scenario: Scenario, served: ArrayLike = True, curtailed_kw: ArrayLike = 0.0,
-             battery_kw: ArrayLike = 0.0, pv_q_kvar: ArrayLike = 0.0,
-             batt_q_kvar: ArrayLike = 0.0) -> Decision:
-    """Set-points of one step; ``battery_kw`` is positive when charging."""
-    C, P, B = len(scenario.customers), len(scenario.pv), len(scenario.batteries)
-    net = np.broadcast_to(np.asarray(battery_kw, float), (1, B))
-    buses, lines = scenario.network.n_buses, scenario.network.n_lines
-    return Decision(Dispatch(
-        served=np.broadcast_to(np.asarray(served, bool), (1, C)), pv_self_kw=np.zeros((1, P)),
-        pv_export_kw=np.zeros((1, P)),
-        pv_curtailed_kw=np.broadcast_to(np.asarray(curtailed_kw, float), (1, P)),
-        pv_q_kvar=np.broadcast_to(np.asarray(pv_q_kvar, float), (1, P)),
-        charge_kw=np.maximum(net, 0.0), discharge_kw=np.maximum(-net, 0.0),
-        batt_q_kvar=np.broadcast_to(np.asarray(batt_q_kvar, float), (1, B)),
-        soc=np.zeros((2, B)), p_grid_kw=np.zeros(1), q_grid_kvar=np.zeros(1),
-        v_pu=np.ones((1, buses)), p_flow_kw=np.zeros((1, lines)),
-        q_flow_kvar=np.zeros((1, lines))))
-
-
-def state(soc: ArrayLike, eta: float = 0.95) -> BatteryState:
-    """Two batteries at a state of charge."""
-    values = np.broadcast_to(np.asarray(soc, float), 2)
-    return BatteryState(values, np.full(2, eta), np.full(2, eta), np.full(2, 25.0))
 
 
 def happened(scenario: Scenario, t: int, soc: ArrayLike, given_: Decision) -> Realised:
@@ -180,6 +155,19 @@ def test_hot_cells_lose_efficiency_in_the_next_step(tiny: Scenario) -> None:
     after = plant.advance(0, before, done)
     assert after.t_cell_c[0] > after.t_cell_c[1] == pytest.approx(28.0)
     assert after.eta_charge[0] < after.eta_charge[1] < 0.95
+
+
+def test_idle_cells_follow_the_ambient_of_their_own_step(tiny: Scenario) -> None:
+    # T = T_amb + (T_0 - T_amb) exp(-dt / (R C)), with R C = 3.5 C/kW x 0.3 kWh/C = 1.05 h. The
+    # hours have 28, 30, 32 and 34 C: an ambient of another step gives another temperature.
+    plant = Plant(tiny, "exact")
+    now = plant.initial_state()
+    expected_c = 28.0
+    for t in range(4):
+        now = plant.advance(t, now, plant.apply(t, decision(tiny), now))
+        ambient_c = tiny.temperature_c[t]
+        expected_c = ambient_c + (expected_c - ambient_c) * np.exp(-1.0 / 1.05)
+        assert now.t_cell_c == pytest.approx([expected_c, expected_c], abs=1e-12)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

@@ -9,9 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from run_factory import OPTIONS, SERVED, day_run, day_scenario, small_run, small_scenario
-from run_factory import without_devices as bare
 
+from tests.support.made_up_runs import (
+    OPTIONS,
+    SERVED,
+    day_run,
+    day_scenario,
+    small_run,
+    small_scenario,
+)
+from tests.support.made_up_runs import without_devices as bare
 from vppres.report import plots
 from vppres.report.plots.service import tile_rows
 from vppres.scenario.network import Network

@@ -12,8 +12,8 @@ import pandapower as pp
 import pandapower.networks as networks
 import pandas as pd
 import pytest
-from run_factory import small_run, small_scenario
 
+from tests.support.made_up_runs import small_run, small_scenario
 from vppres.core.errors import InputError
 from vppres.core.units import kva_to_a
 from vppres.day import metrics

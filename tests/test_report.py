@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_factory import (
+
+from tests.support.made_up_runs import (
     SERVED,
     day_run,
     day_scenario,
@@ -17,7 +18,6 @@ from run_factory import (
     small_scenario,
     without_devices,
 )
-
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory, read_run

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_factory import day_run, day_scenario
 
+from tests.support.made_up_runs import day_run, day_scenario
 from vppres.report.run_folder import write_run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

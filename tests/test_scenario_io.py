@@ -91,7 +91,7 @@ def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path
 @given(values=st.lists(st.floats(0, 1e308), min_size=18, max_size=18))
 def test_numbers_come_back_to_the_last_digit(
         tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
-    from conftest import tiny_scenario
+    from tests.support.tiny_day import tiny_scenario
 
     scenario = replace(tiny_scenario(), load_kw=np.reshape(values, (6, 3)))
     read = round_trip(scenario, tmp_path_factory.mktemp("numbers") / "s")

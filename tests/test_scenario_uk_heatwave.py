@@ -6,6 +6,7 @@ taken from the builder.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from data.uk_heatwave_2022 import build as builder
 from data.uk_heatwave_2022 import published, series
 from data.uk_heatwave_2022.build import build, feeder
+from tests.support.offenders import assert_for_all
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.io import find_scenario, read_scenario, scenario_digest
@@ -24,12 +26,24 @@ from vppres.scenario.scenario import Scenario
 PACKAGED = "uk-heatwave-2022"
 
 
-@pytest.fixture(scope="module", params=["packaged", *range(10)])
-def day(request: pytest.FixtureRequest) -> Scenario:
+Check = Callable[[Scenario], None]
+Test = Callable[[dict[str, Scenario]], None]
+
+
+@pytest.fixture(scope="module")
+def days() -> dict[str, Scenario]:
     """The packaged day, and the day of ten other seeds."""
-    if request.param == "packaged":
-        return read_scenario(find_scenario(PACKAGED))
-    return build(seed=request.param)
+    return {"packaged": read_scenario(find_scenario(PACKAGED)),
+            **{f"seed {seed}": build(seed=seed) for seed in range(10)}}
+
+
+def on_every_day(check: Check) -> Test:
+    """One test that makes the check on every day and names the days that fail."""
+    def test(days: dict[str, Scenario]) -> None:
+        assert_for_all(days, check)
+
+    test.__name__ = check.__name__
+    return test
 
 
 def hour_of_peak(day: Scenario, values: Floats) -> str:
@@ -51,17 +65,20 @@ def total_pv(day: Scenario) -> Floats:
     return np.asarray(day.pv_kw.sum(axis=1), dtype=np.float64)
 
 
+@on_every_day
 def test_i1_horizon_and_step(day: Scenario) -> None:
     assert str(day.grid.times[0]) == "2022-07-19 00:00:00+00:00"
     assert str(day.grid.times[-1]) == "2022-07-19 23:00:00+00:00"
     assert day.grid.dt_h == 1.0
 
 
+@on_every_day
 def test_i2_outage(day: Scenario) -> None:
     assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
     assert np.isinf(day.grid_limit_kw[~day.outage]).all()
 
 
+@on_every_day
 def test_i3_price(day: Scenario) -> None:
     price = day.price_gbp_per_kwh
     assert low_mean_high(price, (2, 2, 2)) == ("0.20", "0.36", "0.54")
@@ -69,12 +86,14 @@ def test_i3_price(day: Scenario) -> None:
     assert hour_of_peak(day, -price) == "23:00"
 
 
+@on_every_day
 def test_i4_price_text(day: Scenario) -> None:
     price = day.price_gbp_per_kwh
     assert price[2] < min(price[1], price[3])
     assert price[6] > max(price[5], price[7])
 
 
+@on_every_day
 def test_i5_customers(day: Scenario) -> None:
     assert sorted(day.customers.bus) == list(range(2, 34))
     assert day.network.slack_bus == 1
@@ -82,27 +101,32 @@ def test_i5_customers(day: Scenario) -> None:
     assert dict(zip(tiers, counts, strict=True)) == {"critical": 12, "high": 10, "low": 10}
 
 
+@on_every_day
 def test_i6_power_factor(day: Scenario) -> None:
     assert low_mean_high(day.customers.power_factor, (2, 3, 2)) == ("0.90", "0.954", "0.98")
 
 
+@on_every_day
 def test_i7_load(day: Scenario) -> None:
     assert f"{total_load(day).sum() / 1e3:.2f}" == "86.44"
     assert f"{total_load(day).max() / 1e3:.3f}" == "4.068"
     assert hour_of_peak(day, total_load(day)) == "17:00"
 
 
+@on_every_day
 def test_i8_pv_sizes(day: Scenario) -> None:
     assert len(set(day.pv.customer)) == len(day.pv) == 28
     assert f"{day.pv.p_max_kw.sum() / 1e3:.3f}" == "1.857"
     assert low_mean_high(day.pv.p_max_kw, (2, 2, 2)) == ("24.77", "66.34", "92.87")
 
 
+@on_every_day
 def test_i9_pv_inverters(day: Scenario) -> None:
     assert set(day.pv.s_max_kva) == {30.0, 40.0, 100.0}
     assert (day.pv.p_max_kw <= day.pv.s_max_kva).all()
 
 
+@on_every_day
 def test_i10_pv_energy(day: Scenario) -> None:
     energy_kwh = total_pv(day).sum()
     assert f"{energy_kwh / 1e3:.2f}" == "15.08"
@@ -112,53 +136,63 @@ def test_i10_pv_energy(day: Scenario) -> None:
     assert (day.pv_kw <= day.pv.p_max_kw).all()
 
 
+@on_every_day
 def test_i11_battery_totals(day: Scenario) -> None:
     assert sorted(day.batteries.bus) == list(range(2, 34))
     assert f"{day.batteries.energy_kwh.sum() / 1e3:.3f}" == "2.542"
     assert f"{day.batteries.p_max_kw.sum() / 1e3:.3f}" == "1.272"
 
 
+@on_every_day
 def test_i12_battery_energy(day: Scenario) -> None:
     assert low_mean_high(day.batteries.energy_kwh, (2, 2, 1)) == ("38.59", "79.44", "165.5")
 
 
+@on_every_day
 def test_i13_battery_power(day: Scenario) -> None:
     assert low_mean_high(day.batteries.p_max_kw, (1, 2, 1)) == ("19.3", "39.74", "82.8")
 
 
+@on_every_day
 def test_i14_battery_inverters(day: Scenario) -> None:
     assert set(day.batteries.s_max_kva) == {25.0, 45.0, 70.0, 90.0}
     assert (day.batteries.p_max_kw <= day.batteries.s_max_kva).all()
 
 
+@on_every_day
 def test_i15_state_of_charge(day: Scenario) -> None:
     assert set(day.batteries.soc_initial) == {0.15}
     assert set(day.batteries.soc_min) == {0.15}
     assert set(day.batteries.soc_max) == {0.85}
 
 
+@on_every_day
 def test_i16_net_peak(day: Scenario) -> None:
     net_kw = total_load(day) - total_pv(day)
     assert f"{net_kw.max() / 1e3:.3f}" == "3.786"
     assert hour_of_peak(day, net_kw) == "18:00"
 
 
+@on_every_day
 def test_i17_voltage_limits(day: Scenario) -> None:
     assert (day.network.v_min_pu, day.network.v_max_pu) == (0.947, 1.053)
     assert day.network.v_min_ac_pu == 0.94
 
 
+@on_every_day
 def test_i18_weights(day: Scenario) -> None:
     weights = {"critical": 1.0, "high": 0.1, "low": 0.02}
     assert day.tiers == tuple(weights)
     assert day.customers.weight.tolist() == [weights[t] for t in day.customers.tier]
 
 
+@on_every_day
 def test_i19_efficiency(day: Scenario) -> None:
     assert set(day.batteries.eta_charge) == {0.95}
     assert set(day.batteries.eta_discharge) == {0.95}
 
 
+@on_every_day
 def test_i20_lambdas(day: Scenario) -> None:
     weights = day.objective
     assert (weights.lambda_grid, weights.lambda_curt) == (1e-6, 0.1)
@@ -167,6 +201,7 @@ def test_i20_lambdas(day: Scenario) -> None:
     assert weights.lambda_grid < 0.02 / (day.price_gbp_per_kwh.max() * day.load_kw.max())
 
 
+@on_every_day
 def test_i21_i22_battery_constants(day: Scenario) -> None:
     batteries = day.batteries
     assert set(batteries.alpha_charge_per_c2) | set(batteries.alpha_discharge_per_c2) == {1e-4}
@@ -175,6 +210,7 @@ def test_i21_i22_battery_constants(day: Scenario) -> None:
     assert set(batteries.u_batt_v) == {900.0}
 
 
+@on_every_day
 def test_i23_zones(day: Scenario) -> None:
     r_theta, c_theta = day.batteries.r_theta_c_per_kw, day.batteries.c_theta_kwh_per_c
     assert (r_theta.min(), r_theta.max()) == (2.771, 4.486)
@@ -182,6 +218,7 @@ def test_i23_zones(day: Scenario) -> None:
     assert len(set(zip(r_theta, c_theta, strict=True))) == 4
 
 
+@on_every_day
 def test_i24_temperature(day: Scenario) -> None:
     assert set(day.batteries.t_ref_c) == {25.0}
     # NaN: the cells start at the ambient temperature of the first step.
@@ -193,6 +230,7 @@ def test_i24_temperature(day: Scenario) -> None:
     assert heatwave.tolist() == list(range(7, 23))
 
 
+@on_every_day
 def test_critical_share(day: Scenario) -> None:
     assert critical_share(day) == pytest.approx(0.36, abs=0.001)
 

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from checker import check_dispatch
-from test_windows import (
+
+from experiments.random_feeders import random_state, random_window
+from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import (
     CHECKER_TOLERANCE,
     DARK,
     OPEN,
@@ -19,8 +21,6 @@ from test_windows import (
     two_buses,
     window,
 )
-
-from experiments.random_feeders import random_state, random_window
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from run_factory import (
+
+from tests.support.made_up_runs import (
     OPTIONS,
     SERVED,
     day_run,
@@ -18,7 +19,6 @@ from run_factory import (
     small_scenario,
     without_devices,
 )
-
 from vppres.core.errors import InputError
 from vppres.day.trajectory import Recorder, Trajectory, read_run, write_tables
 from vppres.io.scenario_writer import write_scenario
