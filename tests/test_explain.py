@@ -30,50 +30,80 @@ from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
-from vppres.solve.shadow_prices import Recovery, solve_recovery
+from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_prices import PricedWindow, price_window
 
-SERVICE = Goal(1.0, 0.0, 0.1)
+SERVICE = PricedTerms(1.0, 0.0, 0.1)
 
 
-def island(energy_kwh: float = 40.0, power_kw: float = 100.0, inverter_kva: float = 200.0,
-           r_ohm: float = 0.01, steps: int = 1) -> Scenario:
+def island(
+    energy_kwh: float = 40.0,
+    power_kw: float = 100.0,
+    inverter_kva: float = 200.0,
+    r_ohm: float = 0.01,
+    steps: int = 1,
+) -> Scenario:
     """One battery at bus 2 with ``energy_kwh`` to give and no losses; two customers of 30 kW.
 
     "first" (weight 1) is at bus 2, "second" (weight 0.3) at bus 3, behind ``r_ohm``; pure active
     power; there is no grid.
     """
-    store = replace(batteries([2], 200.0), p_max_kw=[power_kw], s_max_kva=[inverter_kva],
-                    soc_min=[0.1], soc_initial=[0.1 + energy_kwh / 200.0], eta_charge=[1.0],
-                    eta_discharge=[1.0])
+    store = replace(
+        batteries([2], 200.0),
+        p_max_kw=[power_kw],
+        s_max_kva=[inverter_kva],
+        soc_min=[0.1],
+        soc_initial=[0.1 + energy_kwh / 200.0],
+        eta_charge=[1.0],
+        eta_discharge=[1.0],
+    )
     return Scenario(
-        name="island", title="One battery, two customers",
+        name="island",
+        title="One battery, two customers",
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
         network=Network([1, 2], [2, 3], [0.01, r_ohm], [0.01, 0.01], slack_bus=1, base_kv=1.0),
-        customers=Customers(id=["first", "second"], bus=[2, 3], tier=["critical", "low"],
-                            weight=[1.0, 0.3], power_factor=[1.0, 1.0]),
-        pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]), batteries=store,
-        load_kw=np.full((steps, 2), 30.0), pv_kw=np.zeros((steps, 0)),
-        price_gbp_per_kwh=np.full(steps, 0.3), temperature_c=np.full(steps, 25.0),
-        grid_limit_kw=np.zeros(steps))
+        customers=Customers(
+            id=["first", "second"],
+            bus=[2, 3],
+            tier=["critical", "low"],
+            weight=[1.0, 0.3],
+            power_factor=[1.0, 1.0],
+        ),
+        pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]),
+        batteries=store,
+        load_kw=np.full((steps, 2), 30.0),
+        pv_kw=np.zeros((steps, 0)),
+        price_gbp_per_kwh=np.full(steps, 0.3),
+        temperature_c=np.full(steps, 25.0),
+        grid_limit_kw=np.zeros(steps),
+    )
 
 
 def window(day: Scenario) -> WindowData:
     """The whole day as one window."""
     b = day.batteries
-    return WindowData(day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw,
-                      b.soc_initial, b.eta_charge, b.eta_discharge,
-                      np.zeros((day.grid.n_steps, day.network.n_lines)))
+    return WindowData(
+        day.load_kw,
+        day.pv_kw,
+        day.price_gbp_per_kwh,
+        day.grid_limit_kw,
+        b.soc_initial,
+        b.eta_charge,
+        b.eta_discharge,
+        np.zeros((day.grid.n_steps, day.network.n_lines)),
+    )
 
 
-def solved(day: Scenario, data: WindowData | None = None, goal: Goal = SERVICE) -> Recovery:
-    """The recovery problem of the day with "first" served in its first step."""
+def solved(
+    day: Scenario, data: WindowData | None = None, priced: PricedTerms = SERVICE
+) -> PricedWindow:
+    """The pricing problem of the day with "first" served in its first step."""
     data = window(day) if data is None else data
     W, B = data.n_steps, len(day.batteries)
     lowest = np.zeros((W, len(day.customers)))
     lowest[0, 0] = 1.0
     held = Held(lowest, np.ones_like(lowest), np.zeros(B), np.ones(B))
-    answer = solve_recovery(RecoveryModel(Site.of(day), W), data, held, goal)
+    answer = price_window(ShadowPriceModel(Site.of(day), W), data, held, priced)
     assert answer is not None
     return answer
 
@@ -120,40 +150,58 @@ def test_voltage_by_hand() -> None:
     supplied_kw = (1.0 - 0.947**2) / 0.006
     assert answer.served_share[0, 1] == pytest.approx(supplied_kw / 30.0, rel=1e-4)
     per_milli_pu = 2 * 0.947 * 1e-3 / 0.006 * 0.01
-    assert answer.prices.voltage_floor == pytest.approx([0.0, 0.0, per_milli_pu], rel=1e-3,
-                                                        abs=1e-7)
+    assert answer.prices.voltage_floor == pytest.approx(
+        [0.0, 0.0, per_milli_pu], rel=1e-3, abs=1e-7
+    )
     # What comes from the slack bus takes 0.02 / 1000 of the squared voltage on its way.
     assert answer.prices.active == pytest.approx([-0.01 / 300, 0.0, 0.01], rel=1e-4, abs=1e-6)
 
 
 def test_cost_of_a_stored_kwh_by_hand() -> None:
-    day = replace(island(energy_kwh=10.0, steps=2), grid_limit_kw=np.full(2, np.inf),
-                  price_gbp_per_kwh=np.array([0.2, 0.5]))
+    day = replace(
+        island(energy_kwh=10.0, steps=2),
+        grid_limit_kw=np.full(2, np.inf),
+        price_gbp_per_kwh=np.array([0.2, 0.5]),
+    )
     day = with_battery(day, eta_charge=0.9, eta_discharge=0.8, p_max_kw=20.0)
     data, everyone = window(day), np.ones((2, 2))
     held = Held(everyone, everyone, np.zeros(1), np.ones(1))
-    answer = solve_recovery(RecoveryModel(Site.of(day), 2), data, held, Goal(0.0, 1.0, 0.0))
+    answer = price_window(ShadowPriceModel(Site.of(day), 2), data, held, PricedTerms(0.0, 1.0, 0.0))
     assert answer is not None
     # The dear hour's discharge is at its 20 kW: what is left decides on the cheap hour's purchase.
     assert answer.prices.stored_energy == pytest.approx([0.2 / 0.9], rel=1e-5)
     assert answer.prices.active == pytest.approx([0.2] * 3, rel=1e-5)
 
 
-@pytest.mark.parametrize(("name", "field", "step"), [
-    ("stored_energy", "soc_initial", 1 / 200.0), ("energy_floor", "soc_min", -1 / 200.0),
-    ("battery_discharging", "p_max_kw", 1.0), ("battery_inverter", "s_max_kva", 1.0)])
-@pytest.mark.parametrize("limits", [
-    {"energy_kwh": 40.0}, {"energy_kwh": 50.0, "power_kw": 35.0},
-    {"energy_kwh": 100.0, "inverter_kva": 40.0}, {"energy_kwh": 90.0, "r_ohm": 3.0}])
-def test_one_more_unit_buys_its_shadow_price(name: str, field: str, step: float,
-                                             limits: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    ("name", "field", "step"),
+    [
+        ("stored_energy", "soc_initial", 1 / 200.0),
+        ("energy_floor", "soc_min", -1 / 200.0),
+        ("battery_discharging", "p_max_kw", 1.0),
+        ("battery_inverter", "s_max_kva", 1.0),
+    ],
+)
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"energy_kwh": 40.0},
+        {"energy_kwh": 50.0, "power_kw": 35.0},
+        {"energy_kwh": 100.0, "inverter_kva": 40.0},
+        {"energy_kwh": 90.0, "r_ohm": 3.0},
+    ],
+)
+def test_one_more_unit_buys_its_shadow_price(
+    name: str, field: str, step: float, limits: dict[str, float]
+) -> None:
     day = island(**limits, steps=2)
     customers = replace(day.customers, power_factor=[0.95, 0.9])
     day = replace(day, customers=customers)
     before = solved(day)
     value = float(getattr(day.batteries, field)[0])
-    after = [solved(with_battery(day, **{field: value + sign * 0.01 * step})).value
-             for sign in (1, -1)]
+    after = [
+        solved(with_battery(day, **{field: value + sign * 0.01 * step})).value for sign in (1, -1)
+    ]
     slope = (after[0] - after[1]) / 0.02
     price = float(getattr(before.prices, name)[0])
     # A rating counts in both steps; its price is that of the first, and never more than both.
@@ -167,10 +215,18 @@ def with_source(day: Scenario, bus: int, p_kw: float, s_kva: float) -> Scenario:
     """The day with a PV system of a customer without demand or weight."""
     c = day.customers
     return replace(
-        day, customers=Customers([*c.id, "none"], [*c.bus, bus], [*c.tier, "low"],
-                                 [*c.weight, 0.0], [*c.power_factor, 1.0]),
-        pv=PVSystems(["source"], ["none"], [s_kva], [s_kva]), pv_kw=np.full((1, 1), p_kw),
-        load_kw=np.append(day.load_kw, [[0.0]], axis=1))
+        day,
+        customers=Customers(
+            [*c.id, "none"],
+            [*c.bus, bus],
+            [*c.tier, "low"],
+            [*c.weight, 0.0],
+            [*c.power_factor, 1.0],
+        ),
+        pv=PVSystems(["source"], ["none"], [s_kva], [s_kva]),
+        pv_kw=np.full((1, 1), p_kw),
+        load_kw=np.append(day.load_kw, [[0.0]], axis=1),
+    )
 
 
 @pytest.mark.parametrize("bus", [1, 2, 3])
@@ -178,14 +234,16 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
     # Reactive demand, a small inverter and a long line: power factor, rating and voltage matter.
     day = island(energy_kwh=100.0, inverter_kva=45.0, r_ohm=2.0)
     day = replace(day, customers=replace(day.customers, power_factor=[0.9, 0.85]))
-    goal = Goal(1.0, 0.0, 0.0)
+    priced = PricedTerms(1.0, 0.0, 0.0)
 
     def gain(p_kw: float, s_kva: float) -> float:
-        values = [solved(with_source(day, bus, size * p_kw, size * s_kva + 1e-6), goal=goal).value
-                  for size in (0.1, 0.3)]
+        values = [
+            solved(with_source(day, bus, size * p_kw, size * s_kva + 1e-6), priced=priced).value
+            for size in (0.1, 0.3)
+        ]
         return (values[1] - values[0]) / 0.2
 
-    prices = solved(day, goal=goal).prices
+    prices = solved(day, priced=priced).prices
     active, reactive = prices.active[bus - 1], prices.reactive[bus - 1]
     assert active > 1e-3 and reactive > 1e-3
     assert gain(0.0, 1.0) == pytest.approx(reactive, rel=2e-2)
@@ -196,17 +254,16 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
 @pytest.mark.parametrize("t", [7, 11, 12, 14, 17])
 def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
     recorded = Recorded(heatwave)
-    model = RecoveryModel(recorded.site, recorded.n_seen)
+    model = ShadowPriceModel(recorded.site, recorded.n_seen)
     data, held = recorded.seen(t), recorded.held(t, len(recorded.seen(t).price_gbp_per_kwh))
-    before = solve_recovery(model, data, held, SERVICE)
+    before = price_window(model, data, held, SERVICE)
     assert before is not None
     for battery in (0, 17):
         per_kwh = np.zeros(len(data.soc))
         per_kwh[battery] = 1.0 / recorded.site.batteries.energy_kwh[battery]
         values = []
         for kwh in (0.1, -0.1):
-            after = solve_recovery(model, replace(data, soc=data.soc + kwh * per_kwh), held,
-                                   SERVICE)
+            after = price_window(model, replace(data, soc=data.soc + kwh * per_kwh), held, SERVICE)
             values.append(np.nan if after is None else after.value)
         low, high = sorted([(before.value - values[1]) / 0.1, (values[0] - before.value) / 0.1])
         price = float(before.prices.stored_energy[battery])
@@ -243,7 +300,8 @@ def test_every_action_of_the_heatwave_day_has_a_reason(explained: Trajectory) ->
 
 def test_the_heatwave_day_is_told_as_it_was(explained: Trajectory) -> None:
     assert explained.steps["phase"].tolist() == (
-        ["normal"] * 7 + ["preparation"] * 5 + ["island"] * 6 + ["recovery"] + ["normal"] * 5)
+        ["normal"] * 7 + ["preparation"] * 5 + ["island"] * 6 + ["recovery"] + ["normal"] * 5
+    )
     reasons, _ = tables(explained)
     out = reasons[reasons["action"] == "not_served"]
     assert set(out["driver"]) <= {"priority", "energy"} and set(out["binding"]) == {"energy"}
@@ -255,7 +313,8 @@ def test_the_heatwave_day_is_told_as_it_was(explained: Trajectory) -> None:
 def test_a_kwh_is_worth_service_in_the_island_and_money_elsewhere(explained: Trajectory) -> None:
     _, prices = tables(explained)
     stored = prices[prices["constraint"] == "stored_energy"].merge(
-        explained.steps[["time", "phase", "price_gbp_per_kwh"]], on="time")
+        explained.steps[["time", "phase", "price_gbp_per_kwh"]], on="time"
+    )
     island_rows = stored[stored["phase"] == "island"].groupby("time")
     assert (island_rows["weighted_h"].max() > 1e-3).all()
     assert island_rows["gbp"].max().isna().all()
@@ -267,7 +326,8 @@ def test_a_kwh_is_worth_service_in_the_island_and_money_elsewhere(explained: Tra
 def test_customers_with_priority_count_less_per_kw(explained: Trajectory) -> None:
     reasons, _ = tables(explained)
     table = explained.customers.assign(
-        per_kw=explained.customers["weight"] / explained.customers["p_load_kw"])
+        per_kw=explained.customers["weight"] / explained.customers["p_load_kw"]
+    )
     best = table[table["served"].astype(bool)].groupby("time")["per_kw"].max()
     behind = reasons[reasons["driver"] == "priority"].merge(table, on=["time", "id"])
     assert (behind["per_kw"] < behind["time"].map(best)).all()
@@ -279,7 +339,8 @@ def test_a_second_explanation_is_the_same(heatwave: Trajectory, explained: Traje
 
 
 def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
-        explained: Trajectory, tmp_path: Path) -> None:
+    explained: Trajectory, tmp_path: Path
+) -> None:
     summary = write_run(explained, tmp_path / "run")
     assert summary["explained_share"] == 1.0
     back = read_finished(tmp_path / "run")
@@ -311,9 +372,13 @@ def changed(run: Trajectory, table: str, **columns: Any) -> Trajectory:
 
 def test_a_dark_island_and_a_fallback_come_first(tiny_run: Trajectory) -> None:
     nobody = changed(tiny_run, "customers", served=False)
-    dark = changed(nobody, "steps", dark=[False, False, False, True, False, False],
-                   fallback=["", "", "", "rule", "rule", ""],
-                   fallback_reason=["", "", "", "no answer", "no answer", ""])
+    dark = changed(
+        nobody,
+        "steps",
+        dark=[False, False, False, True, False, False],
+        fallback=["", "", "", "rule", "rule", ""],
+        fallback_reason=["", "", "", "no answer", "no answer", ""],
+    )
     reasons, _ = tables(explain_day(dark))
     out = reasons[reasons["action"] == "not_served"]
     by_step = out.groupby("time")["driver"].unique().tolist()
@@ -341,7 +406,8 @@ def test_a_rule_that_leaves_somebody_out_is_named() -> None:
     assert out["driver"].to_dict() == {"first": "rule", "second": "rule"}
     assert out.loc["first", "words"] == (
         "Not served: the rule of the controller idle leaves it out; serving it would be worth 1 "
-        "weighted customer hours.")
+        "weighted customer hours."
+    )
 
 
 def test_a_battery_that_settles_the_mismatch_says_so(tiny_run: Trajectory) -> None:
@@ -368,22 +434,29 @@ def test_surplus_is_curtailed_and_stored_for_what_it_is(tiny: Scenario) -> None:
     assert set(reasons.loc[reasons["action"] == "curtail", "driver"]) == {"surplus"}
 
 
-@pytest.mark.parametrize(("limits", "binding", "constraint"), [
-    ({"energy_kwh": 40.0}, "energy", "energy_floor"),
-    ({"energy_kwh": 100.0, "power_kw": 35.0}, "power", "battery_discharging"),
-    ({"energy_kwh": 100.0, "inverter_kva": 35.0}, "inverter", "battery_inverter"),
-    ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor")])
-def test_what_is_scarce_in_an_island_is_named(limits: dict[str, float], binding: str,
-                                              constraint: str) -> None:
+@pytest.mark.parametrize(
+    ("limits", "binding", "constraint"),
+    [
+        ({"energy_kwh": 40.0}, "energy", "energy_floor"),
+        ({"energy_kwh": 100.0, "power_kw": 35.0}, "power", "battery_discharging"),
+        ({"energy_kwh": 100.0, "inverter_kva": 35.0}, "inverter", "battery_inverter"),
+        ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor"),
+    ],
+)
+def test_what_is_scarce_in_an_island_is_named(
+    limits: dict[str, float], binding: str, constraint: str
+) -> None:
     reasons, prices = tables(explain_day(run_day(island(**limits), RunOptions(horizon_h=0.0))))
     out = reasons[reasons["action"] == "not_served"]
     assert out["id"].tolist() == ["second"] and out["driver"].tolist() == [binding]
     bound = prices[prices["constraint"] == constraint]
     assert bound["item"].tolist() == (["3"] if binding == "voltage" else ["b2"])
-    words = {"energy": "one more kWh in store would serve 0.01 weighted",
-             "power": "one more kW of battery b2 would serve 0.01 weighted",
-             "inverter": "one more kVA of battery b2 would serve 0.01 weighted",
-             "voltage": "0.001 pu more room below at bus 3 would serve 0.0032 weighted"}
+    words = {
+        "energy": "one more kWh in store would serve 0.01 weighted",
+        "power": "one more kW of battery b2 would serve 0.01 weighted",
+        "inverter": "one more kVA of battery b2 would serve 0.01 weighted",
+        "voltage": "0.001 pu more room below at bus 3 would serve 0.0032 weighted",
+    }
     assert words[binding] in out["words"].iloc[0]
     assert reasons.loc[reasons["item"] == "step", "driver"].tolist() == [binding]
 
@@ -406,8 +479,12 @@ def test_energy_goes_to_who_counts_more() -> None:
 def test_a_battery_that_holds_the_voltage_says_so() -> None:
     # The second hour is dear, but in the first the line to the second carries 17 of its 30 kW.
     day = island(energy_kwh=30.0, inverter_kva=25.0, r_ohm=3.0, steps=2)
-    day = replace(day, batteries=replace(day.batteries, bus=[3]),
-                  grid_limit_kw=np.full(2, np.inf), price_gbp_per_kwh=np.array([0.1, 0.5]))
+    day = replace(
+        day,
+        batteries=replace(day.batteries, bus=[3]),
+        grid_limit_kw=np.full(2, np.inf),
+        price_gbp_per_kwh=np.array([0.1, 0.5]),
+    )
     reasons, prices = tables(explain_day(run_day(day, RunOptions(horizon_h=1.0))))
     first = reasons[reasons["time"] == reasons["time"].iloc[0]]
     move = first[first["item"] == "battery"]
@@ -425,10 +502,15 @@ def test_a_partial_grid_limit_is_named() -> None:
     assert grid["weighted_h"].tolist() == pytest.approx([0.01, 0.01], rel=1e-4)
 
 
-@pytest.mark.parametrize("options", [
-    RunOptions("full-horizon", horizon_h=2.0), RunOptions(horizon_h=0.0),
-    RunOptions(horizon_h=5.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
-    RunOptions("full-horizon", 2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3)])
+@pytest.mark.parametrize(
+    "options",
+    [
+        RunOptions("full-horizon", horizon_h=2.0),
+        RunOptions(horizon_h=0.0),
+        RunOptions(horizon_h=5.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
+        RunOptions("full-horizon", 2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
+    ],
+)
 def test_every_controller_is_explained_in_full(options: RunOptions) -> None:
     reasons, _ = tables(explain_day(run_day(tiny_scenario(), options)))
     assert reason_figures(reasons)["explained_share"] in (1.0, None)
@@ -442,8 +524,9 @@ def test_a_made_up_run_is_explained_by_its_record_alone() -> None:
 
 
 def test_steps_without_batteries_and_pv(tiny: Scenario) -> None:
-    bare = replace(tiny, pv=PVSystems([], [], [], []), batteries=batteries([], 1.0),
-                   pv_kw=np.zeros((6, 0)))
+    bare = replace(
+        tiny, pv=PVSystems([], [], [], []), batteries=batteries([], 1.0), pv_kw=np.zeros((6, 0))
+    )
     reasons, prices = tables(explain_day(run_day(bare, RunOptions(horizon_h=1.0))))
     out = reasons[reasons["action"] == "not_served"]
     assert len(out) == 6 and set(out["binding"]) == {"power"}
@@ -452,7 +535,7 @@ def test_steps_without_batteries_and_pv(tiny: Scenario) -> None:
 
 def test_padding_changes_nothing(tiny_run: Trajectory) -> None:
     recorded = Recorded(tiny_run)
-    exact, padded = (RecoveryModel(recorded.site, n) for n in (3, 6))
+    exact, padded = (ShadowPriceModel(recorded.site, n) for n in (3, 6))
     for t in (1, 3):
         one, other = (step_prices(recorded, model, t) for model in (exact, padded))
         for level in ("service", "cost"):
@@ -467,13 +550,26 @@ def test_phases_between_two_outages() -> None:
     outage = np.array([0, 1, 0, 0, 0, 0, 1, 0], bool)
     returning = np.array([0, 1, 1, 1, 0, 0, 1, 0], bool)
     assert phases(outage, returning, 2) == [
-        "preparation", "island", "recovery", "recovery", "normal", "preparation", "island",
-        "normal"]
+        "preparation",
+        "island",
+        "recovery",
+        "recovery",
+        "normal",
+        "preparation",
+        "island",
+        "normal",
+    ]
 
 
 def test_figures_have_two_digits_that_count() -> None:
     assert [figure(v) for v in (0.0, 0.00122, -0.5, 99.4, 1268.0, float("nan"))] == [
-        "0", "0.0012", "-0.5", "99", "1270", "0"]
+        "0",
+        "0.0012",
+        "-0.5",
+        "99",
+        "1270",
+        "0",
+    ]
 
 
 def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:

@@ -30,8 +30,10 @@ FOLDER = Path(vppres.__file__).parent / "scenarios" / NAME
 SEED = 0
 START = pd.Timestamp("2025-07-01T00:00Z")
 STEP_MINUTES = 15.0
-OUTAGES = ((pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T16:00Z")),
-           (pd.Timestamp("2025-07-02T17:30Z"), pd.Timestamp("2025-07-02T20:00Z")))
+OUTAGES = (
+    (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T16:00Z")),
+    (pd.Timestamp("2025-07-02T17:30Z"), pd.Timestamp("2025-07-02T20:00Z")),
+)
 # After the first outage the grid gives a part for two hours.
 PARTIAL = (pd.Timestamp("2025-07-01T16:00Z"), pd.Timestamp("2025-07-01T18:00Z"))
 PARTIAL_KW = 2000.0
@@ -64,18 +66,22 @@ def build(seed: int = SEED) -> Scenario:
     net.load["in_service"] = net.load["p_mw"] < OTHER_FEEDER_MW
     feeder = import_network(net)
     # The feeder's own PV, 240 kW for 4.7 MW of load, would not show: PV is sized by the rule.
-    options = NewScenarioOptions(start=START, step_minutes=STEP_MINUTES, days=2,
-                                 outages=OUTAGES, pv="sized", seed=seed)
+    options = NewScenarioOptions(
+        start=START, step_minutes=STEP_MINUTES, days=2, outages=OUTAGES, pv="sized", seed=seed
+    )
     day = new_scenario(feeder, options)
     times = day.grid.times
     draw_load, draw_clouds = (np.random.default_rng([seed, i]) for i in (2, 3))
     noise = 1.0 + LOAD_NOISE * _drift(draw_load, day.load_kw.shape, LOAD_MEMORY)
     back = (times >= PARTIAL[0]) & (times < PARTIAL[1])
     return replace(
-        day, name=NAME, title=TITLE,
+        day,
+        name=NAME,
+        title=TITLE,
         load_kw=np.round(day.load_kw * np.clip(noise, 0.5, 1.5), DIGITS),
         pv_kw=np.round(day.pv_kw * _clear(draw_clouds, times)[:, np.newaxis], DIGITS),
-        grid_limit_kw=np.where(back, PARTIAL_KW, day.grid_limit_kw))
+        grid_limit_kw=np.where(back, PARTIAL_KW, day.grid_limit_kw),
+    )
 
 
 def write() -> None:

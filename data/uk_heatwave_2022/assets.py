@@ -39,26 +39,39 @@ def draw_customers(nominal_kw: Floats, critical_share: float, seed: int) -> Cust
     buses = np.arange(len(nominal_kw)) + 2
     tier = draw_tiers(nominal_kw, critical_share, _stream(seed, "tiers"))
     rng = _stream(seed, "power_factors")
-    factors = spread_sizes((published.POWER_FACTOR_MIN, published.POWER_FACTOR_MAX),
-                           published.POWER_FACTOR_MEAN * len(buses), len(buses), 3, rng)
+    factors = spread_sizes(
+        (published.POWER_FACTOR_MIN, published.POWER_FACTOR_MAX),
+        published.POWER_FACTOR_MEAN * len(buses),
+        len(buses),
+        3,
+        rng,
+    )
     return Customers(
-        id=_ids("c", buses), bus=buses.astype(object), tier=tier,
+        id=_ids("c", buses),
+        bus=buses.astype(object),
+        tier=tier,
         weight=np.array([published.TIER_WEIGHTS[t] for t in tier]),
-        power_factor=rng.permutation(factors))
+        power_factor=rng.permutation(factors),
+    )
 
 
 def draw_pv(nominal_kw: Floats, seed: int) -> PVSystems:
     """PV systems of 28 customers: larger loads tend to have the larger systems."""
     buses = np.arange(len(nominal_kw)) + 2
-    owners = np.sort(_stream(seed, "pv_places").choice(len(buses), published.PV_COUNT,
-                                                       replace=False))
+    owners = np.sort(
+        _stream(seed, "pv_places").choice(len(buses), published.PV_COUNT, replace=False)
+    )
     rng = _stream(seed, "pv_sizes")
-    sizes_kw = spread_sizes((published.PV_MIN_KW, published.PV_MAX_KW), published.PV_TOTAL_KW,
-                            len(owners), 2, rng)
+    sizes_kw = spread_sizes(
+        (published.PV_MIN_KW, published.PV_MAX_KW), published.PV_TOTAL_KW, len(owners), 2, rng
+    )
     p_max_kw = match_to_load(sizes_kw, nominal_kw[owners], rng)
-    return PVSystems(id=_ids("pv", buses[owners]), customer=_ids("c", buses[owners]),
-                     p_max_kw=p_max_kw,
-                     s_max_kva=smallest_rating(p_max_kw, published.PV_INVERTERS_KVA))
+    return PVSystems(
+        id=_ids("pv", buses[owners]),
+        customer=_ids("c", buses[owners]),
+        p_max_kw=p_max_kw,
+        s_max_kva=smallest_rating(p_max_kw, published.PV_INVERTERS_KVA),
+    )
 
 
 def draw_batteries(nominal_kw: Floats, zone_pairing: tuple[int, ...], seed: int) -> Batteries:
@@ -67,24 +80,38 @@ def draw_batteries(nominal_kw: Floats, zone_pairing: tuple[int, ...], seed: int)
     rng = _stream(seed, "battery_sizes")
     sizes_kwh = spread_sizes(
         (published.BATTERY_ENERGY_MIN_KWH, published.BATTERY_ENERGY_MAX_KWH),
-        published.BATTERY_ENERGY_KWH, len(buses), 2, rng)
+        published.BATTERY_ENERGY_KWH,
+        len(buses),
+        2,
+        rng,
+    )
     energy_kwh = match_to_load(sizes_kwh, nominal_kw, rng)
     p_max_kw = np.round(energy_kwh * published.BATTERY_POWER_KW / published.BATTERY_ENERGY_KWH, 2)
     r_theta, c_theta = zone_constants(buses, zone_pairing)
     constants = {
-        "soc_min": published.SOC_MIN, "soc_max": published.SOC_MAX,
+        "soc_min": published.SOC_MIN,
+        "soc_max": published.SOC_MAX,
         "soc_initial": published.SOC_INITIAL,
-        "eta_charge": published.EFFICIENCY, "eta_discharge": published.EFFICIENCY,
+        "eta_charge": published.EFFICIENCY,
+        "eta_discharge": published.EFFICIENCY,
         "alpha_charge_per_c2": published.ALPHA_PER_C2,
         "alpha_discharge_per_c2": published.ALPHA_PER_C2,
-        "r_int_ohm": published.R_INT_OHM, "beta_per_c": published.BETA_PER_C,
-        "u_batt_v": published.U_BATT_V, "t_ref_c": published.T_REF_C, "t_initial_c": np.nan,
+        "r_int_ohm": published.R_INT_OHM,
+        "beta_per_c": published.BETA_PER_C,
+        "u_batt_v": published.U_BATT_V,
+        "t_ref_c": published.T_REF_C,
+        "t_initial_c": np.nan,
     }
     return Batteries(
-        id=_ids("b", buses), bus=buses.astype(object), energy_kwh=energy_kwh, p_max_kw=p_max_kw,
+        id=_ids("b", buses),
+        bus=buses.astype(object),
+        energy_kwh=energy_kwh,
+        p_max_kw=p_max_kw,
         s_max_kva=smallest_rating(p_max_kw, published.BATTERY_INVERTERS_KVA),
-        r_theta_c_per_kw=r_theta, c_theta_kwh_per_c=c_theta,
-        **{name: np.full(len(buses), value) for name, value in constants.items()})
+        r_theta_c_per_kw=r_theta,
+        c_theta_kwh_per_c=c_theta,
+        **{name: np.full(len(buses), value) for name, value in constants.items()},
+    )
 
 
 def draw_tiers(nominal_kw: Floats, critical_share: float, rng: np.random.Generator) -> Names:
@@ -99,16 +126,22 @@ def draw_tiers(nominal_kw: Floats, critical_share: float, rng: np.random.Generat
     counts = published.TIER_COUNTS
     for _ in range(SHARE_TRIALS):
         order = _exchange(share, rng.permutation(len(share)), critical_share)
-        if abs(share[order[:counts["critical"]]].sum() - critical_share) <= SHARE_TOLERANCE:
+        if abs(share[order[: counts["critical"]]].sum() - critical_share) <= SHARE_TOLERANCE:
             tier = np.empty(len(share), dtype=object)
             tier[order] = np.repeat(list(counts), list(counts.values()))
             return tier
     ranked = np.sort(share)
-    low = ranked[:counts["critical"]].sum()
-    high = ranked[-counts["critical"]:].sum()
-    raise InputError(Problem("build", f"no {counts['critical']} customers have this share of the "
-                             "load", f"Choose a share between {low:.3f} and {high:.3f}.",
-                             field="critical_share", value=critical_share))
+    low = ranked[: counts["critical"]].sum()
+    high = ranked[-counts["critical"] :].sum()
+    raise InputError(
+        Problem(
+            "build",
+            f"no {counts['critical']} customers have this share of the load",
+            f"Choose a share between {low:.3f} and {high:.3f}.",
+            field="critical_share",
+            value=critical_share,
+        )
+    )
 
 
 def _exchange(share: Floats, order: Wholes, goal: float) -> Wholes:
@@ -124,8 +157,9 @@ def _exchange(share: Floats, order: Wholes, goal: float) -> Wholes:
         order[[inside, outside + count]] = order[[outside + count, inside]]
 
 
-def spread_sizes(ends: tuple[float, float], total: float, count: int, digits: int,
-                 rng: np.random.Generator) -> Floats:
+def spread_sizes(
+    ends: tuple[float, float], total: float, count: int, digits: int, rng: np.random.Generator
+) -> Floats:
     """Rising sizes with given ends and total, both ends attained.
 
     The places between the ends are spread evenly with a random shift of less than half a step;
@@ -153,8 +187,7 @@ def smallest_rating(p_max_kw: Floats, ratings_kva: tuple[float, ...]) -> Floats:
     return np.array(ratings_kva)[np.searchsorted(ratings_kva, p_max_kw)]
 
 
-def zone_constants(buses: Wholes,
-                   zone_pairing: tuple[int, ...]) -> tuple[Floats, Floats]:
+def zone_constants(buses: Wholes, zone_pairing: tuple[int, ...]) -> tuple[Floats, Floats]:
     """Thermal resistance (°C/kW) and capacity (kWh/°C) of the battery at each bus.
 
     Both ranges are divided evenly over the zones. The resistance rises with the zone's number;
@@ -162,9 +195,15 @@ def zone_constants(buses: Wholes,
     """
     n_zones = len(ZONE_LAST_BUS)
     if sorted(zone_pairing) != list(range(n_zones)):
-        raise InputError(Problem("build", "does not name each rank once",
-                                 f"Give a permutation of {tuple(range(n_zones))}.",
-                                 field="zone_pairing", value=zone_pairing))
+        raise InputError(
+            Problem(
+                "build",
+                "does not name each rank once",
+                f"Give a permutation of {tuple(range(n_zones))}.",
+                field="zone_pairing",
+                value=zone_pairing,
+            )
+        )
     zone = np.searchsorted(ZONE_LAST_BUS, buses)
     r_theta = np.round(np.linspace(*published.R_THETA_C_PER_KW, n_zones), 3)
     c_theta = np.round(np.linspace(*published.C_THETA_KWH_PER_C, n_zones), 3)

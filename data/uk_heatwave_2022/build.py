@@ -34,8 +34,13 @@ ZONE_PAIRING = (1, 0, 3, 2)
 SERIES_DIGITS = 3
 
 
-def build(seed: int = SEED, critical_share: float = CRITICAL_SHARE, price: str = "B",
-          outage_steps: int = 6, zone_pairing: tuple[int, ...] = ZONE_PAIRING) -> Scenario:
+def build(
+    seed: int = SEED,
+    critical_share: float = CRITICAL_SHARE,
+    price: str = "B",
+    outage_steps: int = 6,
+    zone_pairing: tuple[int, ...] = ZONE_PAIRING,
+) -> Scenario:
     """The paper's day, with the unpublished per-bus data drawn from a seed.
 
     Parameters
@@ -63,16 +68,24 @@ def build(seed: int = SEED, critical_share: float = CRITICAL_SHARE, price: str =
     pv = draw_pv(nominal_kw, seed)
     total_load_kw, total_pv_kw = load_and_pv_kw()
     return Scenario(
-        name=NAME, title=TITLE, network=network, customers=customers, pv=pv,
+        name=NAME,
+        title=TITLE,
+        network=network,
+        customers=customers,
+        pv=pv,
         grid=TimeGrid(pd.Timestamp(published.START), 60.0, published.STEPS),
         batteries=draw_batteries(nominal_kw, zone_pairing, seed),
-        load_kw=_divide(total_load_kw, nominal_kw), pv_kw=_divide(total_pv_kw, pv.p_max_kw),
-        price_gbp_per_kwh=price_gbp_per_kwh(price), temperature_c=temperature_c(),
+        load_kw=_divide(total_load_kw, nominal_kw),
+        pv_kw=_divide(total_pv_kw, pv.p_max_kw),
+        price_gbp_per_kwh=price_gbp_per_kwh(price),
+        temperature_c=temperature_c(),
         grid_limit_kw=_grid_limit_kw(outage_steps),
         tiers=tuple(published.TIER_COUNTS),
-        objective=ObjectiveWeights(published.LAMBDA_GRID, published.LAMBDA_CURT,
-                                   published.LAMBDA_L, published.LAMBDA_Q),
-        controller=ControllerDefaults("mpc", published.HORIZON_H))
+        objective=ObjectiveWeights(
+            published.LAMBDA_GRID, published.LAMBDA_CURT, published.LAMBDA_L, published.LAMBDA_Q
+        ),
+        controller=ControllerDefaults("mpc", published.HORIZON_H),
+    )
 
 
 @cache
@@ -84,12 +97,16 @@ def feeder() -> tuple[Network, Floats]:
     case = pandapower.networks.case33bw()
     lines = case.line[case.line["in_service"]]
     network = Network(
-        lines["from_bus"].to_numpy() + 1, lines["to_bus"].to_numpy() + 1,
+        lines["from_bus"].to_numpy() + 1,
+        lines["to_bus"].to_numpy() + 1,
         (lines["r_ohm_per_km"] * lines["length_km"]).to_numpy(),
         (lines["x_ohm_per_km"] * lines["length_km"]).to_numpy(),
-        slack_bus=1, base_kv=float(case.bus["vn_kv"].iloc[0]),
-        v_min_pu=published.V_MIN_PU, v_max_pu=published.V_MAX_PU,
-        v_min_ac_pu=published.V_MIN_AC_PU)
+        slack_bus=1,
+        base_kv=float(case.bus["vn_kv"].iloc[0]),
+        v_min_pu=published.V_MIN_PU,
+        v_max_pu=published.V_MAX_PU,
+        v_min_ac_pu=published.V_MIN_AC_PU,
+    )
     nominal_mw = case.load.set_index("bus")["p_mw"].sort_index()
     return network, freeze(np.round(mw_to_kw(nominal_mw), SERIES_DIGITS))
 
@@ -111,11 +128,17 @@ def _grid_limit_kw(outage_steps: int) -> Floats:
     """No limit, and zero in the outage."""
     first = published.OUTAGE_START_HOUR
     if not 1 <= outage_steps <= published.STEPS - first:
-        raise InputError(Problem("build", "does not fit into the day",
-                                 f"Give 1 to {published.STEPS - first} steps.",
-                                 field="outage_steps", value=outage_steps))
+        raise InputError(
+            Problem(
+                "build",
+                "does not fit into the day",
+                f"Give 1 to {published.STEPS - first} steps.",
+                field="outage_steps",
+                value=outage_steps,
+            )
+        )
     limit_kw = np.full(published.STEPS, np.inf)
-    limit_kw[first:first + outage_steps] = 0.0
+    limit_kw[first : first + outage_steps] = 0.0
     return limit_kw
 
 

@@ -57,8 +57,10 @@ def load_and_pv_kw() -> tuple[Floats, Floats]:
         *_peak(load_kw - pv_kw, published.NET_PEAK_HOUR, published.NET_PEAK_KW, LOAD_MARGIN_KW),
     ]
     _solve(_distance(load_kw, load_shape) + _distance(pv_kw[sun], pv_shape[sun]), constraints)
-    return (freeze(np.round(load_kw.value, POWER_DIGITS)),
-            freeze(np.abs(np.round(pv_kw.value, POWER_DIGITS))))
+    return (
+        freeze(np.round(load_kw.value, POWER_DIGITS)),
+        freeze(np.abs(np.round(pv_kw.value, POWER_DIGITS))),
+    )
 
 
 @cache
@@ -74,8 +76,15 @@ def price_gbp_per_kwh(option: str) -> Floats:
         there.
     """
     if option not in PRICES:
-        raise InputError(Problem("build", "is not a rebuild of the price", "Choose A or B.",
-                                 field="price", value=option))
+        raise InputError(
+            Problem(
+                "build",
+                "is not a rebuild of the price",
+                "Choose A or B.",
+                field="price",
+                value=option,
+            )
+        )
     real = public_figures()["gb_day_ahead_eur_per_mwh"].to_numpy()
     shape = real * published.PRICE_MEAN_GBP_PER_KWH / real.mean()
     price = cp.Variable(published.STEPS)
@@ -96,8 +105,10 @@ def temperature_c() -> Floats:
     real = public_figures()["reanalysis_temperature_c"].to_numpy()
     correction = cp.Variable(published.STEPS)
     hottest = 15  # the record stood by 15:12 UTC
-    constraints = [correction[0] == published.T_AMBIENT_START_C - real[0],
-                   *_peak(real + correction, hottest, published.HOTTEST_C, TEMPERATURE_MARGIN_C)]
+    constraints = [
+        correction[0] == published.T_AMBIENT_START_C - real[0],
+        *_peak(real + correction, hottest, published.HOTTEST_C, TEMPERATURE_MARGIN_C),
+    ]
     _solve(cp.sum_squares(cp.diff(correction)), constraints)
     return freeze(np.round(real + correction.value, TEMPERATURE_DIGITS))
 
@@ -121,8 +132,7 @@ def _recharging_at_the_alert(price: cp.Variable) -> list[cp.Constraint]:
     alert = published.ALERT_HOUR
     round_trip = published.EFFICIENCY**2
     return [
-        price[alert] + PRICE_MARGIN_GBP_PER_KWH
-        <= price[alert + 1:published.OUTAGE_START_HOUR],
+        price[alert] + PRICE_MARGIN_GBP_PER_KWH <= price[alert + 1 : published.OUTAGE_START_HOUR],
         RECHARGE_GAIN * price[alert] <= round_trip * price[published.PRICE_LOCAL_MAX_HOUR],
     ]
 

@@ -19,7 +19,6 @@ PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
 
 
-
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
     """Every figure of ``summary.json``, safe for JSON: what is not defined is None.
 
@@ -51,8 +50,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "gap_max": trajectory.steps["gap"].max(),
         **{name: trajectory.options[name] for name in OPTIONS},
         "horizon_h": horizon_h(trajectory),
-        "options": {name: value for name, value in trajectory.options.items()
-                    if name not in OPTIONS},
+        "options": {
+            name: value for name, value in trajectory.options.items() if name not in OPTIONS
+        },
         "versions": versions(),
         "input_digest": scenario_digest(trajectory.scenario),
     }
@@ -91,14 +91,17 @@ def served_share(trajectory: Trajectory, outage: bool) -> dict[str, float | None
     is no such step or no such customer.
     """
     share = _customers(trajectory, outage).groupby("tier")["served"].mean()
-    return {tier: float(share[tier]) if tier in share.index else None
-            for tier in trajectory.scenario.tiers}
+    return {
+        tier: float(share[tier]) if tier in share.index else None
+        for tier in trajectory.scenario.tiers
+    }
 
 
 def service_by_tier(trajectory: Trajectory) -> pd.DataFrame:
     """Share of customers served, shape (T, tiers): one row per step, one column per tier."""
-    share = trajectory.customers.pivot_table(index="time", columns="tier", values="served",
-                                             aggfunc="mean", observed=False)
+    share = trajectory.customers.pivot_table(
+        index="time", columns="tier", values="served", aggfunc="mean", observed=False
+    )
     present = [tier for tier in trajectory.scenario.tiers if tier in share.columns]
     return share[present].astype(float)
 
@@ -115,16 +118,24 @@ def service_by_customer(trajectory: Trajectory) -> pd.DataFrame:
     rows = trajectory.customers
     missing = ~rows["served"].astype(bool)
     lost = rows.assign(unserved_h=missing * dt_h, unserved_kwh=missing * rows["p_load_kw"] * dt_h)
-    return lost.groupby("id", sort=False).agg(
-        bus=("bus", "first"), tier=("tier", "first"),
-        unserved_h=("unserved_h", "sum"), unserved_kwh=("unserved_kwh", "sum")).reset_index()
+    return (
+        lost.groupby("id", sort=False)
+        .agg(
+            bus=("bus", "first"),
+            tier=("tier", "first"),
+            unserved_h=("unserved_h", "sum"),
+            unserved_kwh=("unserved_kwh", "sum"),
+        )
+        .reset_index()
+    )
 
 
 def cost_gbp(trajectory: Trajectory) -> float:
     """Cost of the imported energy: ``sum_t rho(t) P_grid(t) dt`` over grid-available steps (AC)."""
     steps = _connected(trajectory)
-    return float((steps["price_gbp_per_kwh"] * steps["p_grid_kw"]).sum()
-                 * trajectory.scenario.grid.dt_h)
+    return float(
+        (steps["price_gbp_per_kwh"] * steps["p_grid_kw"]).sum() * trajectory.scenario.grid.dt_h
+    )
 
 
 def import_kwh(trajectory: Trajectory) -> float:
@@ -144,10 +155,12 @@ def voltage_figures(trajectory: Trajectory) -> dict[str, float]:
     ``v_error_max_pu = max_t max_n |V_model(t, n) - V_ac(t, n)|``.
     """
     steps = trajectory.steps
-    return {"v_min_ac_pu": float(steps["v_min_ac_pu"].min()),
-            "v_max_ac_pu": float(steps["v_max_ac_pu"].max()),
-            "v_mean_of_min_ac_pu": float(steps["v_min_ac_pu"].mean()),
-            "v_error_max_pu": float(steps["v_error_pu"].max())}
+    return {
+        "v_min_ac_pu": float(steps["v_min_ac_pu"].min()),
+        "v_max_ac_pu": float(steps["v_max_ac_pu"].max()),
+        "v_mean_of_min_ac_pu": float(steps["v_min_ac_pu"].mean()),
+        "v_error_max_pu": float(steps["v_error_pu"].max()),
+    }
 
 
 def line_current_a(trajectory: Trajectory) -> Floats:
@@ -176,8 +189,10 @@ def line_figures(trajectory: Trajectory) -> dict[str, float | None]:
     """Largest line current in A, and largest loading of any line that has a rating."""
     loading = line_loading(trajectory)
     rated = np.isfinite(loading).any()
-    return {"line_current_max_a": float(line_current_a(trajectory).max()),
-            "line_loading_max": float(np.nanmax(loading)) if rated else None}
+    return {
+        "line_current_max_a": float(line_current_a(trajectory).max()),
+        "line_loading_max": float(np.nanmax(loading)) if rated else None,
+    }
 
 
 def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
@@ -189,11 +204,16 @@ def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
     """
     island = trajectory.steps[trajectory.steps["outage"].astype(bool)]
     if island.empty:
-        return {"island_import_max_kw": None, "island_export_max_kw": None,
-                "island_reactive_max_kvar": None}
-    return {"island_import_max_kw": max(0.0, float(island["p_grid_kw"].max())),
-            "island_export_max_kw": max(0.0, float(-island["p_grid_kw"].min())),
-            "island_reactive_max_kvar": float(island["q_grid_kvar"].abs().max())}
+        return {
+            "island_import_max_kw": None,
+            "island_export_max_kw": None,
+            "island_reactive_max_kvar": None,
+        }
+    return {
+        "island_import_max_kw": max(0.0, float(island["p_grid_kw"].max())),
+        "island_export_max_kw": max(0.0, float(-island["p_grid_kw"].min())),
+        "island_reactive_max_kvar": float(island["q_grid_kvar"].abs().max()),
+    }
 
 
 def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:
@@ -204,25 +224,37 @@ def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:
     """
     actions = explanations[explanations["item"] != "step"]
     explained = actions["driver"] != "unexplained"
-    drivers = {action: rows["driver"].value_counts().sort_index().to_dict()
-               for action, rows in actions.groupby("action")}
-    return {"explained_share": float(explained.mean()) if len(actions) else None,
-            "drivers": drivers}
+    drivers = {
+        action: rows["driver"].value_counts().sort_index().to_dict()
+        for action, rows in actions.groupby("action")
+    }
+    return {
+        "explained_share": float(explained.mean()) if len(actions) else None,
+        "drivers": drivers,
+    }
+
+
 def operation_figures(trajectory: Trajectory) -> dict[str, Any]:
     """How many steps had a fallback, in all and by kind, an estimate, and no AC solution."""
     steps = trajectory.steps
     kinds = steps.loc[steps["fallback"] != "none", "fallback"]
-    return {"fallbacks": len(kinds),
-            "fallbacks_by_kind": {str(kind): int(n) for kind, n in kinds.value_counts().items()},
-            "estimated_steps": int((steps["estimated"] != "").sum()),
-            "ac_failures": int((steps["ac_failed"] != "").sum())}
+    return {
+        "fallbacks": len(kinds),
+        "fallbacks_by_kind": {str(kind): int(n) for kind, n in kinds.value_counts().items()},
+        "estimated_steps": int((steps["estimated"] != "").sum()),
+        "ac_failures": int((steps["ac_failed"] != "").sum()),
+    }
 
 
 def solve_times(trajectory: Trajectory) -> dict[str, float]:
     """Total, median, 95th percentile and largest time of a decision, in s."""
     seconds = trajectory.steps["solve_s"]
-    return {"total": float(seconds.sum()), "median": float(seconds.median()),
-            "p95": float(seconds.quantile(0.95)), "max": float(seconds.max())}
+    return {
+        "total": float(seconds.sum()),
+        "median": float(seconds.median()),
+        "p95": float(seconds.quantile(0.95)),
+        "max": float(seconds.max()),
+    }
 
 
 def horizon_h(trajectory: Trajectory) -> float | None:

@@ -41,7 +41,7 @@ def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
     for t, dead in enumerate(outage):
         if dead:
             named.append("island")
-        elif outage[t:t + n_seen].any():
+        elif outage[t : t + n_seen].any():
             named.append("preparation")
         elif named and named[-1] in ("island", "recovery") and returning[t]:
             named.append("recovery")
@@ -50,8 +50,7 @@ def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
     return named
 
 
-def returning_steps(customers: pd.DataFrame, batteries: pd.DataFrame,
-                    n_steps: int) -> Flags:
+def returning_steps(customers: pd.DataFrame, batteries: pd.DataFrame, n_steps: int) -> Flags:
     """Steps in which somebody is not served or served again, or the fleet charges, shape (T,)."""
     served = customers["served"].to_numpy(bool)
     everyone = np.asarray(served.reshape(n_steps, -1).all(axis=1))

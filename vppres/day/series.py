@@ -61,8 +61,9 @@ def line_values(run: Trajectory, rated: bool) -> Floats:
 def edges_of(run: Trajectory) -> Names:
     """Beginning of every step and the end of the last, as datetimes in UTC, shape (T + 1,)."""
     grid = run.scenario.grid
-    times = pd.date_range(grid.start, periods=len(run.steps) + 1,
-                          freq=pd.Timedelta(minutes=grid.step_minutes))
+    times = pd.date_range(
+        grid.start, periods=len(run.steps) + 1, freq=pd.Timedelta(minutes=grid.step_minutes)
+    )
     return np.asarray(times.tz_convert(UTC).to_pydatetime())
 
 
@@ -75,5 +76,8 @@ def per_step(run: Trajectory, values: pd.Series[Any], table: pd.DataFrame) -> Fl
 def outage_spans(run: Trajectory) -> list[tuple[int, int]]:
     """Half-open ranges of steps without grid."""
     change = np.diff(run.steps["outage"].to_numpy(int), prepend=0, append=0)
-    return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(),
-                    strict=True))
+    return list(
+        zip(
+            np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True
+        )
+    )

@@ -32,7 +32,8 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
         "switching_actions": int(actions.sum()),
         "actions_beyond_one_pair": int(np.maximum(actions - PAIR, 0).sum()),
         "switching_relaxed_steps": int(steps["switching_relaxed"].sum())
-        if "switching_relaxed" in steps else 0,
+        if "switching_relaxed" in steps
+        else 0,
         "setpoint_moves_kw": float(steps["moved_kw"].sum()) if "moved_kw" in steps else None,
     }
     shares = share_of_customers(trajectory)

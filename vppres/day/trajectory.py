@@ -30,18 +30,52 @@ OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 OPTIONS_FILE = "options.json"
 
 # Columns of the run folder's tables, each with the field of StepRecord that fills it.
-_STEPS = {name: name for name in (
-    "p_grid_kw", "q_grid_kvar", "losses_kw", "v_min_ac_pu", "v_max_ac_pu", "v_error_pu",
-    "objective", "bound", "gap", "status", "solve_s", "corrected", "correction_reason",
-    "fallback", "fallback_reason", "estimated", "ac_failed")}
-_CUSTOMERS = {"p_load_kw": "load_kw", "q_load_kvar": "load_kvar", "served": "served",
-              "shed": "shed"}
-_PV = {"available_kw": "pv_available_kw", "self_kw": "pv_self_kw", "export_kw": "pv_export_kw",
-       "curtailed_kw": "pv_curtailed_kw", "q_kvar": "pv_q_kvar"}
-_BATTERIES = {"charge_kw": "charge_kw", "discharge_kw": "discharge_kw", "q_kvar": "batt_q_kvar",
-              "soc_start": "soc_start", "soc_end": "soc_end", "eta_charge": "eta_charge",
-              "eta_discharge": "eta_discharge", "temperature_c": "temperature_c",
-              "mismatch_kw": "mismatch_kw"}
+_STEPS = {
+    name: name
+    for name in (
+        "p_grid_kw",
+        "q_grid_kvar",
+        "losses_kw",
+        "v_min_ac_pu",
+        "v_max_ac_pu",
+        "v_error_pu",
+        "objective",
+        "bound",
+        "gap",
+        "status",
+        "solve_s",
+        "corrected",
+        "correction_reason",
+        "fallback",
+        "fallback_reason",
+        "estimated",
+        "ac_failed",
+    )
+}
+_CUSTOMERS = {
+    "p_load_kw": "load_kw",
+    "q_load_kvar": "load_kvar",
+    "served": "served",
+    "shed": "shed",
+}
+_PV = {
+    "available_kw": "pv_available_kw",
+    "self_kw": "pv_self_kw",
+    "export_kw": "pv_export_kw",
+    "curtailed_kw": "pv_curtailed_kw",
+    "q_kvar": "pv_q_kvar",
+}
+_BATTERIES = {
+    "charge_kw": "charge_kw",
+    "discharge_kw": "discharge_kw",
+    "q_kvar": "batt_q_kvar",
+    "soc_start": "soc_start",
+    "soc_end": "soc_end",
+    "eta_charge": "eta_charge",
+    "eta_discharge": "eta_discharge",
+    "temperature_c": "temperature_c",
+    "mismatch_kw": "mismatch_kw",
+}
 _BUSES = {"v_model_pu": "v_model_pu", "v_ac_pu": "v_ac_pu"}
 _LINES = {name: name for name in ("p_model_kw", "q_model_kvar", "p_ac_kw", "q_ac_kvar")}
 
@@ -207,12 +241,17 @@ class Trajectory:
     def _repr_html_(self) -> str:
         """The run in a few figures, for a notebook."""
         steps = self.steps
-        return facts_html(f"Run of {self.scenario.name}", {
-            "controller": f"{self.options['controller']}, {self.options['horizon_h']:g} h",
-            "steps": len(steps), "steps without grid": int(steps["outage"].sum()),
-            "customers served": f"{self.customers['served'].mean():.1%} of all steps",
-            "lowest AC voltage": f"{steps['v_min_ac_pu'].min():.4f} pu",
-            "tables": ", ".join(self.tables)})
+        return facts_html(
+            f"Run of {self.scenario.name}",
+            {
+                "controller": f"{self.options['controller']}, {self.options['horizon_h']:g} h",
+                "steps": len(steps),
+                "steps without grid": int(steps["outage"].sum()),
+                "customers served": f"{self.customers['served'].mean():.1%} of all steps",
+                "lowest AC voltage": f"{steps['v_min_ac_pu'].min():.4f} pu",
+                "tables": ", ".join(self.tables),
+            },
+        )
 
 
 class Recorder:
@@ -246,8 +285,9 @@ class Recorder:
         self._check_shapes(step)
         self._records.append(step)
 
-    def finish(self, options: Mapping[str, Any],
-               planned: Mapping[str, Any] | None = None) -> Trajectory:
+    def finish(
+        self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
+    ) -> Trajectory:
         """The run so far as tables.
 
         Raises
@@ -257,16 +297,20 @@ class Recorder:
         """
         missing = [name for name in OPTIONS if name not in options]
         if missing or not self._records:
-            raise ValueError(f"missing in options: {', '.join(missing)}" if missing
-                             else "no step was recorded")
-        tables = {name: self._table(fixed, columns)
-                  for name, (fixed, columns) in _layout(self._scenario).items()}
+            raise ValueError(
+                f"missing in options: {', '.join(missing)}" if missing else "no step was recorded"
+            )
+        tables = {
+            name: self._table(fixed, columns)
+            for name, (fixed, columns) in _layout(self._scenario).items()
+        }
         steps = self._steps()
         n_seen = self._scenario.grid.steps_in_horizon(float(options["horizon_h"] or 0.0))
         returning = returning_steps(tables["customers"], tables["batteries"], len(steps))
         steps["phase"] = phases(steps["outage"].to_numpy(bool), returning, n_seen)
-        return Trajectory(scenario=self._scenario, steps=steps, **tables, options=dict(options),
-                          planned=planned)
+        return Trajectory(
+            scenario=self._scenario, steps=steps, **tables, options=dict(options), planned=planned
+        )
 
     def _check_shapes(self, step: StepRecord) -> None:
         for table, (fixed, columns) in _layout(self._scenario).items():
@@ -274,30 +318,41 @@ class Recorder:
             for name in columns.values():
                 shape = np.shape(getattr(step, name))
                 if shape != (length,):
-                    raise ValueError(f"{name} has shape {shape}, the scenario's {table} need "
-                                     f"({length},)")
+                    raise ValueError(
+                        f"{name} has shape {shape}, the scenario's {table} need ({length},)"
+                    )
 
     def _times(self) -> pd.DatetimeIndex:
-        return self._scenario.grid.times[:len(self._records)]
+        return self._scenario.grid.times[: len(self._records)]
 
     def _steps(self) -> pd.DataFrame:
         n_steps = len(self._records)
-        table = pd.DataFrame({
-            "time": self._times(), "outage": self._scenario.outage[:n_steps],
-            "price_gbp_per_kwh": self._scenario.price_gbp_per_kwh[:n_steps],
-            **{column: [getattr(r, name) for r in self._records]
-               for column, name in _STEPS.items()}})
+        table = pd.DataFrame(
+            {
+                "time": self._times(),
+                "outage": self._scenario.outage[:n_steps],
+                "price_gbp_per_kwh": self._scenario.price_gbp_per_kwh[:n_steps],
+                **{
+                    column: [getattr(r, name) for r in self._records]
+                    for column, name in _STEPS.items()
+                },
+            }
+        )
         notes = pd.DataFrame([dict(r.notes) for r in self._records], index=table.index)
         return table.join(notes)
 
-    def _table(self, fixed: Mapping[str, NDArray[Any]],
-               columns: Mapping[str, str]) -> pd.DataFrame:
+    def _table(self, fixed: Mapping[str, NDArray[Any]], columns: Mapping[str, str]) -> pd.DataFrame:
         n_items = len(next(iter(fixed.values())))
-        return pd.DataFrame({
-            "time": self._times().repeat(n_items),
-            **{column: np.tile(values, len(self._records)) for column, values in fixed.items()},
-            **{column: np.concatenate([getattr(r, name) for r in self._records])
-               for column, name in columns.items()}})
+        return pd.DataFrame(
+            {
+                "time": self._times().repeat(n_items),
+                **{column: np.tile(values, len(self._records)) for column, values in fixed.items()},
+                **{
+                    column: np.concatenate([getattr(r, name) for r in self._records])
+                    for column, name in columns.items()
+                },
+            }
+        )
 
 
 def write_tables(trajectory: Trajectory, folder: Path) -> None:
@@ -305,8 +360,9 @@ def write_tables(trajectory: Trajectory, folder: Path) -> None:
     for name, table in trajectory.tables.items():
         table.to_parquet(_table_file(folder, name), index=False)
     record = {"options": trajectory.options, "planned": trajectory.planned}
-    (folder / OPTIONS_FILE).write_text(json.dumps(json_safe(record), indent=2) + "\n",
-                                       encoding="utf-8")
+    (folder / OPTIONS_FILE).write_text(
+        json.dumps(json_safe(record), indent=2) + "\n", encoding="utf-8"
+    )
 
 
 def read_run(folder: Path) -> Trajectory:
@@ -318,15 +374,22 @@ def read_run(folder: Path) -> Trajectory:
         If the folder is not a whole run folder, with every missing file, or its scenario is wrong.
     """
     files = [folder / OPTIONS_FILE, *(_table_file(folder, name) for name in TABLES)]
-    problems = [Problem(str(folder), f"has no {file.name}", "Give a folder written by a run.")
-                for file in files if not file.is_file()]
+    problems = [
+        Problem(str(folder), f"has no {file.name}", "Give a folder written by a run.")
+        for file in files
+        if not file.is_file()
+    ]
     if problems:
         raise InputError(problems)
     record = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
     explained = [name for name in EXPLAINING_TABLES if _table_file(folder, name).is_file()]
     tables = {name: pd.read_parquet(_table_file(folder, name)) for name in (*TABLES, *explained)}
-    return Trajectory(scenario=read_scenario(folder / "scenario"), **tables,
-                      options=record["options"], planned=record["planned"])
+    return Trajectory(
+        scenario=read_scenario(folder / "scenario"),
+        **tables,
+        options=record["options"],
+        planned=record["planned"],
+    )
 
 
 def json_safe(value: Any) -> Any:
@@ -356,13 +419,17 @@ def _layout(scenario: Scenario) -> dict[str, tuple[dict[str, NDArray[Any]], dict
     net = scenario.network
     owner_bus = c.bus[pv.owner(c)] if len(pv) else c.bus[:0]
     return {
-        "customers": ({"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
-                      _CUSTOMERS),
+        "customers": (
+            {"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
+            _CUSTOMERS,
+        ),
         "pv": ({"id": pv.id, "customer": pv.customer, "bus": _bus_labels(owner_bus)}, _PV),
         "batteries": ({"id": b.id, "bus": _bus_labels(b.bus)}, _BATTERIES),
         "buses": ({"bus": _bus_labels(net.buses)}, _BUSES),
-        "lines": ({"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},
-                  _LINES),
+        "lines": (
+            {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},
+            _LINES,
+        ),
     }
 
 

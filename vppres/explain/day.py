@@ -29,7 +29,7 @@ Row = dict[str, Any]
 def explain_day(trajectory: Trajectory) -> Trajectory:
     """The run with a reason for every action and the shadow prices of every step.
 
-    One recovery problem is solved for each step, two where cost matters after service; nothing of
+    One pricing problem is solved for each step, two where cost matters after service; nothing of
     the run changes. A day of 24 steps on 33 buses takes about a second.
 
     Parameters
@@ -49,15 +49,22 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
         time = trajectory.steps["time"].iloc[step.t]
         explanations += [{"time": time, "phase": step.phase, **row} for row in _actions(step)]
         prices += [{"time": time, **row} for row in _prices(step)]
-    return replace(trajectory, explanations=pd.DataFrame(explanations, columns=list(EXPLANATIONS)),
-                   shadow_prices=pd.DataFrame(prices, columns=list(SHADOW_PRICES)))
+    return replace(
+        trajectory,
+        explanations=pd.DataFrame(explanations, columns=list(EXPLANATIONS)),
+        shadow_prices=pd.DataFrame(prices, columns=list(SHADOW_PRICES)),
+    )
 
 
 def steps_of(trajectory: Trajectory) -> list[Step]:
     """Every step of a run with its phase and its shadow prices."""
     recorded = Recorded(trajectory)
-    return [Step(recorded, t, phase, prices) for t, (phase, prices) in enumerate(
-        zip(trajectory.steps["phase"], day_prices(recorded), strict=True))]
+    return [
+        Step(recorded, t, phase, prices)
+        for t, (phase, prices) in enumerate(
+            zip(trajectory.steps["phase"], day_prices(recorded), strict=True)
+        )
+    ]
 
 
 def _actions(step: Step) -> list[Row]:
@@ -65,19 +72,35 @@ def _actions(step: Step) -> list[Row]:
     site = step.site
     t = step.t
     rows = [_row("step", "", step.phase, why_step(step))]
-    rows += [_row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
-             for c in np.flatnonzero(~step.served).tolist()]
-    rows += [_row("battery", site.batteries.id[b],
-                  "charge" if step.battery_kw[b] > 0 else "discharge", why_battery_moved(step, b))
-             for b in np.flatnonzero(np.abs(step.battery_kw) > MOVE_KW).tolist()]
-    rows += [_row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
-             for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()]
+    rows += [
+        _row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
+        for c in np.flatnonzero(~step.served).tolist()
+    ]
+    rows += [
+        _row(
+            "battery",
+            site.batteries.id[b],
+            "charge" if step.battery_kw[b] > 0 else "discharge",
+            why_battery_moved(step, b),
+        )
+        for b in np.flatnonzero(np.abs(step.battery_kw) > MOVE_KW).tolist()
+    ]
+    rows += [
+        _row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
+        for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()
+    ]
     return rows
 
 
 def _row(item: str, name: object, action: str, reason: Reason) -> Row:
-    return {"item": item, "id": str(name), "action": action, "driver": reason.driver,
-            "binding": reason.binding, "words": reason.words}
+    return {
+        "item": item,
+        "id": str(name),
+        "action": action,
+        "driver": reason.driver,
+        "binding": reason.binding,
+        "words": reason.words,
+    }
 
 
 def _prices(step: Step) -> list[Row]:
@@ -88,8 +111,16 @@ def _prices(step: Step) -> list[Row]:
         if not step.levels.solved:
             continue
         shown = _shown(name, *values)
-        rows += [{"constraint": name, "item": str(items[i]), "unit": unit,
-                  "weighted_h": values[0][i], "gbp": values[1][i]} for i in shown]
+        rows += [
+            {
+                "constraint": name,
+                "item": str(items[i]),
+                "unit": unit,
+                "weighted_h": values[0][i],
+                "gbp": values[1][i],
+            }
+            for i in shown
+        ]
     return rows
 
 
@@ -99,12 +130,20 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
     buses = step.scenario.network.buses
     b = site.batteries.id
     pv = site.pv.id
-    return [("stored_energy", "kWh", b), ("energy_floor", "kWh", b), ("energy_ceiling", "kWh", b),
-            ("battery_charging", "kW", b), ("battery_discharging", "kW", b),
-            ("battery_inverter", "kVA", b), ("pv_inverter", "kVA", pv),
-            ("voltage_floor", "0.001 pu", buses), ("voltage_ceiling", "0.001 pu", buses),
-            ("grid", "kW", np.array(["grid"], dtype=object)),
-            ("active", "kW", buses), ("reactive", "kvar", buses)]
+    return [
+        ("stored_energy", "kWh", b),
+        ("energy_floor", "kWh", b),
+        ("energy_ceiling", "kWh", b),
+        ("battery_charging", "kW", b),
+        ("battery_discharging", "kW", b),
+        ("battery_inverter", "kVA", b),
+        ("pv_inverter", "kVA", pv),
+        ("voltage_floor", "0.001 pu", buses),
+        ("voltage_ceiling", "0.001 pu", buses),
+        ("grid", "kW", np.array(["grid"], dtype=object)),
+        ("active", "kW", buses),
+        ("reactive", "kvar", buses),
+    ]
 
 
 def _level(prices: ShadowPrices | None, name: str, count: int) -> Floats:

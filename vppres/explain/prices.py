@@ -8,8 +8,8 @@ import numpy as np
 
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
-from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
-from vppres.solve.shadow_prices import Recovery, solve_recovery
+from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_prices import PricedWindow, price_window
 
 WORTH = 1e-6
 """Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""
@@ -23,23 +23,23 @@ WHOLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StepPrices:
-    """The two levels of a step's recovery problem.
+    """The two levels of a step's pricing problem.
 
     Parameters
     ----------
     window : WindowData
         What the controller saw.
-    service : Recovery or None
+    service : PricedWindow or None
         Service and curtailment maximised as weighted; None if the level was not needed because
         everyone could be served, or had no answer.
-    cost : Recovery or None
+    cost : PricedWindow or None
         Cost minimised with the service of the first level; None where stored energy decides on
         service, where there is no grid in the window, or without answer.
     """
 
     window: WindowData
-    service: Recovery | None
-    cost: Recovery | None
+    service: PricedWindow | None
+    cost: PricedWindow | None
 
     @property
     def solved(self) -> bool:
@@ -54,18 +54,18 @@ class StepPrices:
 
 def day_prices(recorded: Recorded) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all."""
-    model = RecoveryModel(recorded.site, recorded.n_seen)
+    model = ShadowPriceModel(recorded.site, recorded.n_seen)
     return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
 
 
-def step_prices(recorded: Recorded, model: RecoveryModel, t: int) -> StepPrices:
+def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:
     """Shadow prices of one step."""
     window = recorded.seen(t)
     held = recorded.held(t, window.n_steps)
     limited = bool(np.isfinite(window.grid_limit_kw).any())
     if recorded.served[t].all() and not limited:
         everyone = np.ones_like(held.service_min)
-        cost = solve_recovery(model, window, replace(held, service_min=everyone), _cost_goal(0.0))
+        cost = price_window(model, window, replace(held, service_min=everyone), _cost_alone(0.0))
         if cost is not None:
             return StepPrices(window, None, cost)
     service = _service_level(recorded, model, window, held)
@@ -74,32 +74,38 @@ def step_prices(recorded: Recorded, model: RecoveryModel, t: int) -> StepPrices:
         return StepPrices(window, service, None)
     share = _whole(service.served_share)
     fixed = replace(held, service_min=share, service_max=share)
-    return StepPrices(window, service,
-                      solve_recovery(model, window, fixed, _cost_goal(service.curtailed_kwh)))
+    return StepPrices(
+        window, service, price_window(model, window, fixed, _cost_alone(service.curtailed_kwh))
+    )
 
 
-def _service_level(recorded: Recorded, model: RecoveryModel, window: WindowData,
-                   held: Held) -> Recovery | None:
+def _service_level(
+    recorded: Recorded, model: ShadowPriceModel, window: WindowData, held: Held
+) -> PricedWindow | None:
     """Service and curtailment as weighted; if the model cannot carry what was served, without it.
 
     What the plant did may lie just outside the model: a plan that was followed in spite of forecast
     errors, or voltages that were allowed to leave the limits.
     """
-    goal = Goal(1.0, 0.0, recorded.site.weights.lambda_curt)
-    answer = solve_recovery(model, window, held, goal)
+    priced = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
+    answer = price_window(model, window, held, priced)
     if answer is not None:
         return answer
-    free = Held(np.zeros_like(held.service_min), held.service_max,
-                np.zeros_like(held.mode_min), np.ones_like(held.mode_max))
-    return solve_recovery(model, window, free, goal)
+    free = Held(
+        np.zeros_like(held.service_min),
+        held.service_max,
+        np.zeros_like(held.mode_min),
+        np.ones_like(held.mode_max),
+    )
+    return price_window(model, window, free, priced)
 
 
-def _cost_goal(curtailed_kwh: float) -> Goal:
+def _cost_alone(curtailed_kwh: float) -> PricedTerms:
     """Cost alone, with no more curtailment than the level above has."""
-    return Goal(0.0, 1.0, 0.0, curtailed_kwh + CURTAILED_SLACK_KWH)
+    return PricedTerms(0.0, 1.0, 0.0, curtailed_kwh + CURTAILED_SLACK_KWH)
 
 
-def _worth(service: Recovery) -> np.ndarray:
+def _worth(service: PricedWindow) -> np.ndarray:
     """Absolute worth of a stored kWh in each battery."""
     return np.abs(service.prices.stored_energy)
 

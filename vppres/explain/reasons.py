@@ -28,45 +28,77 @@ def why_not_served(step: Step, customer: int) -> Reason:
     if overruled is not None:
         return overruled
     if step.recorded.shed[step.t][customer]:
-        why = (step.recorded.note(step.t, "ac_failed")
-               or "the batteries that hold the island could not carry it")
-        return Reason("mismatch", "power", "Not served: it was to be served, and was cut off "
-                      f"({why}).")
+        why = (
+            step.recorded.note(step.t, "ac_failed")
+            or "the batteries that hold the island could not carry it"
+        )
+        return Reason(
+            "mismatch", "power", f"Not served: it was to be served, and was cut off ({why})."
+        )
     if _own_inverter_too_small(step, customer):
-        return Reason("inverter", "inverter", "Not served: its own PV inverter cannot pass the "
-                      "power that its demand would take from it.")
+        return Reason(
+            "inverter",
+            "inverter",
+            "Not served: its own PV inverter cannot pass the "
+            "power that its demand would take from it.",
+        )
     if step.service is None:
         return _from_the_record(step)
     gain = float(step.service.service[customer])
     binding = step.scarce_for(customer)
     if step.recorded.rules and gain > WORTH:
-        return Reason("switching_rule", binding, "Not served: a switching rule keeps it off; "
-                      f"serving it would be worth {figure(gain)} weighted customer hours.")
+        return Reason(
+            "switching_rule",
+            binding,
+            "Not served: a switching rule keeps it off; "
+            f"serving it would be worth {figure(gain)} weighted customer hours.",
+        )
     if step.recorded.options["controller"] in RULES and gain > WORTH:
-        return Reason("rule", binding, "Not served: the rule of the controller "
-                      f"{step.recorded.options['controller']} leaves it out; serving it would be "
-                      f"worth {figure(gain)} weighted customer hours.")
+        return Reason(
+            "rule",
+            binding,
+            "Not served: the rule of the controller "
+            f"{step.recorded.options['controller']} leaves it out; serving it would be "
+            f"worth {figure(gain)} weighted customer hours.",
+        )
     if not binding:
         return _nothing_scarce(step)
     if gain < -WORTH:
         return _outranked(step, customer, binding, gain)
-    return Reason(binding, binding, _sentence(
-        f"Not served: {SCARCE[binding]} does not reach for it as a whole",
-        one_more(step, binding)))
+    return Reason(
+        binding,
+        binding,
+        _sentence(
+            f"Not served: {SCARCE[binding]} does not reach for it as a whole",
+            one_more(step, binding),
+        ),
+    )
 
 
 def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
     """A customer whose supply is worth more to others, in this step or kept for later ones."""
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
-    compare = (f"its supply is worth {figure(weight - gain)} weighted customer hours to others, "
-               f"itself it counts {figure(weight)}")
+    compare = (
+        f"its supply is worth {figure(weight - gain)} weighted customer hours to others, "
+        f"itself it counts {figure(weight)}"
+    )
     if _someone_ranks_higher(step, customer):
-        return Reason("priority", binding, _sentence(
-            f"Not served: {SCARCE[binding]} goes to customers who count more per kW; {compare}",
-            one_more(step, binding)))
-    return Reason(binding, binding, _sentence(
-        f"Not served: {SCARCE[binding]} is worth more elsewhere or later; {compare}",
-        one_more(step, binding)))
+        return Reason(
+            "priority",
+            binding,
+            _sentence(
+                f"Not served: {SCARCE[binding]} goes to customers who count more per kW; {compare}",
+                one_more(step, binding),
+            ),
+        )
+    return Reason(
+        binding,
+        binding,
+        _sentence(
+            f"Not served: {SCARCE[binding]} is worth more elsewhere or later; {compare}",
+            one_more(step, binding),
+        ),
+    )
 
 
 def _someone_ranks_higher(step: Step, customer: int) -> bool:
@@ -85,8 +117,12 @@ def _own_inverter_too_small(step: Step, customer: int) -> bool:
 def _nothing_scarce(step: Step) -> Reason:
     """The window itself would have served the customer."""
     if step.recorded.note(step.t, "status") == "planned":
-        return Reason("plan", "", "Not served: the plan of the day, made with the forecast of its "
-                      "beginning, leaves it out, and no check of the plan failed.")
+        return Reason(
+            "plan",
+            "",
+            "Not served: the plan of the day, made with the forecast of its "
+            "beginning, leaves it out, and no check of the plan failed.",
+        )
     return _from_the_record(step) if step.outage else UNEXPLAINED
 
 
@@ -95,12 +131,18 @@ def _from_the_record(step: Step) -> Reason:
     limits = step.limits
     found: tuple[tuple[bool, Scarce], ...] = (
         (len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
-        (bool(limits.at_power.any()), "power"), (bool(limits.at_inverter.any()), "inverter"),
-        (bool(limits.low_voltage.any()), "voltage"))
+        (bool(limits.at_power.any()), "power"),
+        (bool(limits.at_inverter.any()), "inverter"),
+        (bool(limits.low_voltage.any()), "voltage"),
+    )
     for reached, binding in found:
         if reached:
-            return Reason(binding, binding, f"Not served: {SCARCE[binding]} was used up, as the "
-                          "record shows; the shadow prices of this step do not tell.")
+            return Reason(
+                binding,
+                binding,
+                f"Not served: {SCARCE[binding]} was used up, as the "
+                "record shows; the shadow prices of this step do not tell.",
+            )
     return UNEXPLAINED
 
 
@@ -113,8 +155,12 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
         return overruled
     mismatch = float(step.recorded.battery_note(step.t, "mismatch_kw")[battery])
     if abs(mismatch) > abs(power) / 2:
-        return Reason("mismatch", "", f"{verb}: it takes up losses and forecast errors of the "
-                      f"island, {figure(abs(mismatch))} kW, as a battery that holds the voltage.")
+        return Reason(
+            "mismatch",
+            "",
+            f"{verb}: it takes up losses and forecast errors of the "
+            f"island, {figure(abs(mismatch))} kW, as a battery that holds the voltage.",
+        )
     if step.outage:
         in_island = _charge_in_island if power > 0 else _discharge_in_island
         return in_island(step, battery)
@@ -122,23 +168,34 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
 
 
 def _charge_in_island(step: Step, battery: int) -> Reason:
-    return Reason("surplus", _at_limit(step, battery),
-                  "Charges: PV gives more than the served customers take.")
+    return Reason(
+        "surplus",
+        _at_limit(step, battery),
+        "Charges: PV gives more than the served customers take.",
+    )
 
 
 def _discharge_in_island(step: Step, battery: int) -> Reason:
     """What limits a discharge is its driver; where nothing does, it simply carries the service."""
     if step.service is None:
-        return Reason("supply", _at_limit(step, battery),
-                      "Discharges: it carries served customers.")
+        return Reason(
+            "supply", _at_limit(step, battery), "Discharges: it carries served customers."
+        )
     limit = _at_limit(step, battery)
     if limit in ("power", "inverter"):
-        return Reason(limit, limit, _sentence(
-            f"Discharges as much as {SCARCE[limit]} admits", one_more(step, limit)))
+        return Reason(
+            limit,
+            limit,
+            _sentence(f"Discharges as much as {SCARCE[limit]} admits", one_more(step, limit)),
+        )
     worth = float(step.service.kept_energy[battery])
     if worth > WORTH:
-        return Reason("energy", "energy", "Discharges what the customers served in this step are "
-                      f"worth; a kWh kept serves {figure(worth)} weighted customer hours later.")
+        return Reason(
+            "energy",
+            "energy",
+            "Discharges what the customers served in this step are "
+            f"worth; a kWh kept serves {figure(worth)} weighted customer hours later.",
+        )
     return Reason("supply", "", "Discharges: it carries served customers, and nothing is scarce.")
 
 
@@ -149,8 +206,9 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
     if _voltage_decides(step, battery):
         return Reason("voltage", "voltage", f"{verb}: it holds the voltage limit.")
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
-        return Reason("surplus", limit, "Charges: PV gives more than the demand, and nothing can "
-                      "be exported.")
+        return Reason(
+            "surplus", limit, "Charges: PV gives more than the demand, and nothing can be exported."
+        )
     worth = stored_worth_gbp(step, battery)
     saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
     at_price = f"at {money(step.price_gbp_per_kwh)} GBP/kWh"
@@ -192,17 +250,26 @@ def why_curtailed(step: Step, system: int) -> Reason:
     pv = step.site.pv
     available = float(step.scenario.pv_kw[step.t][system])
     if available > pv.s_max_kva[system] + MOVE_KW:
-        return Reason("inverter", "inverter", "Curtailed: its inverter passes no more than "
-                      f"{figure(float(pv.s_max_kva[system]))} kVA.")
+        return Reason(
+            "inverter",
+            "inverter",
+            "Curtailed: its inverter passes no more than "
+            f"{figure(float(pv.s_max_kva[system]))} kVA.",
+        )
     prices = step.service or step.cost
     if prices is not None and prices.voltage_ceiling.max(initial=0.0) > WORTH:
         return Reason("voltage", "voltage", "Curtailed: the upper voltage limit is reached.")
     full = len(step.site.batteries) > 0 and bool(
-        (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all())
+        (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all()
+    )
     where: Binding = "energy" if full else "power"
     rest = "the batteries are full" if full else "the batteries can take no more in this step"
-    return Reason("surplus", where, "Curtailed: PV gives more than the served customers take, "
-                  f"{rest}, and nothing can be exported.")
+    return Reason(
+        "surplus",
+        where,
+        "Curtailed: PV gives more than the served customers take, "
+        f"{rest}, and nothing can be exported.",
+    )
 
 
 def _overruled(step: Step, what: str) -> Reason | None:
@@ -210,8 +277,9 @@ def _overruled(step: Step, what: str) -> Reason | None:
     if step.dark:
         return Reason("dark", "", f"{what}: the island is dark, {step.dark}.")
     if step.fallback:
-        return Reason("fallback", "",
-                      f"{what}: the step was decided by a fallback ({step.fallback}).")
+        return Reason(
+            "fallback", "", f"{what}: the step was decided by a fallback ({step.fallback})."
+        )
     return None
 
 

@@ -100,17 +100,28 @@ class Recorded:
         centre: Centre = self.options.get("centre", "lossless")
         offset = delta_offset(self.scenario.network, self._operating_point(t - 1), centre)
         load_kw = np.vstack([self.load_kw[t], f.load_kw[1:]])
-        return WindowData(load_kw, f.pv_kw, f.price_gbp_per_kwh, f.grid_limit_kw,
-                          self.soc_start[t], self._eta_charge[t], self._eta_discharge[t],
-                          np.tile(offset, (len(steps), 1)))
+        return WindowData(
+            load_kw,
+            f.pv_kw,
+            f.price_gbp_per_kwh,
+            f.grid_limit_kw,
+            self.soc_start[t],
+            self._eta_charge[t],
+            self._eta_discharge[t],
+            np.tile(offset, (len(steps), 1)),
+        )
 
     def held(self, t: int, n_steps: int) -> Held:
         """Who was served stays served in the step; batteries that moved keep their mode."""
         lowest = np.zeros((n_steps, len(self.site.customers)))
         lowest[0] = self.served[t]
         power = self.battery_kw[t]
-        return Held(lowest, np.ones(lowest.shape), (power > MOVE_KW).astype(float),
-                    (power >= -MOVE_KW).astype(float))
+        return Held(
+            lowest,
+            np.ones(lowest.shape),
+            (power > MOVE_KW).astype(float),
+            (power >= -MOVE_KW).astype(float),
+        )
 
     @cached_property
     def _eta_charge(self) -> Floats:
@@ -132,9 +143,13 @@ class Recorded:
         if self.options["controller"] not in (FULL_HORIZON, PERFECT):
             return now
         planned = self._forecaster.at(0, steps)
-        return Forecast(np.vstack([now.load_kw[:1], planned.load_kw[1:]]),
-                        np.vstack([now.pv_kw[:1], planned.pv_kw[1:]]),
-                        now.price_gbp_per_kwh, now.grid_limit_kw, now.temperature_c)
+        return Forecast(
+            np.vstack([now.load_kw[:1], planned.load_kw[1:]]),
+            np.vstack([now.pv_kw[:1], planned.pv_kw[1:]]),
+            now.price_gbp_per_kwh,
+            now.grid_limit_kw,
+            now.temperature_c,
+        )
 
     def _operating_point(self, t: int) -> OperatingPoint | None:
         """The AC solution of a step, None before the first and after one in the dark."""
@@ -147,10 +162,14 @@ class Recorded:
         pv = self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t]
         pv_q = self._array(run.pv, "q_kvar")[t]
         p = site.pv_bus @ pv - site.customer_bus @ load - site.battery_bus @ self.battery_kw[t]
-        q = (site.pv_bus @ pv_q - site.customer_bus @ load_q
-             + site.battery_bus @ self.batt_q_kvar[t])
-        return OperatingPoint(self.v_ac_pu[t], self._array(run.lines, "p_ac_kw")[t],
-                              self._array(run.lines, "q_ac_kvar")[t], p, q)
+        q = site.pv_bus @ pv_q - site.customer_bus @ load_q + site.battery_bus @ self.batt_q_kvar[t]
+        return OperatingPoint(
+            self.v_ac_pu[t],
+            self._array(run.lines, "p_ac_kw")[t],
+            self._array(run.lines, "q_ac_kvar")[t],
+            p,
+            q,
+        )
 
     def _array(self, table: pd.DataFrame, column: str) -> Floats:
         """A column as an array of steps by items."""
@@ -174,6 +193,9 @@ class Limits:
         net = recorded.scenario.network
         power = recorded.battery_kw[t]
         apparent = np.hypot(power, recorded.batt_q_kvar[t])
-        return cls(recorded.soc_end[t] <= b.soc_min + 1e-3,
-                   np.abs(power) >= 0.999 * b.p_max_kw, apparent >= 0.999 * b.s_max_kva,
-                   recorded.v_ac_pu[t] <= net.v_min_pu + 2e-3)
+        return cls(
+            recorded.soc_end[t] <= b.soc_min + 1e-3,
+            np.abs(power) >= 0.999 * b.p_max_kw,
+            apparent >= 0.999 * b.s_max_kva,
+            recorded.v_ac_pu[t] <= net.v_min_pu + 2e-3,
+        )

@@ -16,8 +16,23 @@ from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
-Driver = Scarce | Literal["priority", "switching_rule", "price", "preparation", "surplus", "supply",
-                          "mismatch", "plan", "rule", "fallback", "dark", "unexplained"]
+Driver = (
+    Scarce
+    | Literal[
+        "priority",
+        "switching_rule",
+        "price",
+        "preparation",
+        "surplus",
+        "supply",
+        "mismatch",
+        "plan",
+        "rule",
+        "fallback",
+        "dark",
+        "unexplained",
+    ]
+)
 Binding = Scarce | Literal[""]
 
 
@@ -103,8 +118,9 @@ class Step:
         """
         count = len(self.site.customers)
         if self.service is None:
-            return {name: np.zeros(count) for name in ("energy", "power", "inverter", "grid",
-                                                       "voltage")}
+            return {
+                name: np.zeros(count) for name in ("energy", "power", "inverter", "grid", "voltage")
+            }
         p = self.service
         bus = self.site.customer_bus
         load_kvar = self.load_kw * self.site.customers.q_per_p
@@ -112,12 +128,15 @@ class Step:
         reactive = bus.T @ p.reactive
         system = max(p.active[0], 0.0) * self.load_kw
         share = self._fleet_shares(p)
-        voltage = ((active - p.active[0]) * self.load_kw
-                   + (reactive - p.reactive[0]) * load_kvar)
+        voltage = (active - p.active[0]) * self.load_kw + (reactive - p.reactive[0]) * load_kvar
         inverter = share["inverter"] * system + np.maximum(p.reactive[0] * load_kvar, 0.0)
-        return {"energy": share["energy"] * system, "power": share["power"] * system,
-                "inverter": inverter, "grid": share["grid"] * system,
-                "voltage": np.maximum(voltage, 0.0)}
+        return {
+            "energy": share["energy"] * system,
+            "power": share["power"] * system,
+            "inverter": inverter,
+            "grid": share["grid"] * system,
+            "voltage": np.maximum(voltage, 0.0),
+        }
 
     def scarce_for(self, customer: int) -> Binding:
         """What most limits the supply of a customer, empty if nothing does."""
@@ -138,8 +157,11 @@ class Step:
             return {"energy": 0.0, "power": 0.0, "inverter": 0.0, "grid": 1.0}
         b = self.site.batteries
         reach = np.abs(self.battery_kw) / b.s_max_kva
-        worth = {"energy": p.kept_energy / b.eta_discharge * self.site.dt_h,
-                 "power": p.battery_discharging, "inverter": p.battery_inverter * reach}
+        worth = {
+            "energy": p.kept_energy / b.eta_discharge * self.site.dt_h,
+            "power": p.battery_discharging,
+            "inverter": p.battery_inverter * reach,
+        }
         parts = {name: float(np.maximum(v, 0.0) @ b.p_max_kw) for name, v in worth.items()}
         total = sum(parts.values())
         if total <= WORTH:  # no battery can give more at any price

@@ -16,8 +16,12 @@ def why_step(step: Step) -> Reason:
     scarce = step.scarce
     if scarce and not step.served.all():
         offer = one_more(step, scarce)
-        return Reason(scarce, scarce, f"{_headline(step)} {_capital(SCARCE[scarce])} is what is "
-                      f"scarce{f'; {offer}' if offer else ''}.")
+        return Reason(
+            scarce,
+            scarce,
+            f"{_headline(step)} {_capital(SCARCE[scarce])} is what is "
+            f"scarce{f'; {offer}' if offer else ''}.",
+        )
     return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth(step)}".rstrip())
 
 
@@ -45,13 +49,17 @@ def _worth(step: Step) -> str:
     if step.cost is None or not len(step.cost.kept_energy):
         offer = one_more(step, "energy")
         return f"{_capital(offer)}." if offer else ""
-    worth = (f"A kWh in store is worth {money(float(step.cost.kept_energy.max()))} GBP, "
-             f"imported it costs {money(step.price_gbp_per_kwh)} GBP.")
+    worth = (
+        f"A kWh in store is worth {money(float(step.cost.kept_energy.max()))} GBP, "
+        f"imported it costs {money(step.price_gbp_per_kwh)} GBP."
+    )
     room = 0.0 if step.service is None else float(step.service.energy_ceiling.max(initial=0.0))
     if room <= WORTH:
         return worth
-    return (f"{worth} One more kWh of battery capacity would serve {figure(room)} weighted "
-            "customer hours more in the outage.")
+    return (
+        f"{worth} One more kWh of battery capacity would serve {figure(room)} weighted "
+        "customer hours more in the outage."
+    )
 
 
 def _capital(text: str) -> str:

@@ -9,9 +9,13 @@ from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 
 SCARCE: dict[Binding, str] = {
-    "energy": "the energy in store", "power": "the batteries' power",
-    "inverter": "the inverters' rating", "voltage": "the voltage limit",
-    "grid": "the grid's limit", "": "nothing"}
+    "energy": "the energy in store",
+    "power": "the batteries' power",
+    "inverter": "the inverters' rating",
+    "voltage": "the voltage limit",
+    "grid": "the grid's limit",
+    "": "nothing",
+}
 
 
 def figure(value: float) -> str:
@@ -45,18 +49,30 @@ def one_more(step: Step, binding: Binding) -> str:
     buses = step.scenario.network.buses
     offers: dict[Binding, tuple[float, str]] = {
         "energy": (_most(p.stored_energy), "one more kWh in store"),
-        "power": _first((_most(p.battery_discharging), "one more kW of battery "
-                         f"{_name(b.id, p.battery_discharging)}"),
-                        (_most(p.active), f"one more kW at bus {_name(buses, p.active)}")),
-        "inverter": _first((_most(p.battery_inverter), "one more kVA of battery "
-                            f"{_name(b.id, p.battery_inverter)}"),
-                           (_most(p.reactive), f"one more kvar at bus {_name(buses, p.reactive)}")),
-        "voltage": (_most(p.voltage_floor), "0.001 pu more room below at bus "
-                    f"{_name(buses, p.voltage_floor)}"),
-        "grid": (p.grid, "one more kW from the grid")}
+        "power": _first(
+            (
+                _most(p.battery_discharging),
+                f"one more kW of battery {_name(b.id, p.battery_discharging)}",
+            ),
+            (_most(p.active), f"one more kW at bus {_name(buses, p.active)}"),
+        ),
+        "inverter": _first(
+            (
+                _most(p.battery_inverter),
+                f"one more kVA of battery {_name(b.id, p.battery_inverter)}",
+            ),
+            (_most(p.reactive), f"one more kvar at bus {_name(buses, p.reactive)}"),
+        ),
+        "voltage": (
+            _most(p.voltage_floor),
+            f"0.001 pu more room below at bus {_name(buses, p.voltage_floor)}",
+        ),
+        "grid": (p.grid, "one more kW from the grid"),
+    }
     value, what = offers.get(binding, (0.0, ""))
-    return f"{what} would serve {figure(value)} weighted customer hours more" if value > WORTH \
-        else ""
+    return (
+        f"{what} would serve {figure(value)} weighted customer hours more" if value > WORTH else ""
+    )
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:

@@ -46,8 +46,14 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     for name, value in _flat(options):
         words = _words(value)
         default = _words(flat_defaults.get(name, value))
-        rows.append(OptionWords(name.replace("_", " ").replace(".", ", "), words,
-                                meanings.get(name, ""), "" if words == default else default))
+        rows.append(
+            OptionWords(
+                name.replace("_", " ").replace(".", ", "),
+                words,
+                meanings.get(name, ""),
+                "" if words == default else default,
+            )
+        )
     return rows
 
 
@@ -64,20 +70,26 @@ def simplifications(run: Trajectory) -> list[str]:
         "seen.",
         "The optimisation sees the network linearised; voltages, currents and losses in this "
         "report are those of the AC power flow of what was done.",
-        "Line ratings are reported, not held." if day.network.has_ratings else
-        "No line has a rating: currents are reported, overloads cannot be.",
-        "Forecasts are the actual load and PV power: no forecast errors." if exact else
-        "Forecasts have errors; the current step, prices, the grid's availability and "
+        "Line ratings are reported, not held."
+        if day.network.has_ratings
+        else "No line has a rating: currents are reported, overloads cannot be.",
+        "Forecasts are the actual load and PV power: no forecast errors."
+        if exact
+        else "Forecasts have errors; the current step, prices, the grid's availability and "
         "temperatures are known.",
     ]
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():
-        sentences.append("In an outage the optimisation's island has no losses; the AC power flow "
-                         "takes them, and any mismatch, from the grid's bus.")
+        sentences.append(
+            "In an outage the optimisation's island has no losses; the AC power flow "
+            "takes them, and any mismatch, from the grid's bus."
+        )
     if options.get("mode") == "physical" and day.outage.any():
-        sentences.append("In an outage the batteries that form the grid share losses and "
-                         "mismatch; frequency and transients are not simulated.")
+        sentences.append(
+            "In an outage the batteries that form the grid share losses and "
+            "mismatch; frequency and transients are not simulated."
+        )
     return sentences
 
 
@@ -91,17 +103,33 @@ def data_words(run: Trajectory) -> list[tuple[str, str]]:
     return [
         ("scenario", f"{day.name}: {day.title}"),
         ("time", f"{grid.n_steps} steps of {grid.step_minutes:g} min from {grid.start}"),
-        ("network", f"{net.n_buses} buses, {net.n_lines} lines ({rated} with a rating), "
-         f"{net.base_kv:g} kV, grid at bus {net.slack_bus} held at {net.v_slack_pu:g} pu"),
-        ("voltage limits", f"{net.v_min_pu:g} to {net.v_max_pu:g} pu in the optimisation, "
-         f"{net.v_min_ac_pu:g} to {net.v_max_ac_pu:g} pu in the AC power flow"),
-        ("customers", f"{len(day.customers)}, {day.load_kw.sum(axis=1).max():,.0f} kW at the "
-         f"highest; weights: {weights}"),
+        (
+            "network",
+            f"{net.n_buses} buses, {net.n_lines} lines ({rated} with a rating), "
+            f"{net.base_kv:g} kV, grid at bus {net.slack_bus} held at {net.v_slack_pu:g} pu",
+        ),
+        (
+            "voltage limits",
+            f"{net.v_min_pu:g} to {net.v_max_pu:g} pu in the optimisation, "
+            f"{net.v_min_ac_pu:g} to {net.v_max_ac_pu:g} pu in the AC power flow",
+        ),
+        (
+            "customers",
+            f"{len(day.customers)}, {day.load_kw.sum(axis=1).max():,.0f} kW at the "
+            f"highest; weights: {weights}",
+        ),
         ("PV", f"{len(day.pv)} systems, {day.pv.p_max_kw.sum():,.0f} kW"),
-        ("batteries", f"{len(day.batteries)}, {day.batteries.energy_kwh.sum():,.0f} kWh, "
-         f"{day.batteries.p_max_kw.sum():,.0f} kW"),
-        ("objective", ", ".join(f"{f.name} {getattr(day.objective, f.name):g}"
-                                for f in fields(day.objective))),
+        (
+            "batteries",
+            f"{len(day.batteries)}, {day.batteries.energy_kwh.sum():,.0f} kWh, "
+            f"{day.batteries.p_max_kw.sum():,.0f} kW",
+        ),
+        (
+            "objective",
+            ", ".join(
+                f"{f.name} {getattr(day.objective, f.name):g}" for f in fields(day.objective)
+            ),
+        ),
     ]
 
 

@@ -69,10 +69,15 @@ class Row:
 
 def service_chart(run: Trajectory) -> go.Figure:
     """Share of each tier's customers that are served."""
-    curves = [Curve(str(tier), 100.0 * share.to_numpy(), style.color, dash)
-              for (tier, share), style, dash
-              in zip(service_by_tier(run).items(), itertools.cycle(TIER_STYLES),
-                     itertools.cycle(DASHES), strict=False)]
+    curves = [
+        Curve(str(tier), 100.0 * share.to_numpy(), style.color, dash)
+        for (tier, share), style, dash in zip(
+            service_by_tier(run).items(),
+            itertools.cycle(TIER_STYLES),
+            itertools.cycle(DASHES),
+            strict=False,
+        )
+    ]
     return _chart(run, [Row("Customers<br>served (%)", curves)])
 
 
@@ -83,17 +88,29 @@ def energy_chart(run: Trajectory) -> go.Figure:
         stored.append(Curve("planned energy (kWh)", run.planned["energy_kwh"], PURPLE, "dot"))
     least, most = energy_limits_kwh(run)
     limits = [(most, "upper limit"), (least, "lower limit")]
-    return _chart(run, [
-        Row("Stored energy<br>(kWh)", stored, limits if len(run.scenario.batteries) else ()),
-        Row("Power (kW)", [
-            Curve("demand (kW)", demand_kw(run), BLACK),
-            Curve("demand served (kW)", served_kw(run), BLUE, "dash"),
-            Curve("PV available (kW)", pv_available_kw(run), ORANGE, "dashdot"),
-            Curve("import (kW)", run.steps["p_grid_kw"].to_numpy(), VERMILLION, "dot"),
-            Curve("net charging of batteries (kW)", battery_power_kw(run), GREEN, "longdash")],
-            from_zero=False),
-        Row("Price<br>(GBP/kWh)", [Curve("import price (GBP/kWh)",
-                                         run.steps["price_gbp_per_kwh"].to_numpy(), GREY)])])
+    return _chart(
+        run,
+        [
+            Row("Stored energy<br>(kWh)", stored, limits if len(run.scenario.batteries) else ()),
+            Row(
+                "Power (kW)",
+                [
+                    Curve("demand (kW)", demand_kw(run), BLACK),
+                    Curve("demand served (kW)", served_kw(run), BLUE, "dash"),
+                    Curve("PV available (kW)", pv_available_kw(run), ORANGE, "dashdot"),
+                    Curve("import (kW)", run.steps["p_grid_kw"].to_numpy(), VERMILLION, "dot"),
+                    Curve(
+                        "net charging of batteries (kW)", battery_power_kw(run), GREEN, "longdash"
+                    ),
+                ],
+                from_zero=False,
+            ),
+            Row(
+                "Price<br>(GBP/kWh)",
+                [Curve("import price (GBP/kWh)", run.steps["price_gbp_per_kwh"].to_numpy(), GREY)],
+            ),
+        ],
+    )
 
 
 def grid_chart(run: Trajectory) -> go.Figure:
@@ -104,14 +121,27 @@ def grid_chart(run: Trajectory) -> go.Figure:
     highest = v.argmax(axis=1)
     at_lowest = [f"bus {bus}" for bus in net.buses[lowest]]
     at_highest = [f"bus {bus}" for bus in net.buses[highest]]
-    return _chart(run, [
-        Row("Voltage (pu)", [
-            Curve("highest voltage (pu)", v.max(axis=1), ORANGE, "dash", at_highest),
-            Curve("lowest voltage (pu)", v.min(axis=1), BLUE, "solid", at_lowest),
-            Curve("lowest voltage of the optimisation (pu)", lowest_model_v_pu(run), PURPLE,
-                  "dot")],
-            limits=[(net.v_min_ac_pu, "lower AC limit")], from_zero=False),
-        _line_row(run)])
+    return _chart(
+        run,
+        [
+            Row(
+                "Voltage (pu)",
+                [
+                    Curve("highest voltage (pu)", v.max(axis=1), ORANGE, "dash", at_highest),
+                    Curve("lowest voltage (pu)", v.min(axis=1), BLUE, "solid", at_lowest),
+                    Curve(
+                        "lowest voltage of the optimisation (pu)",
+                        lowest_model_v_pu(run),
+                        PURPLE,
+                        "dot",
+                    ),
+                ],
+                limits=[(net.v_min_ac_pu, "lower AC limit")],
+                from_zero=False,
+            ),
+            _line_row(run),
+        ],
+    )
 
 
 def _line_row(run: Trajectory) -> Row:
@@ -121,9 +151,11 @@ def _line_row(run: Trajectory) -> Row:
     values = np.nan_to_num(line_values(run, rated))
     lines = [f"line {net.from_bus[i]} to {net.to_bus[i]}" for i in values.argmax(axis=1)]
     name = "largest line loading (%)" if rated else "largest line current (A)"
-    return Row("Line<br>loading (%)" if rated else "Line<br>current (A)",
-               [Curve(name, values.max(axis=1), BLACK, "solid", lines)],
-               limits=[(100.0, "rating")] if rated and values.max() > 80 else ())
+    return Row(
+        "Line<br>loading (%)" if rated else "Line<br>current (A)",
+        [Curve(name, values.max(axis=1), BLACK, "solid", lines)],
+        limits=[(100.0, "rating")] if rated and values.max() > 80 else (),
+    )
 
 
 CHARTS = {"service": service_chart, "energy": energy_chart, "grid": grid_chart}
@@ -144,24 +176,47 @@ def plotly_script() -> str:
 def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:
     """Rows over one time axis; a click or the pointer counts in all of them."""
     times = [time.strftime("%Y-%m-%dT%H:%M:%S") for time in edges_of(run)]
-    figure = go.Figure([_trace(curve, number, times)
-                        for number, row in enumerate(rows, start=1) for curve in row.curves])
+    figure = go.Figure(
+        [
+            _trace(curve, number, times)
+            for number, row in enumerate(rows, start=1)
+            for curve in row.curves
+        ]
+    )
     height = (1.0 - GAP * (len(rows) - 1)) / len(rows)
-    axes = {_axis("yaxis", number): {
-        "title": {"text": row.axis}, "rangemode": "tozero" if row.from_zero else "normal",
-        "domain": [max(0.0, 1 - number * height - (number - 1) * GAP),
-                   1 - (number - 1) * (height + GAP)],
-        "gridcolor": RULE_COLOUR, "zerolinecolor": GREY}
-        for number, row in enumerate(rows, start=1)}
+    axes = {
+        _axis("yaxis", number): {
+            "title": {"text": row.axis},
+            "rangemode": "tozero" if row.from_zero else "normal",
+            "domain": [
+                max(0.0, 1 - number * height - (number - 1) * GAP),
+                1 - (number - 1) * (height + GAP),
+            ],
+            "gridcolor": RULE_COLOUR,
+            "zerolinecolor": GREY,
+        }
+        for number, row in enumerate(rows, start=1)
+    }
     figure.update_layout(
-        **axes, template="none", hovermode="x unified", hoversubplots="axis",
-        xaxis={"type": "date", "anchor": _axis("y", len(rows)), "gridcolor": "#E8E8E8",
-               "title": {"text": "Time (UTC)"}, "range": [times[0], times[-1]],
-               "hoverformat": "%d %b %H:%M"},
+        **axes,
+        template="none",
+        hovermode="x unified",
+        hoversubplots="axis",
+        xaxis={
+            "type": "date",
+            "anchor": _axis("y", len(rows)),
+            "gridcolor": "#E8E8E8",
+            "title": {"text": "Time (UTC)"},
+            "range": [times[0], times[-1]],
+            "hoverformat": "%d %b %H:%M",
+        },
         legend={"orientation": "h", "yref": "container", "yanchor": "top", "y": 1, "x": 0},
-        margin={"l": 80, "r": 20, "t": 60, "b": 50}, height=ROW_PX * len(rows) + FRAME_PX,
+        margin={"l": 80, "r": 20, "t": 60, "b": 50},
+        height=ROW_PX * len(rows) + FRAME_PX,
         shapes=[_cursor(times[0]), *_shades(run, times), *_limit_lines(rows)],
-        annotations=list(_notes(run, rows, times)), font={"size": 12})
+        annotations=list(_notes(run, rows, times)),
+        font={"size": 12},
+    )
     return figure
 
 
@@ -172,10 +227,21 @@ def _trace(curve: Curve, row: int, times: Sequence[str]) -> go.Scatter:
     values = np.append(values, values[-1]) if of_steps else values
     text = [*curve.text, curve.text[-1]] if curve.text else None
     return go.Scatter(
-        x=times, y=values, name=curve.name, xaxis="x", yaxis=_axis("y", row), mode="lines",
-        text=text, line={"color": curve.color, "dash": curve.dash, "width": 2,
-                         "shape": "hv" if of_steps else "linear"},
-        hovertemplate="%{y:.5~g}" + (" at %{text}" if curve.text else ""))
+        x=times,
+        y=values,
+        name=curve.name,
+        xaxis="x",
+        yaxis=_axis("y", row),
+        mode="lines",
+        text=text,
+        line={
+            "color": curve.color,
+            "dash": curve.dash,
+            "width": 2,
+            "shape": "hv" if of_steps else "linear",
+        },
+        hovertemplate="%{y:.5~g}" + (" at %{text}" if curve.text else ""),
+    )
 
 
 def _axis(name: str, number: int) -> str:
@@ -185,30 +251,68 @@ def _axis(name: str, number: int) -> str:
 
 def _cursor(time: str) -> dict[str, Any]:
     """A line at the step that the diagram shows; scripts move it."""
-    return {"type": "line", "x0": time, "x1": time, "yref": "paper", "y0": 0, "y1": 1,
-            "line": {"color": VERMILLION, "width": 1.5, "dash": "dot"}}
+    return {
+        "type": "line",
+        "x0": time,
+        "x1": time,
+        "yref": "paper",
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": VERMILLION, "width": 1.5, "dash": "dot"},
+    }
 
 
 def _shades(run: Trajectory, times: Sequence[str]) -> Iterable[dict[str, Any]]:
     for first, last in outage_spans(run):
-        yield {"type": "rect", "x0": times[first], "x1": times[last], "yref": "paper", "y0": 0,
-               "y1": 1, "fillcolor": OUTAGE_COLOUR, "line": {"width": 0}, "layer": "below"}
+        yield {
+            "type": "rect",
+            "x0": times[first],
+            "x1": times[last],
+            "yref": "paper",
+            "y0": 0,
+            "y1": 1,
+            "fillcolor": OUTAGE_COLOUR,
+            "line": {"width": 0},
+            "layer": "below",
+        }
 
 
 def _limit_lines(rows: Sequence[Row]) -> Iterable[dict[str, Any]]:
     for number, row in enumerate(rows, start=1):
         for value, _ in row.limits:
-            yield {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "yref": _axis("y", number),
-                   "y0": value, "y1": value, "line": {"color": GREY, "width": 1, "dash": "dash"}}
+            yield {
+                "type": "line",
+                "xref": "paper",
+                "x0": 0,
+                "x1": 1,
+                "yref": _axis("y", number),
+                "y0": value,
+                "y1": value,
+                "line": {"color": GREY, "width": 1, "dash": "dash"},
+            }
 
 
 def _notes(run: Trajectory, rows: Sequence[Row], times: Sequence[str]) -> Iterable[dict[str, Any]]:
     """Names of the outages and of the limits."""
     for first, last in outage_spans(run):
-        yield {"x": times[(first + last) // 2], "y": 1, "yref": "paper", "text": "outage",
-               "showarrow": False, "yanchor": "bottom"}
+        yield {
+            "x": times[(first + last) // 2],
+            "y": 1,
+            "yref": "paper",
+            "text": "outage",
+            "showarrow": False,
+            "yanchor": "bottom",
+        }
     for number, row in enumerate(rows, start=1):
         for value, name in row.limits:
-            yield {"xref": "paper", "x": 1, "xanchor": "right", "yref": _axis("y", number),
-                   "y": value, "yanchor": "bottom", "text": f"{name} {value:.5g}",
-                   "showarrow": False, "font": {"size": 10, "color": GREY}}
+            yield {
+                "xref": "paper",
+                "x": 1,
+                "xanchor": "right",
+                "yref": _axis("y", number),
+                "y": value,
+                "yanchor": "bottom",
+                "text": f"{name} {value:.5g}",
+                "showarrow": False,
+                "font": {"size": 10, "color": GREY},
+            }

@@ -39,15 +39,16 @@ class Event:
 
 def events_of(run: Trajectory) -> list[Event]:
     """Outages, customers switched off and restored, and empty batteries, in order of time."""
-    found = sorted([*_outage_events(run), *_service_events(run), *_battery_events(run)],
-                   key=lambda entry: entry[0])
+    found = sorted(
+        [*_outage_events(run), *_service_events(run), *_battery_events(run)],
+        key=lambda entry: entry[0],
+    )
     return [Event(t, clock_words(run, t), words) for t, words in found]
 
 
 def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     """The day in a few sentences: its length, the outage, who was served, energy, voltages."""
-    return [_day(run), *_outage(run, summary), *_service(run), _import(summary),
-            _voltage(run)]
+    return [_day(run), *_outage(run, summary), *_service(run), _import(summary), _voltage(run)]
 
 
 def clock_words(run: Trajectory, t: int) -> str:
@@ -82,12 +83,16 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
     before = np.vstack([np.ones_like(served[:1]), served[:-1]])
     for t in range(len(served)):
-        for changed, words in ((before[t] & ~served[t], "without supply"),
-                               (~before[t] & served[t], "supplied again")):
+        for changed, words in (
+            (before[t] & ~served[t], "without supply"),
+            (~before[t] & served[t], "supplied again"),
+        ):
             if changed.any():
                 order = np.argsort(-c.weight[changed], kind="stable")
-                who = [f"{name} ({tier})" for name, tier
-                       in zip(c.id[changed][order], c.tier[changed][order], strict=True)]
+                who = [
+                    f"{name} ({tier})"
+                    for name, tier in zip(c.id[changed][order], c.tier[changed][order], strict=True)
+                ]
                 yield t, f"{len(who)} {_customers(len(who))} {words}: {named(who)}."
 
 
@@ -96,7 +101,7 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     energy = stored_energy_kwh(run)
     (low, high) = energy_limits_kwh(run)
     for first, last in outage_spans(run):
-        empty = np.flatnonzero(energy[first + 1:last + 1] <= low + EMPTY_SHARE * (high - low))
+        empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "The batteries are down to their lower limit."
 
@@ -104,8 +109,10 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _day(run: Trajectory) -> str:
     grid = run.scenario.grid
     n_steps = len(run.steps)
-    return (f"{n_steps} steps of {grid.step_minutes:g} min from {clock_words(run, 0)} to "
-            f"{clock_words(run, n_steps)} UTC.")
+    return (
+        f"{n_steps} steps of {grid.step_minutes:g} min from {clock_words(run, 0)} to "
+        f"{clock_words(run, n_steps)} UTC."
+    )
 
 
 def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
@@ -114,11 +121,16 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
         return ["The grid was there all the time."]
     when = " and ".join(f"from {clock_words(run, a)} to {clock_words(run, b)}" for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
-    shares = ", ".join(f"{tier} {number(share, '.0%')}"
-                       for tier, share in summary["served_share"].items() if share is not None)
-    return [f"The grid was out {when}, {hours:g} h in all.",
-            f"Served in the outage, of all customers and steps: {shares}; weighted by priority "
-            f"{number(summary['resilience'], '.1%')}."]
+    shares = ", ".join(
+        f"{tier} {number(share, '.0%')}"
+        for tier, share in summary["served_share"].items()
+        if share is not None
+    )
+    return [
+        f"The grid was out {when}, {hours:g} h in all.",
+        f"Served in the outage, of all customers and steps: {shares}; weighted by priority "
+        f"{number(summary['resilience'], '.1%')}.",
+    ]
 
 
 def _service(run: Trajectory) -> list[str]:
@@ -126,13 +138,16 @@ def _service(run: Trajectory) -> list[str]:
     lost = table[table["unserved_h"] > 0]
     if lost.empty:
         return [f"All {len(table)} customers were supplied at all times."]
-    return [f"{len(lost)} of {len(table)} customers were without supply at some time; "
-            f"{lost['unserved_kwh'].sum():,.0f} kWh were not supplied."]
+    return [
+        f"{len(lost)} of {len(table)} customers were without supply at some time; "
+        f"{lost['unserved_kwh'].sum():,.0f} kWh were not supplied."
+    ]
 
 
 def _import(summary: Mapping[str, Any]) -> str:
-    return (f"The feeder imported {summary['import_kwh']:,.0f} kWh for "
-            f"{summary['cost_gbp']:,.2f} GBP.")
+    return (
+        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {summary['cost_gbp']:,.2f} GBP."
+    )
 
 
 def _voltage(run: Trajectory) -> str:
@@ -141,8 +156,10 @@ def _voltage(run: Trajectory) -> str:
     live = run.buses[run.buses["v_ac_pu"] > 0]
     row = live.iloc[int(live["v_ac_pu"].to_numpy().argmin())]
     time = pd.Timestamp(row["time"]).tz_convert("UTC")
-    return (f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "
-            f"{time:%d %b %H:%M}; the limit is {net.v_min_ac_pu:g} pu.")
+    return (
+        f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "
+        f"{time:%d %b %H:%M}; the limit is {net.v_min_ac_pu:g} pu."
+    )
 
 
 def _customers(count: int) -> str:

@@ -18,8 +18,14 @@ ISLAND_TOLERANCE_KW = 0.5
 
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each thing that is not as it should be; empty if all is well."""
-    return [*_unlit(run), *_voltages(run), *_loadings(run), *_island(run), *_decisions(run),
-            *_answers(run)]
+    return [
+        *_unlit(run),
+        *_voltages(run),
+        *_loadings(run),
+        *_island(run),
+        *_decisions(run),
+        *_answers(run),
+    ]
 
 
 def _voltages(run: Trajectory) -> Iterator[str]:
@@ -27,16 +33,20 @@ def _voltages(run: Trajectory) -> Iterator[str]:
     net = run.scenario.network
     live = run.buses[run.buses["v_ac_pu"] > 0]
     v = live["v_ac_pu"]
-    for words, limit, beyond in (("below", net.v_min_ac_pu, net.v_min_ac_pu - v),
-                                 ("above", net.v_max_ac_pu, v - net.v_max_ac_pu)):
+    for words, limit, beyond in (
+        ("below", net.v_min_ac_pu, net.v_min_ac_pu - v),
+        ("above", net.v_max_ac_pu, v - net.v_max_ac_pu),
+    ):
         wrong = live[beyond > LIMIT_TOLERANCE_PU]
         if len(wrong):
             row = live.iloc[int(beyond.to_numpy().argmax())]
             n_buses = wrong["bus"].nunique()
-            yield (f"Voltage {words} the AC limit of {limit:g} pu in "
-                   f"{_steps(wrong['time'].nunique())} at {n_buses} "
-                   f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
-                   f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(row['time'])}.")
+            yield (
+                f"Voltage {words} the AC limit of {limit:g} pu in "
+                f"{_steps(wrong['time'].nunique())} at {n_buses} "
+                f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
+                f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(row['time'])}."
+            )
 
 
 def _loadings(run: Trajectory) -> Iterator[str]:
@@ -45,9 +55,11 @@ def _loadings(run: Trajectory) -> Iterator[str]:
     if (loading > 1.0).any():
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
         net = run.scenario.network
-        yield (f"Lines above their rating in {_steps(int((loading > 1).any(axis=1).sum()))}: at "
-               f"most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
-               f"{_time(run.steps['time'].iloc[int(t)])}.")
+        yield (
+            f"Lines above their rating in {_steps(int((loading > 1).any(axis=1).sum()))}: at "
+            f"most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
+            f"{_time(run.steps['time'].iloc[int(t)])}."
+        )
 
 
 def _island(run: Trajectory) -> Iterator[str]:
@@ -56,8 +68,10 @@ def _island(run: Trajectory) -> Iterator[str]:
     drawn = island["island_import_max_kw"]
     surplus = island["island_export_max_kw"]
     if drawn is not None and drawn > ISLAND_TOLERANCE_KW:
-        yield (f"In the outage the AC power flow still draws up to {drawn:,.1f} kW from the grid's "
-               "bus: losses and mismatch that no battery covered.")
+        yield (
+            f"In the outage the AC power flow still draws up to {drawn:,.1f} kW from the grid's "
+            "bus: losses and mismatch that no battery covered."
+        )
     if surplus is not None and surplus > ISLAND_TOLERANCE_KW:
         yield (f"In the outage up to {surplus:,.1f} kW more was made than used and lost.")
 
@@ -76,9 +90,11 @@ def _decisions(run: Trajectory) -> Iterator[str]:
             counts = ", ".join(f"{_plain(kind)} ({n})" for kind, n in kinds.value_counts().items())
             yield f"A fallback took the place of the controller's answer: {counts}."
     if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
-        yield (f"A device could not do what was decided in "
-               f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}: up to "
-               f"{steps['clipped_kw'].max():,.2f} kW less.")
+        yield (
+            f"A device could not do what was decided in "
+            f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}: up to "
+            f"{steps['clipped_kw'].max():,.2f} kW less."
+        )
 
 
 def _answers(run: Trajectory) -> Iterator[str]:
@@ -98,8 +114,10 @@ def _unlit(run: Trajectory) -> Iterator[str]:
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
         why = f": {'; '.join(reasons)}" if reasons else ""
         yield f"The island was dark in {_steps(len(dark))}{why}."
-    for column, words in (("ac_failed", "The AC power flow had no solution"),
-                          ("estimated", "A measurement was missing and estimated")):
+    for column, words in (
+        ("ac_failed", "The AC power flow had no solution"),
+        ("estimated", "A measurement was missing and estimated"),
+    ):
         if column in steps and steps[column].astype(bool).any():
             yield f"{words} in {_steps(int(steps[column].astype(bool).sum()))}."
 

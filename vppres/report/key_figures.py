@@ -24,21 +24,32 @@ KEY_FIGURES = (
     ("line_loading_max", "Largest line loading, as a share of the rating", "", ".1%"),
     ("island_import_max_kw", "Largest power drawn from the slack bus in the outage", "kW", ",.2f"),
     ("island_export_max_kw", "Largest surplus at the slack bus in the outage", "kW", ",.2f"),
-    ("island_reactive_max_kvar", "Largest reactive power of the slack bus in the outage", "kvar",
-     ",.1f"),
+    (
+        "island_reactive_max_kvar",
+        "Largest reactive power of the slack bus in the outage",
+        "kvar",
+        ",.1f",
+    ),
     ("corrections", "Steps in which the plan was corrected", "", "d"),
     ("fallbacks", "Steps in which a fallback took the place of the controller's answer", "", "d"),
     ("estimated_steps", "Steps with measurements that were estimated", "", "d"),
-    ("ac_failures", "Steps in which load was shed because the AC power flow had no solution", "",
-     "d"),
+    (
+        "ac_failures",
+        "Steps in which load was shed because the AC power flow had no solution",
+        "",
+        "d",
+    ),
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
 
 def key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Words, value and unit of each key figure that the summary has."""
-    return [(words, number(summary[key], form), unit)
-            for key, words, unit, form in KEY_FIGURES if key in summary]
+    return [
+        (words, number(summary[key], form), unit)
+        for key, words, unit, form in KEY_FIGURES
+        if key in summary
+    ]
 
 
 def number(value: float | None, form: str) -> str:

@@ -70,14 +70,30 @@ def drawing(run: Trajectory) -> Drawing:
     with_pv = set(at_bus[day.pv.owner(c)].tolist()) if len(day.pv) else set()
     battery_bus = np.array([net.bus_index[bus] for bus in day.batteries.bus], dtype=int)
     critical = set(at_bus[c.tier == day.tiers[0]].tolist())
-    buses = tuple(BusMark(str(net.buses[i]), int(x[i]), int(y[i]), i == 0, i in critical,
-                          tuple(np.flatnonzero(at_bus == i).tolist()),
-                          tuple(np.flatnonzero(battery_bus == i).tolist()), i in with_pv)
-                  for i in range(net.n_buses))
-    lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b]))
-                  for a, b in zip(net.parent, range(1, net.n_buses), strict=True))
-    return Drawing(int(x.max()) + MARGIN_PX, int(y.max()) + BELOW_PX, buses, lines,
-                   net.n_buses <= MAX_NAMED_BUSES)
+    buses = tuple(
+        BusMark(
+            str(net.buses[i]),
+            int(x[i]),
+            int(y[i]),
+            i == 0,
+            i in critical,
+            tuple(np.flatnonzero(at_bus == i).tolist()),
+            tuple(np.flatnonzero(battery_bus == i).tolist()),
+            i in with_pv,
+        )
+        for i in range(net.n_buses)
+    )
+    lines = tuple(
+        (int(x[a]), int(y[a]), int(x[b]), int(y[b]))
+        for a, b in zip(net.parent, range(1, net.n_buses), strict=True)
+    )
+    return Drawing(
+        int(x.max()) + MARGIN_PX,
+        int(y.max()) + BELOW_PX,
+        buses,
+        lines,
+        net.n_buses <= MAX_NAMED_BUSES,
+    )
 
 
 def voltage_edges(run: Trajectory) -> Floats:
@@ -185,7 +201,7 @@ def _info(run: Trajectory) -> list[str]:
     shares = service_by_tier(run)
     lines = []
     for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
-        grid = ("outage" if step["outage"] else f"import {step['p_grid_kw']:,.0f} kW")
+        grid = "outage" if step["outage"] else f"import {step['p_grid_kw']:,.0f} kW"
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         lines.append(f"{grid}; served: {tiers}; lowest voltage {step['v_min_ac_pu']:.4f} pu")
     return lines

@@ -26,8 +26,13 @@ def page(template: str, content: Mapping[str, Any]) -> str:
 @cache
 def _environment() -> Environment:
     """The templates of the package; each is compiled once."""
-    return Environment(loader=PackageLoader("vppres.report"), autoescape=True, trim_blocks=True,
-                       lstrip_blocks=True, undefined=StrictUndefined)
+    return Environment(
+        loader=PackageLoader("vppres.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
 
 
 def embedded(figure: Figure) -> str:
@@ -55,5 +60,10 @@ def write_page(file: Path, text: str) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_text(file, text)
     except OSError as error:
-        raise InputError(Problem(str(file), f"cannot be written ({error.strerror})",
-                                 "Choose another file, or check its permissions.")) from error
+        raise InputError(
+            Problem(
+                str(file),
+                f"cannot be written ({error.strerror})",
+                "Choose another file, or check its permissions.",
+            )
+        ) from error

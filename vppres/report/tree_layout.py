@@ -53,8 +53,9 @@ def tree_layout(network: Network) -> TreeLayout:
     return TreeLayout(column, row - row.min())
 
 
-def _place(bus: int, children: list[list[int]], reach: Wholes, column: Wholes,
-           sides: tuple[int, ...]) -> tuple[dict[int, int], dict[int, Wholes]]:
+def _place(
+    bus: int, children: list[list[int]], reach: Wholes, column: Wholes, sides: tuple[int, ...]
+) -> tuple[dict[int, int], dict[int, Wholes]]:
     """Lay out a bus and all that it feeds, towards the given sides.
 
     Returns

@@ -1,4 +1,4 @@
-"""The recovery problem: the window as it was, with service continuous where it was withheld.
+"""The pricing problem: the window as it was, with service continuous where it was withheld.
 
 It is solved after the day, never in the loop, for its duals: they say what one more kWh, kW, kvar
 or kVA would have bought. Service lies between the bounds that are given for each customer and step,
@@ -25,7 +25,7 @@ from vppres.model.variables import Parameters, Variables
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What the recovery problem holds of the record, for a window of W steps.
+    """What the pricing problem holds of the record, for a window of W steps.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Goal:
+class PricedTerms:
     """What is maximised: weights of f1 (weighted customer hours), f2 (GBP) and f3 (kWh)."""
 
     service: float
@@ -51,8 +51,8 @@ class Goal:
     curtailed_max_kwh: float = np.inf
 
 
-class RecoveryModel:
-    """The recovery problem over at most W steps, compiled once.
+class ShadowPriceModel:
+    """The pricing problem over at most W steps, compiled once.
 
     Parameters
     ----------
@@ -68,17 +68,20 @@ class RecoveryModel:
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
-        self.x_min, self.x_max = (cp.Parameter(x.shape, name=name, nonneg=True)
-                                  for name in ("x_min", "x_max"))
+        self.x_min, self.x_max = (
+            cp.Parameter(x.shape, name=name, nonneg=True) for name in ("x_min", "x_max")
+        )
         B = len(site.batteries)
-        self.mode_min, self.mode_max = (cp.Parameter(B, name=name, nonneg=True)
-                                        for name in ("mode_min", "mode_max"))
+        self.mode_min, self.mode_max = (
+            cp.Parameter(B, name=name, nonneg=True) for name in ("mode_min", "mode_max")
+        )
         self.weight_f1, self.weight_f3, self.f3_max = (
-            cp.Parameter(name=name, nonneg=True) for name in ("weight_f1", "weight_f3", "f3_max"))
+            cp.Parameter(name=name, nonneg=True) for name in ("weight_f1", "weight_f3", "f3_max")
+        )
         self.sides = disc_sides(site, n_steps)
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
-        require_dpp(self.problem, f"recovery of {n_steps} steps")
+        require_dpp(self.problem, f"pricing problem of {n_steps} steps")
 
     def _constraints(self) -> families.Named:
         """The paper's families, and what is held."""
@@ -89,41 +92,50 @@ class RecoveryModel:
         for family in (*families.DEVICE_FAMILIES, discs, *families.NETWORK_FAMILIES):
             named |= family(*args)
         return named | {
-            "mode_min": v.delta[0] >= self.mode_min, "mode_max": v.delta[0] <= self.mode_max,
-            "modes": v.delta >= 0, "modes_max": v.delta <= 1,
-            "service_min": v.x_served >= self.x_min, "service_max": v.x_served <= self.x_max,
+            "mode_min": v.delta[0] >= self.mode_min,
+            "mode_max": v.delta[0] <= self.mode_max,
+            "modes": v.delta >= 0,
+            "modes_max": v.delta <= 1,
+            "service_min": v.x_served >= self.x_min,
+            "service_max": v.x_served <= self.x_max,
             "curtailment_held": terms.f3_curtailment(*args) <= self.f3_max,
         }
 
     def _objective(self) -> cp.Maximize:
-        """Service less cost less curtailment as the goal weighs them; f2's weight is in rho_dt."""
+        """Service less cost less curtailment as they are priced; f2's weight is in rho_dt."""
         args = (self.site, self.v, self.p)
-        return cp.Maximize(self.weight_f1 * terms.f1_service(*args) - terms.f2_cost(*args)
-                           - self.weight_f3 * terms.f3_curtailment(*args))
+        return cp.Maximize(
+            self.weight_f1 * terms.f1_service(*args)
+            - terms.f2_cost(*args)
+            - self.weight_f3 * terms.f3_curtailment(*args)
+        )
 
-    def fill(self, data: WindowData, held: Held, goal: Goal) -> None:
+    def fill(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length."""
         missing = self.n_steps - data.n_steps
-        cost = replace(data, price_gbp_per_kwh=goal.cost * data.price_gbp_per_kwh)
+        cost = replace(data, price_gbp_per_kwh=priced.cost * data.price_gbp_per_kwh)
         self.p.fill(self.site, _padded(cost, missing))
         self.x_min.value = _rows(held.service_min, missing)
         self.x_max.value = _rows(held.service_max, missing)
         self.mode_min.value = held.mode_min
         self.mode_max.value = held.mode_max
-        self.weight_f1.value = goal.service
-        self.weight_f3.value = goal.curtailment
+        self.weight_f1.value = priced.service
+        self.weight_f3.value = priced.curtailment
         # All PV energy of the window is a limit that never binds.
         everything = float(data.pv_kw.sum()) * self.site.dt_h + 1.0
-        self.f3_max.value = min(goal.curtailed_max_kwh, everything)
+        self.f3_max.value = min(priced.curtailed_max_kwh, everything)
 
 
 def _padded(data: WindowData, missing: int) -> WindowData:
     """The window followed by empty steps."""
     return replace(
-        data, load_kw=_rows(data.load_kw, missing), pv_kw=_rows(data.pv_kw, missing),
+        data,
+        load_kw=_rows(data.load_kw, missing),
+        pv_kw=_rows(data.pv_kw, missing),
         price_gbp_per_kwh=_rows(data.price_gbp_per_kwh, missing),
         grid_limit_kw=_rows(data.grid_limit_kw, missing),
-        delta_pu2=_rows(data.delta_pu2, missing))
+        delta_pu2=_rows(data.delta_pu2, missing),
+    )
 
 
 def _rows(values: Floats, missing: int) -> Floats:

@@ -1,4 +1,4 @@
-"""Shadow prices: the recovery problem solved, and its duals read in the units of the record.
+"""Shadow prices: the pricing problem solved, and its duals read in the units of the record.
 
 A shadow price is the slope of the optimum: what the objective would gain if one more unit of
 something had been there. All of them belong to the first step of the window, but for the limits of
@@ -15,7 +15,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.solve.result import Status
-from vppres.solve.shadow_price_model import Goal, Held, RecoveryModel
+from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.solvers import run_conic
 
 
@@ -62,13 +62,13 @@ class ShadowPrices:
 
 
 @dataclass(frozen=True, eq=False)
-class Recovery:
-    """The recovery problem's answer.
+class PricedWindow:
+    """The pricing problem's answer.
 
     Parameters
     ----------
     value : float
-        The objective, in the unit of the goal.
+        The objective: weighted customer hours, or GBP where the cost is priced.
     served_share : array, shape (W, C)
         Share of each customer that is served.
     curtailed_kwh : float
@@ -92,34 +92,39 @@ class Recovery:
     solver_s: float
 
 
-def solve_recovery(model: RecoveryModel, data: WindowData, held: Held, goal: Goal,
-                   time_s: float = 20.0) -> Recovery | None:
-    """Solve a window's recovery problem; None where it has no answer that the solver vouches for.
+def price_window(
+    model: ShadowPriceModel, data: WindowData, held: Held, priced: PricedTerms, time_s: float = 20.0
+) -> PricedWindow | None:
+    """Solve a window's pricing problem; None where it has no answer that the solver vouches for.
 
     Parameters
     ----------
-    model : RecoveryModel
+    model : ShadowPriceModel
         Compiled for at least as many steps as the window has.
     data : WindowData
         The window as the controller saw it.
     held : Held
         What is held of the record.
-    goal : Goal
+    priced : PricedTerms
         What is maximised.
     time_s : float
         Time limit in s.
     """
-    model.fill(data, held, goal)
+    model.fill(data, held, priced)
     outcome = run_conic(model.problem, time_s)
     if outcome.status != Status.OPTIMAL:
         return None
     v = model.v
     W = data.n_steps
-    return Recovery(
-        value=outcome.value, served_share=np.clip(_value(v.x_served)[:W], 0.0, 1.0),
+    return PricedWindow(
+        value=outcome.value,
+        served_share=np.clip(_value(v.x_served)[:W], 0.0, 1.0),
         curtailed_kwh=float(_value(v.P_curt).sum()) * model.site.dt_h,
-        battery_kw=_value(v.P_batt)[:W], soc=_value(v.SoC)[:W + 1],
-        prices=_prices(model), solver_s=outcome.solve_s)
+        battery_kw=_value(v.P_batt)[:W],
+        soc=_value(v.SoC)[: W + 1],
+        prices=_prices(model),
+        solver_s=outcome.solve_s,
+    )
 
 
 def _value(expression: cp.Expression) -> Floats:
@@ -127,7 +132,7 @@ def _value(expression: cp.Expression) -> Floats:
     return np.reshape(np.asarray(expression.value, dtype=float), expression.shape)
 
 
-def _prices(model: RecoveryModel) -> ShadowPrices:
+def _prices(model: ShadowPriceModel) -> ShadowPrices:
     """The duals in the record's units; the signs are those of a gain."""
     site = model.site
     v = model.v
@@ -153,7 +158,8 @@ def _prices(model: RecoveryModel) -> ShadowPrices:
         grid=max(float(active[0] - model.p.rho_dt.value[0]), 0.0),
         active=active,
         reactive=-dual.rows("reactive_power_balance")[0],
-        service=(dual.rows("service_max") - dual.rows("service_min"))[0])
+        service=(dual.rows("service_max") - dual.rows("service_min"))[0],
+    )
 
 
 def _per_milli_pu(per_pu2: Floats, limit_pu: float) -> Floats:
@@ -164,7 +170,7 @@ def _per_milli_pu(per_pu2: Floats, limit_pu: float) -> Floats:
 class _Duals:
     """Duals of a solved problem by the names of its constraints."""
 
-    def __init__(self, model: RecoveryModel) -> None:
+    def __init__(self, model: ShadowPriceModel) -> None:
         self.model = model
 
     def rows(self, name: str) -> Floats:

@@ -23,7 +23,13 @@ Runs = Trajectory | Mapping[str, Trajectory]
 
 # Okabe and Ito's palette: distinct for the common kinds of colour blindness.
 BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY = (
-    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#E69F00",
+    "#CC79A7",
+    "#56B4E9",
+)
 BLACK, GREY = "#000000", "#666666"
 OUTAGE_COLOUR, RULE_COLOUR = "#E4E4E4", "#D0D0D0"
 UNNAMED = "_"  # a leading underscore keeps a line out of the legend
@@ -51,21 +57,35 @@ class Style:
 
     def line(self, label: str = "") -> dict[str, Any]:
         """Keywords of a line in this style, with a marker on every third point."""
-        return {"color": self.color, "linestyle": self.linestyle, "marker": self.marker,
-                "markersize": 4, "markevery": slice(self.first_marker, -1, 3),
-                "linewidth": self.linewidth, "label": label or UNNAMED}
+        return {
+            "color": self.color,
+            "linestyle": self.linestyle,
+            "marker": self.marker,
+            "markersize": 4,
+            "markevery": slice(self.first_marker, -1, 3),
+            "linewidth": self.linewidth,
+            "label": label or UNNAMED,
+        }
 
     def thin(self, label: str) -> dict[str, Any]:
         """Keywords of a companion of the same run: what was planned or modelled."""
         return self.line(label) | {"linestyle": ":", "linewidth": 1.0, "markerfacecolor": "white"}
 
 
-RUN_STYLES = (Style(BLUE, "-", "o", 1.8, 0), Style(VERMILLION, (0, (5, 2)), "s", 1.6, 1),
-              Style(GREEN, "-.", "^", 1.4, 2), Style(PURPLE, (0, (1, 1)), "D", 1.4, 0),
-              Style(BLACK, (0, (6, 1, 1, 1, 1, 1)), "v", 1.2, 1))
+RUN_STYLES = (
+    Style(BLUE, "-", "o", 1.8, 0),
+    Style(VERMILLION, (0, (5, 2)), "s", 1.6, 1),
+    Style(GREEN, "-.", "^", 1.4, 2),
+    Style(PURPLE, (0, (1, 1)), "D", 1.4, 0),
+    Style(BLACK, (0, (6, 1, 1, 1, 1, 1)), "v", 1.2, 1),
+)
 # Vermillion is left to the tiles that were not served.
-TIER_STYLES = (Style(BLACK, "-", "o", 2.6, 0), Style(SKY, (0, (5, 2)), "s", 2.0, 1),
-               Style(GREEN, "-.", "^", 1.4, 2), Style(PURPLE, (0, (1, 1)), "D", 1.2, 0))
+TIER_STYLES = (
+    Style(BLACK, "-", "o", 2.6, 0),
+    Style(SKY, (0, (5, 2)), "s", 2.0, 1),
+    Style(GREEN, "-.", "^", 1.4, 2),
+    Style(PURPLE, (0, (1, 1)), "D", 1.2, 0),
+)
 SERVED, UNSERVED = "#D6E6F2", VERMILLION
 
 
@@ -77,13 +97,15 @@ def named_runs(runs: Runs) -> dict[str, Trajectory]:
     return {"full horizon" if horizon is None else f"MPC, H = {horizon:g} h": runs}
 
 
-def panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
-            height_in: float) -> tuple[Figure, list[Axes]]:
+def panels(
+    runs: Mapping[str, Trajectory], heights: tuple[float, ...], height_in: float
+) -> tuple[Figure, list[Axes]]:
     """Panels above each other over one time axis, with the outage shaded."""
     run = next(iter(runs.values()))
     figure = Figure(figsize=(8.6, height_in), layout="constrained")
-    axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False,
-                                height_ratios=heights)[:, 0])
+    axes = list(
+        figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    )
     for position, ax in enumerate(axes):
         mark_outage(ax, run, text=position == 0)
         draw_grid(ax)
@@ -94,8 +116,12 @@ def panels(runs: Mapping[str, Trajectory], heights: tuple[float, ...],
 
 def with_legend(figure: Figure, panel: Axes, columns: int) -> Figure:
     """Put the legend of one panel below the figure."""
-    figure.legend(handles=panel.get_legend_handles_labels()[0], loc="outside lower center",
-                  ncols=columns, frameon=False)
+    figure.legend(
+        handles=panel.get_legend_handles_labels()[0],
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
+    )
     return figure
 
 
@@ -115,8 +141,9 @@ def draw_steps(ax: Axes, run: Trajectory, values: Floats, line: Mapping[str, Any
 def draw_limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
     """A horizontal limit, named outside the axes."""
     ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
-    ax.text(1.01, value, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8,
-            color=GREY)
+    ax.text(
+        1.01, value, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8, color=GREY
+    )
 
 
 def mark_outage(ax: Axes, run: Trajectory, text: bool = True, shade: bool = True) -> None:
@@ -130,8 +157,15 @@ def mark_outage(ax: Axes, run: Trajectory, text: bool = True, shade: bool = True
                 ax.axvline(edge, color=BLACK, linewidth=1.2, linestyle="--")
         if text:
             middle = edges[first] + (edges[last] - edges[first]) / 2
-            ax.text(middle, 1.01, "outage", transform=ax.get_xaxis_transform(), ha="center",
-                    va="bottom", fontsize=8)
+            ax.text(
+                middle,
+                1.01,
+                "outage",
+                transform=ax.get_xaxis_transform(),
+                ha="center",
+                va="bottom",
+                fontsize=8,
+            )
 
 
 def draw_grid(ax: Axes, axis: Literal["both", "x"] = "both") -> None:

@@ -70,8 +70,12 @@ def import_load_pv(runs: Runs) -> Figure:
     demand = demand_kw(first)
     available = pv_available_kw(first)
     draw_steps(load, first, demand, {"color": BLACK, "linewidth": 1.0, "label": "demand"})
-    draw_steps(load, first, available, {"color": ORANGE, "linestyle": (0, (3, 1, 1, 1)),
-                                    "label": "PV available"})
+    draw_steps(
+        load,
+        first,
+        available,
+        {"color": ORANGE, "linestyle": (0, (3, 1, 1, 1)), "label": "PV available"},
+    )
     if len(named) == 1:
         _fill_unserved(load, first, served_kw(first), demand)
     imports.set_ylabel("Import at the slack bus,\nAC (kW)")
@@ -87,8 +91,9 @@ def voltages(runs: Runs) -> Figure:
     network = next(iter(named.values())).scenario.network
     figure, (lowest, error) = panels(named, heights=(3, 1.4), height_in=6.4)
     for (label, run), style in zip(named.items(), itertools.cycle(RUN_STYLES), strict=False):
-        draw_steps(lowest, run, run.steps["v_min_ac_pu"].to_numpy(),
-               style.line(f"{label}: AC power flow"))
+        draw_steps(
+            lowest, run, run.steps["v_min_ac_pu"].to_numpy(), style.line(f"{label}: AC power flow")
+        )
         draw_steps(lowest, run, lowest_model_v_pu(run), style.thin(f"{label}: optimisation"))
         draw_steps(error, run, 1000.0 * run.steps["v_error_pu"].to_numpy(), style.line())
     draw_limit(lowest, network.v_min_pu, f"{network.v_min_pu:g} optimisation limit")
@@ -103,5 +108,14 @@ def voltages(runs: Runs) -> Figure:
 
 def _fill_unserved(ax: Axes, run: Trajectory, served: Floats, demand: Floats) -> None:
     """Hatch the demand that was not met."""
-    ax.fill_between(edges_of(run), closed(served), closed(demand), step="post", facecolor="none",
-                    edgecolor=VERMILLION, hatch="////", linewidth=0.0, label="not served")
+    ax.fill_between(
+        edges_of(run),
+        closed(served),
+        closed(demand),
+        step="post",
+        facecolor="none",
+        edgecolor=VERMILLION,
+        hatch="////",
+        linewidth=0.0,
+        label="not served",
+    )

@@ -76,14 +76,20 @@ def feeder_maps(run: Trajectory) -> Figure:
     _draw_map(buses, run, v[:, order], "AC voltage (pu)", "cividis")
     _name_rows(buses, [str(bus) for bus in net.buses[order]], "Bus")
     order = order[order > 0] - 1  # of the lines, by the bus that each feeds
-    _draw_map(lines, run, line_values(run, rated)[:, order],
-              "Loading (%)" if rated else "Current (A)", "cividis_r")
+    _draw_map(
+        lines,
+        run,
+        line_values(run, rated)[:, order],
+        "Loading (%)" if rated else "Current (A)",
+        "cividis_r",
+    )
     _name_rows(lines, [str(bus) for bus in net.to_bus[order]], "Line, by the bus that it feeds")
     mark_outage(buses, run, shade=False)
     mark_outage(lines, run, text=False, shade=False)
     clock(lines, run)
-    figure.suptitle("Voltage of each bus and "
-                    + ("loading" if rated else "current") + " of each line")
+    figure.suptitle(
+        "Voltage of each bus and " + ("loading" if rated else "current") + " of each line"
+    )
     return figure
 
 
@@ -95,9 +101,13 @@ def _along_the_feeder(run: Trajectory) -> Wholes:
 
 def _draw_map(ax: Axes, run: Trajectory, values: Floats, name: str, colours: str) -> None:
     """Values of shape (T, rows) as tiles with a scale; what is not defined stays white."""
-    mesh = ax.pcolormesh(edges_of(run), np.arange(values.shape[1] + 1),
-                         np.ma.masked_invalid(values).T, cmap=colours,
-                         rasterized=values.size > RASTER_ABOVE)
+    mesh = ax.pcolormesh(
+        edges_of(run),
+        np.arange(values.shape[1] + 1),
+        np.ma.masked_invalid(values).T,
+        cmap=colours,
+        rasterized=values.size > RASTER_ABOVE,
+    )
     ax.set_ylim(values.shape[1], 0)
     bar = ax.figure.colorbar(mesh, ax=ax, pad=0.01, fraction=0.04, aspect=24)
     bar.set_label(name)

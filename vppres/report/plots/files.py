@@ -33,16 +33,16 @@ RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, demand served and available PV "
-                      "power (below).",
+    "power (below).",
     "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
-                "and AC power flow at any bus.",
+    "and AC power flow at any bus.",
     "service_by_tier": "Who was served in each step, customer by customer, and the share of each "
-                       "tier.",
+    "tier.",
     "line_loadings": "The most loaded line of each step, from the AC power flow.",
     "solve_times": "Time from forecast to decision, and proven relative gap (linear below 1e-6).",
     "timeline": "The day at a glance; numbers count the customers not served.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
-                   "current; dashed: the outage.",
+    "current; dashed: the outage.",
 }
 """What each figure shows."""
 

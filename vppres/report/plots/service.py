@@ -41,8 +41,9 @@ def service_by_tier(runs: Runs) -> Figure:
     n_customers = max(len(run.scenario.customers) for run in named.values())
     tiles_in = float(np.clip(0.16 * n_customers, 2.0, 9.0))
     figure = Figure(figsize=(3.6 + 4.6 * len(named), tiles_in + 3.2), layout="constrained")
-    axes = figure.subplots(2, len(named), squeeze=False, sharex="col",
-                           height_ratios=(tiles_in, 1.7))
+    axes = figure.subplots(
+        2, len(named), squeeze=False, sharex="col", height_ratios=(tiles_in, 1.7)
+    )
     for column, (label, run) in enumerate(named.items()):
         tiles = axes[0, column]
         share = axes[1, column]
@@ -52,9 +53,11 @@ def service_by_tier(runs: Runs) -> Figure:
         mark_outage(tiles, run, shade=False)
         mark_outage(share, run, text=False)
         clock(share, run, max_ticks=9)
-    handles = [Patch(facecolor=SERVED, edgecolor=GREY, label="served"),
-               Patch(facecolor=UNSERVED, label="not served (x)"),
-               *axes[1, 0].get_legend_handles_labels()[0]]
+    handles = [
+        Patch(facecolor=SERVED, edgecolor=GREY, label="served"),
+        Patch(facecolor=UNSERVED, label="not served (x)"),
+        *axes[1, 0].get_legend_handles_labels()[0],
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
     figure.suptitle("Service by customer and tier")
     return figure
@@ -88,7 +91,7 @@ def tile_rows(run: Trajectory) -> TileRows:
         if size > 1:
             members = along[np.isin(along, members)]
         for start in range(0, len(members), size):
-            block = members[start:start + size]
+            block = members[start : start + size]
             names.append(" ".join(str(name) for name in day.customers.id[block]))
             shares.append(served[:, block].mean(axis=1))
             tiers.append(tier)
@@ -100,17 +103,28 @@ def _draw_tiles(ax: Axes, run: Trajectory) -> None:
     rows = tile_rows(run)
     edges = edges_of(run)
     many = rows.share.size > RASTER_ABOVE
-    ax.pcolormesh(edges, np.arange(len(rows.names) + 1), rows.share, vmin=0, vmax=1,
-                  cmap=LinearSegmentedColormap.from_list("service", [UNSERVED, SERVED]),
-                  edgecolors="none" if many else "white", linewidth=0.6, rasterized=many)
+    ax.pcolormesh(
+        edges,
+        np.arange(len(rows.names) + 1),
+        rows.share,
+        vmin=0,
+        vmax=1,
+        cmap=LinearSegmentedColormap.from_list("service", [UNSERVED, SERVED]),
+        edgecolors="none" if many else "white",
+        linewidth=0.6,
+        rasterized=many,
+    )
     if not many:
         at, steps = np.nonzero(rows.share == 0.0)
         middles = edges[:-1] + (edges[1:] - edges[:-1]) / 2
         ax.scatter(middles[steps], at + 0.5, marker="x", s=14, color="white", linewidths=1.0)
     ax.set_ylim(len(rows.names), 0)
     named = len(rows.names) <= MAX_NAMED_CUSTOMERS
-    ax.set_yticks(np.arange(len(rows.names)) + 0.5 if named else [],
-                  labels=rows.names if named else [], fontsize=6.5)
+    ax.set_yticks(
+        np.arange(len(rows.names)) + 0.5 if named else [],
+        labels=rows.names if named else [],
+        fontsize=6.5,
+    )
     ax.tick_params(axis="y", length=0)
     for spine in ax.spines.values():
         spine.set_visible(False)
@@ -125,8 +139,14 @@ def _name_tiers(ax: Axes, run: Trajectory, rows: TileRows) -> None:
         count = int(np.sum(run.scenario.customers.tier == tier))
         height = rows.tiers.count(str(tier))
         share_text = f"\n{share:.0%} served\nin outage" if np.isfinite(share) else ""
-        ax.text(1.01, top + height / 2, f"{tier} ({count}){share_text}", fontsize=8, va="center",
-                transform=ax.get_yaxis_transform())
+        ax.text(
+            1.01,
+            top + height / 2,
+            f"{tier} ({count}){share_text}",
+            fontsize=8,
+            va="center",
+            transform=ax.get_yaxis_transform(),
+        )
         top += height
         ax.axhline(top, color=BLACK, linewidth=1.0)
 

@@ -40,10 +40,12 @@ def timeline(run: Trajectory) -> Figure:
     ax.set_yticks(range(len(strips)), labels=names)
     ax.tick_params(axis="y", length=0)
     clock(ax, run)
-    handles = [Patch(facecolor=DARK, edgecolor=GREY, label="outage"),
-               Patch(facecolor=GREEN, hatch="///", edgecolor=GREY, label="charging"),
-               Patch(facecolor=ORANGE, hatch="...", edgecolor=GREY, label="discharging"),
-               Patch(facecolor=UNSERVED, edgecolor=GREY, label="customers not served")]
+    handles = [
+        Patch(facecolor=DARK, edgecolor=GREY, label="outage"),
+        Patch(facecolor=GREEN, hatch="///", edgecolor=GREY, label="charging"),
+        Patch(facecolor=ORANGE, hatch="...", edgecolor=GREY, label="discharging"),
+        Patch(facecolor=UNSERVED, edgecolor=GREY, label="customers not served"),
+    ]
     figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=8)
     return figure
 
@@ -53,8 +55,9 @@ def _phase_strip(ax: Axes, run: Trajectory, row: int) -> str:
     edges = edges_of(run)
     phases = run.steps["phase"].astype(str).tolist()
     start = 0
-    greys = {phase: PHASE_GREYS[i % len(PHASE_GREYS)]
-             for i, phase in enumerate(dict.fromkeys(phases))}
+    greys = {
+        phase: PHASE_GREYS[i % len(PHASE_GREYS)] for i, phase in enumerate(dict.fromkeys(phases))
+    }
     _strip(ax, run, row, [(greys[phase], "") for phase in phases])
     for phase, steps in groupby(phases):
         end = start + len(list(steps))
@@ -67,7 +70,7 @@ def _phase_strip(ax: Axes, run: Trajectory, row: int) -> str:
 
 def _grid_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """Grid available, limited or out."""
-    limit = run.scenario.grid_limit_kw[:len(run.steps)]
+    limit = run.scenario.grid_limit_kw[: len(run.steps)]
     colours = np.select([limit <= 0, np.isfinite(limit)], [DARK, LIMITED], GIVING)
     _strip(ax, run, row, [(colour, "") for colour in colours.tolist()])
     return "Grid"
@@ -86,7 +89,7 @@ def _battery_strip(ax: Axes, run: Trajectory, row: int) -> str:
 
 def _sun_strip(ax: Axes, run: Trajectory, row: int) -> str:
     """PV power as a share of its largest of the day."""
-    available = run.scenario.pv_kw[:len(run.steps)].sum(axis=1)
+    available = run.scenario.pv_kw[: len(run.steps)].sum(axis=1)
     shade = available / max(float(available.max()), 1e-9)
     _strip(ax, run, row, [((1.0, 1.0 - 0.1 * s, 1.0 - 0.75 * s), "") for s in shade])
     return "PV power"
@@ -100,8 +103,16 @@ def _service_strip(ax: Axes, run: Trajectory, row: int) -> str:
     edges = edges_of(run)
     if len(run.steps) <= MAX_COUNTED_STEPS:
         for t in np.flatnonzero(missing):
-            ax.text(edges[t] + (edges[t + 1] - edges[t]) / 2, row, f"{missing[t]:.0f}",
-                    ha="center", va="center", fontsize=7, color=BLACK, fontweight="bold")
+            ax.text(
+                edges[t] + (edges[t + 1] - edges[t]) / 2,
+                row,
+                f"{missing[t]:.0f}",
+                ha="center",
+                va="center",
+                fontsize=7,
+                color=BLACK,
+                fontweight="bold",
+            )
     return "Not served"
 
 
@@ -111,6 +122,13 @@ def _strip(ax: Axes, run: Trajectory, row: int, styles: Iterable[tuple[Any, str]
     start = 0
     for (colour, hatch), steps in groupby(styles):
         end = start + len(list(steps))
-        ax.fill_between([edges[start], edges[end]], row - 0.36, row + 0.36, facecolor=colour,
-                        edgecolor=GREY, linewidth=0.4, hatch=hatch)
+        ax.fill_between(
+            [edges[start], edges[end]],
+            row - 0.36,
+            row + 0.36,
+            facecolor=colour,
+            edgecolor=GREY,
+            linewidth=0.4,
+            hatch=hatch,
+        )
         start = end

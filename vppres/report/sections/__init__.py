@@ -21,5 +21,13 @@ from vppres.report.sections.timeline import timeline_section
 
 # Makers of the sections.
 SECTIONS: tuple[SectionMaker, ...] = (
-    overview_section, timeline_section, explain_section, service_section, feeder_section,
-    energy_section, network_section, solver_section, assumptions_section)
+    overview_section,
+    timeline_section,
+    explain_section,
+    service_section,
+    feeder_section,
+    energy_section,
+    network_section,
+    solver_section,
+    assumptions_section,
+)

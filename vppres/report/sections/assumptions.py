@@ -8,6 +8,13 @@ from vppres.report.sections.base import Run, Section, section
 
 def assumptions_section(run: Run) -> Section:
     """Simplifications, data, options with their defaults, versions and the input's digest."""
-    return section("assumptions", "Assumptions and provenance", {
-        "simplifications": simplifications(run.trajectory), "data": data_words(run.trajectory),
-        "options": option_words(run.trajectory.options), "summary": run.summary})
+    return section(
+        "assumptions",
+        "Assumptions and provenance",
+        {
+            "simplifications": simplifications(run.trajectory),
+            "data": data_words(run.trajectory),
+            "options": option_words(run.trajectory.options),
+            "summary": run.summary,
+        },
+    )

@@ -7,6 +7,11 @@ from vppres.report.sections.base import Run, Section, section
 
 def energy_section(run: Run) -> Section:
     """Stored energy, powers, import and price over the day."""
-    return section("energy", "Energy, import and price", {
-        "chart": run.chart("energy"),
-        "figures": [run.figure("energy_and_price"), run.figure("import_load_pv")]})
+    return section(
+        "energy",
+        "Energy, import and price",
+        {
+            "chart": run.chart("energy"),
+            "figures": [run.figure("energy_and_price"), run.figure("import_load_pv")],
+        },
+    )

@@ -18,13 +18,22 @@ MOST_NAMED = 3
 """Items of a limit that are named one by one."""
 
 LIMITS = {
-    "energy_floor": "lower SoC limit", "energy_ceiling": "upper SoC limit",
-    "battery_charging": "charging power", "battery_discharging": "discharging power",
-    "battery_inverter": "battery inverter", "pv_inverter": "PV inverter",
-    "voltage_floor": "lowest voltage at bus", "voltage_ceiling": "highest voltage at bus",
-    "grid": "grid limit"}
-ACTIONS = {"not_served": "customer not served", "charge": "battery charged",
-           "discharge": "battery discharged", "curtail": "PV system curtailed"}
+    "energy_floor": "lower SoC limit",
+    "energy_ceiling": "upper SoC limit",
+    "battery_charging": "charging power",
+    "battery_discharging": "discharging power",
+    "battery_inverter": "battery inverter",
+    "pv_inverter": "PV inverter",
+    "voltage_floor": "lowest voltage at bus",
+    "voltage_ceiling": "highest voltage at bus",
+    "grid": "grid limit",
+}
+ACTIONS = {
+    "not_served": "customer not served",
+    "charge": "battery charged",
+    "discharge": "battery discharged",
+    "curtail": "PV system curtailed",
+}
 
 
 def explain_section(run: Run) -> Section | None:
@@ -37,17 +46,27 @@ def explain_section(run: Run) -> Section | None:
     prices = trajectory.shadow_prices
     if explanations is None or prices is None:
         return None
-    return section("explain", "What happened when, and why", {
-        "episodes": episodes(trajectory, explanations, prices),
-        "steps": _steps(trajectory.steps, prices, _counts(run)), "reasons": _reasons(explanations),
-        "people": _people(explanations), "figure": embedded(draw_worth(trajectory))})
+    return section(
+        "explain",
+        "What happened when, and why",
+        {
+            "episodes": episodes(trajectory, explanations, prices),
+            "steps": _steps(trajectory.steps, prices, _counts(run)),
+            "reasons": _reasons(explanations),
+            "people": _people(explanations),
+            "figure": embedded(draw_worth(trajectory)),
+        },
+    )
 
 
 def _counts(run: Run) -> dict[str, int]:
     """How many items each family of limits has."""
     s = run.trajectory.scenario
-    return {name: len(s.pv) if name.startswith("pv") else len(s.batteries) for name in LIMITS
-            if name.startswith(("energy", "battery", "pv"))}
+    return {
+        name: len(s.pv) if name.startswith("pv") else len(s.batteries)
+        for name in LIMITS
+        if name.startswith(("energy", "battery", "pv"))
+    }
 
 
 def _steps(steps: pd.DataFrame, prices: pd.DataFrame, counts: dict[str, int]) -> list[Row]:
@@ -55,10 +74,17 @@ def _steps(steps: pd.DataFrame, prices: pd.DataFrame, counts: dict[str, int]) ->
     rows = []
     for step in steps[["time", "phase", "outage"]].to_dict("records"):
         now = prices[prices["time"] == step["time"]]
-        rows.append({"time": clock(step["time"]), "phase": step["phase"],
-                     "outage": bool(step["outage"]), "limits": _limits(now, counts),
-                     "kwh": _worth(now, "stored_energy"), "kw": _worth(now, "active"),
-                     "kvar": _worth(now, "reactive")})
+        rows.append(
+            {
+                "time": clock(step["time"]),
+                "phase": step["phase"],
+                "outage": bool(step["outage"]),
+                "limits": _limits(now, counts),
+                "kwh": _worth(now, "stored_energy"),
+                "kw": _worth(now, "active"),
+                "kvar": _worth(now, "reactive"),
+            }
+        )
     return rows
 
 
@@ -93,14 +119,23 @@ def _reasons(explanations: pd.DataFrame) -> list[Row]:
     """How often each reason drove each kind of action."""
     actions = explanations[explanations["item"] != "step"]
     groups = actions.groupby(["action", "driver", "binding"])["words"]
-    rows = [{"action": ACTIONS[str(action)], "driver": DRIVERS[str(driver)],
-             "binding": DRIVERS.get(str(binding), ""), "count": len(words),
-             "example": words.iloc[0]} for (action, driver, binding), words in groups]
+    rows = [
+        {
+            "action": ACTIONS[str(action)],
+            "driver": DRIVERS[str(driver)],
+            "binding": DRIVERS.get(str(binding), ""),
+            "count": len(words),
+            "example": words.iloc[0],
+        }
+        for (action, driver, binding), words in groups
+    ]
     return sorted(rows, key=lambda row: (row["action"], -int(row["count"])))
 
 
 def _people(explanations: pd.DataFrame) -> list[Row]:
     """Every customer and step without service, with its reason."""
     rows = explanations[explanations["item"] == "customer"]
-    return [{"time": clock(row["time"]), "id": row["id"], "words": row["words"]}
-            for row in rows.to_dict("records")]
+    return [
+        {"time": clock(row["time"]), "id": row["id"], "words": row["words"]}
+        for row in rows.to_dict("records")
+    ]

@@ -17,8 +17,12 @@ def draw_worth(trajectory: Trajectory) -> Figure:
         draw_steps(ax, trajectory, worth_per_step(trajectory, column), {"color": color})
     service.set_ylabel("Weighted customer\nhours per kWh")
     cost.set_ylabel("GBP per kWh")
-    draw_steps(cost, trajectory, trajectory.steps["price_gbp_per_kwh"].to_numpy(float),
-              {"color": GREY, "linestyle": ":", "label": "import price"})
+    draw_steps(
+        cost,
+        trajectory,
+        trajectory.steps["price_gbp_per_kwh"].to_numpy(float),
+        {"color": GREY, "linestyle": ":", "label": "import price"},
+    )
     for ax in (service, cost):
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     cost.legend(frameon=False, fontsize=8)

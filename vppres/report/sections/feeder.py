@@ -24,25 +24,41 @@ def feeder_section(run: Run) -> Section:
     day = run.trajectory.scenario
     states = step_states(run.trajectory)
     voltages = _voltage_words(run.trajectory)
-    customers = [f"{name} ({tier})"
-                 for name, tier in zip(day.customers.id, day.customers.tier, strict=True)]
-    ends = [f"{a} to {b}"
-            for a, b in zip(day.network.from_bus, day.network.to_bus, strict=True)]
-    return section("feeder", "The feeder", {
-        "drawing": drawing(run.trajectory), "start": states["start"], "states": states,
-        "colours": voltage_colours(len(voltages)), "voltages": voltages,
-        "loadings": _loading_words(run.trajectory), "rated": day.network.has_ratings,
-        "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu), "tiers": day.tiers,
-        "has_outage": bool(run.trajectory.steps["outage"].any()),
-        "data": states | {"customers": customers, "lines": ends,
-                          "ratings": _ratings(run.trajectory),
-                          "batteries": day.batteries.id.tolist()}})
+    customers = [
+        f"{name} ({tier})" for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
+    ]
+    ends = [f"{a} to {b}" for a, b in zip(day.network.from_bus, day.network.to_bus, strict=True)]
+    return section(
+        "feeder",
+        "The feeder",
+        {
+            "drawing": drawing(run.trajectory),
+            "start": states["start"],
+            "states": states,
+            "colours": voltage_colours(len(voltages)),
+            "voltages": voltages,
+            "loadings": _loading_words(run.trajectory),
+            "rated": day.network.has_ratings,
+            "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu),
+            "tiers": day.tiers,
+            "has_outage": bool(run.trajectory.steps["outage"].any()),
+            "data": states
+            | {
+                "customers": customers,
+                "lines": ends,
+                "ratings": _ratings(run.trajectory),
+                "batteries": day.batteries.id.tolist(),
+            },
+        },
+    )
 
 
 def _ratings(run: Trajectory) -> list[float | None]:
     """Rating of each line in A, None where it has none."""
-    return [round(rating, 1) if np.isfinite(rating) else None
-            for rating in run.scenario.network.i_max_a.tolist()]
+    return [
+        round(rating, 1) if np.isfinite(rating) else None
+        for rating in run.scenario.network.i_max_a.tolist()
+    ]
 
 
 def _voltage_words(run: Trajectory) -> list[str]:

@@ -12,13 +12,24 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.words import figure, money
 
 DRIVERS = {
-    "energy": "stored energy", "power": "battery power", "inverter": "inverter rating",
-    "voltage": "voltage limit", "grid": "grid limit", "priority": "priority",
-    "switching_rule": "switching rule", "price": "price", "preparation": "preparation",
-    "surplus": "PV surplus", "supply": "supply of the island", "mismatch": "island's mismatch",
-    "plan": "plan of the day", "rule": "rule of the controller", "fallback": "fallback",
+    "energy": "stored energy",
+    "power": "battery power",
+    "inverter": "inverter rating",
+    "voltage": "voltage limit",
+    "grid": "grid limit",
+    "priority": "priority",
+    "switching_rule": "switching rule",
+    "price": "price",
+    "preparation": "preparation",
+    "surplus": "PV surplus",
+    "supply": "supply of the island",
+    "mismatch": "island's mismatch",
+    "plan": "plan of the day",
+    "rule": "rule of the controller",
+    "fallback": "fallback",
     "dark": "dark island",
-    "unexplained": "not explained"}
+    "unexplained": "not explained",
+}
 """What the drivers of ``explanations`` are called in the report."""
 
 
@@ -45,17 +56,28 @@ class Tables:
     dt_h: float
 
     @classmethod
-    def of(cls, run: Trajectory, explanations: pd.DataFrame, shadow_prices: pd.DataFrame,
-           times: list[pd.Timestamp]) -> Tables:
+    def of(
+        cls,
+        run: Trajectory,
+        explanations: pd.DataFrame,
+        shadow_prices: pd.DataFrame,
+        times: list[pd.Timestamp],
+    ) -> Tables:
         """The rows of these times."""
-        tables = {"steps": run.steps, "customers": run.customers, "batteries": run.batteries,
-                  "explanations": explanations, "shadow_prices": shadow_prices}
+        tables = {
+            "steps": run.steps,
+            "customers": run.customers,
+            "batteries": run.batteries,
+            "explanations": explanations,
+            "shadow_prices": shadow_prices,
+        }
         rows = {name: table[table["time"].isin(times)] for name, table in tables.items()}
         return cls(**rows, dt_h=run.scenario.grid.dt_h)
 
 
-def episodes(run: Trajectory, explanations: pd.DataFrame,
-             shadow_prices: pd.DataFrame) -> list[Episode]:
+def episodes(
+    run: Trajectory, explanations: pd.DataFrame, shadow_prices: pd.DataFrame
+) -> list[Episode]:
     """The day as consecutive phases.
 
     Parameters
@@ -72,8 +94,15 @@ def episodes(run: Trajectory, explanations: pd.DataFrame,
         rows = list(group)
         times = [row["time"] for row in rows]
         tables = Tables.of(run, explanations, shadow_prices, times)
-        found.append(Episode(phase, clock(times[0]), clock(times[-1] + step), told(tables),
-                             [(clock(row["time"]), row["words"]) for row in rows]))
+        found.append(
+            Episode(
+                phase,
+                clock(times[0]),
+                clock(times[-1] + step),
+                told(tables),
+                [(clock(row["time"]), row["words"]) for row in rows],
+            )
+        )
     return found
 
 
@@ -102,8 +131,9 @@ def _service(tables: Tables) -> str:
     high = int(served.max())
     many = f"{low}" if low == high else f"{low} to {high}"
     out = tables.explanations[tables.explanations["action"] == "not_served"]
-    why = ", ".join(f"{DRIVERS[str(driver)]} {count}" for driver, count in
-                    out["driver"].value_counts().items())
+    why = ", ".join(
+        f"{DRIVERS[str(driver)]} {count}" for driver, count in out["driver"].value_counts().items()
+    )
     return f"{many} of {total} customers were served; reasons of the others, step by step: {why}."
 
 
@@ -111,8 +141,11 @@ def _batteries(tables: Tables) -> str:
     """How much the fleet stored and gave."""
     into = float(tables.batteries["charge_kw"].sum()) * tables.dt_h
     out = float(tables.batteries["discharge_kw"].sum()) * tables.dt_h
-    parts = [f"{verb} {energy:,.0f} kWh" for verb, energy in (("took in", into), ("gave", out))
-             if energy >= 1.0]
+    parts = [
+        f"{verb} {energy:,.0f} kWh"
+        for verb, energy in (("took in", into), ("gave", out))
+        if energy >= 1.0
+    ]
     return f"The batteries {' and '.join(parts)}." if parts else "The batteries rested."
 
 
@@ -121,17 +154,22 @@ def _worth(tables: Tables) -> list[str]:
     stored = _range(tables.shadow_prices, "stored_energy", "weighted_h")
     sentences = []
     if stored:
-        sentences.append(f"One more kWh in store would have served {stored} weighted customer "
-                         "hours more.")
+        sentences.append(
+            f"One more kWh in store would have served {stored} weighted customer hours more."
+        )
     elif saved := _range(tables.shadow_prices, "stored_energy", "gbp"):
         sentences.append(f"One more kWh in store would have saved {saved} GBP.")
-    for name, what in (("energy_ceiling", "One more kWh of battery capacity"),
-                       ("reactive", "One more kvar"), ("battery_inverter", "One more kVA of a "
-                        "battery's inverter"), ("voltage_floor", "0.001 pu more room below the "
-                        "lowest voltage")):
+    for name, what in (
+        ("energy_ceiling", "One more kWh of battery capacity"),
+        ("reactive", "One more kvar"),
+        ("battery_inverter", "One more kVA of a battery's inverter"),
+        ("voltage_floor", "0.001 pu more room below the lowest voltage"),
+    ):
         if value := _range(tables.shadow_prices, name, "weighted_h"):
-            sentences.append(f"{what} would have served {value} weighted customer hours "
-                             f"more{_where(tables.shadow_prices, name)}.")
+            sentences.append(
+                f"{what} would have served {value} weighted customer hours "
+                f"more{_where(tables.shadow_prices, name)}."
+            )
     return sentences
 
 

@@ -16,11 +16,18 @@ LINES_SHOWN = 10
 
 def network_section(run: Run) -> Section:
     """Voltages, loadings and the lines that came closest to their rating."""
-    return section("network", "Voltages and line loading", {
-        "chart": run.chart("grid"), "lines": _top_lines(run.trajectory), "number": number,
-        "figures": [run.figure("voltages"), run.figure("line_loadings")],
-        "maps": run.figure("feeder_maps"),
-        "rated": run.trajectory.scenario.network.has_ratings})
+    return section(
+        "network",
+        "Voltages and line loading",
+        {
+            "chart": run.chart("grid"),
+            "lines": _top_lines(run.trajectory),
+            "number": number,
+            "figures": [run.figure("voltages"), run.figure("line_loadings")],
+            "maps": run.figure("feeder_maps"),
+            "rated": run.trajectory.scenario.network.has_ratings,
+        },
+    )
 
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
@@ -33,9 +40,16 @@ def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     share = np.where(rated, peak / net.i_max_a, np.nan)
     order = np.argsort(-np.where(rated, share, -1.0) if rated.any() else -peak, kind="stable")
     times = run.steps["time"].dt.tz_convert("UTC").dt.strftime("%d %b %H:%M").tolist()
-    return [{"line": f"{net.from_bus[i]} to {net.to_bus[i]}", "current_a": float(peak[i]),
-             "rating_a": float(net.i_max_a[i]) if rated[i] else None,
-             "loading": float(share[i]) if rated[i] else None,
-             "hours_above": float((np.nan_to_num(loading[:, i]) > 1.0).sum()
-                                  * run.scenario.grid.dt_h),
-             "time": times[int(current[:, i].argmax())]} for i in order[:LINES_SHOWN]]
+    return [
+        {
+            "line": f"{net.from_bus[i]} to {net.to_bus[i]}",
+            "current_a": float(peak[i]),
+            "rating_a": float(net.i_max_a[i]) if rated[i] else None,
+            "loading": float(share[i]) if rated[i] else None,
+            "hours_above": float(
+                (np.nan_to_num(loading[:, i]) > 1.0).sum() * run.scenario.grid.dt_h
+            ),
+            "time": times[int(current[:, i].argmax())],
+        }
+        for i in order[:LINES_SHOWN]
+    ]

@@ -10,6 +10,12 @@ from vppres.report.sections.base import Run, Section, section
 
 def overview_section(run: Run) -> Section:
     """What is not as it should be, the day in sentences, and key figures."""
-    return section("overview", "Summary", {
-        "findings": findings(run.trajectory), "key_figures": key_figures(run.summary),
-        "sentences": sentences_of(run.trajectory, run.summary)})
+    return section(
+        "overview",
+        "Summary",
+        {
+            "findings": findings(run.trajectory),
+            "key_figures": key_figures(run.summary),
+            "sentences": sentences_of(run.trajectory, run.summary),
+        },
+    )

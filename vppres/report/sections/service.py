@@ -13,19 +13,36 @@ from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 def service_section(run: Run) -> Section:
     """Shares of the tiers, customers without supply, and the shares step by step."""
     unserved = service_by_customer(run.trajectory)
-    return section("service", "Who was served when", {
-        "summary": run.summary, "tiers": run.trajectory.scenario.tiers,
-        "unserved": unserved[unserved["unserved_h"] > 0].to_dict("records"),
-        "n_customers": len(unserved), "folded_above": FOLDED_ABOVE,
-        "service": _service_rows(run.trajectory), "number": number,
-        "chart": run.chart("service"), "figures": [run.figure("service_by_tier")]})
+    return section(
+        "service",
+        "Who was served when",
+        {
+            "summary": run.summary,
+            "tiers": run.trajectory.scenario.tiers,
+            "unserved": unserved[unserved["unserved_h"] > 0].to_dict("records"),
+            "n_customers": len(unserved),
+            "folded_above": FOLDED_ABOVE,
+            "service": _service_rows(run.trajectory),
+            "number": number,
+            "chart": run.chart("service"),
+            "figures": [run.figure("service_by_tier")],
+        },
+    )
 
 
 def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Time, outage and the share served of each tier, one row per step."""
     shares = service_by_tier(trajectory)
-    return [{"time": f"{time:%d %b %H:%M}", "outage": bool(outage),
-             "shares": [row.get(tier) for tier in trajectory.scenario.tiers]}
-            for time, outage, row in zip(trajectory.steps["time"].dt.tz_convert("UTC"),
-                                         trajectory.steps["outage"], shares.to_dict("records"),
-                                         strict=True)]
+    return [
+        {
+            "time": f"{time:%d %b %H:%M}",
+            "outage": bool(outage),
+            "shares": [row.get(tier) for tier in trajectory.scenario.tiers],
+        }
+        for time, outage, row in zip(
+            trajectory.steps["time"].dt.tz_convert("UTC"),
+            trajectory.steps["outage"],
+            shares.to_dict("records"),
+            strict=True,
+        )
+    ]

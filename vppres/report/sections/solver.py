@@ -11,13 +11,22 @@ from vppres.report.sections.base import Run, Section, section
 
 def solver_section(run: Run) -> Section:
     """Times of the decisions and the table of the steps."""
-    return section("solver", "How each decision was found", {
-        "summary": run.summary, "steps": _rows(run.trajectory), "number": number,
-        "figure": run.figure("solve_times")})
+    return section(
+        "solver",
+        "How each decision was found",
+        {
+            "summary": run.summary,
+            "steps": _rows(run.trajectory),
+            "number": number,
+            "figure": run.figure("solve_times"),
+        },
+    )
 
 
 def _rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """The steps table with the time as text."""
     times = trajectory.steps["time"].dt.tz_convert("UTC").dt.strftime("%d %b %H:%M")
-    return [{str(name): value for name, value in row.items()}
-            for row in trajectory.steps.assign(time=times).to_dict("records")]
+    return [
+        {str(name): value for name, value in row.items()}
+        for row in trajectory.steps.assign(time=times).to_dict("records")
+    ]
