@@ -114,6 +114,10 @@ class Day:
         decision = controller.decide(self.observe(controller, t))
         if self.faults is not None:
             decision = self.faults.actuate(t, decision)
+        return self.settle(t, decision)
+
+    def settle(self, t: int, decision: Decision) -> StepRecord:
+        """What comes of a decision; the day is at the step after it."""
         done = self.carry_out(t, decision)
         realised = done.realised
         result = done.ac
