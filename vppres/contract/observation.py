@@ -33,6 +33,11 @@ class Observation:
         Measured charging power of the step before, negative where discharged.
     online : array of bool, shape (B,), optional
         Batteries that report to be able to work; all if not given.
+    import_kw : float, optional
+        Measured import of the step before, losses included; in an island of the paper what its
+        balance lacks.
+    served : array of bool, shape (C,), optional
+        Who was really served in the step before; as decided if not given.
     """
 
     t0: int
@@ -45,3 +50,5 @@ class Observation:
     moves: Moves | None = None
     battery_kw: Floats | None = None
     online: Flags | None = None
+    import_kw: float | None = None
+    served: Flags | None = None

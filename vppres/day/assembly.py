@@ -52,7 +52,8 @@ def make_controller(scenario: Scenario, options: RunOptions,
     v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
     losses = PLANNED_LOSSES if options.mode == "physical" else 0.0
     guard = GuardOptions(scenario.tiers, options.protect_critical, options.centre,
-                         Tolerances(v_pu=v_pu, loss_share=losses))
+                         Tolerances(v_pu=v_pu, loss_share=losses),
+                         physical=options.mode == "physical")
     return GuardedController(controller_of, solver_of, site, guard)
 
 

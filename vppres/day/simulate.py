@@ -10,7 +10,7 @@ from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.options import PERFECT, RunOptions
@@ -93,13 +93,16 @@ class Day:
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
+        self.import_kw: float | None = None
+        self.served: Flags | None = None
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
         forecast = self.forecaster.at(t, controller.horizon_steps(t))
         s = self.state
         seen = Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
-                           self.switching, battery_kw=self.battery_kw)
+                           self.switching, battery_kw=self.battery_kw,
+                           import_kw=self.import_kw, served=self.served)
         return seen if self.faults is None else self.faults.observe(seen)
 
     def step(self, controller: Decider, t: int) -> None:
@@ -111,6 +114,10 @@ class Day:
         decision = controller.decide(self.observe(controller, t))
         if self.faults is not None:
             decision = self.faults.actuate(t, decision)
+        return self.settle(t, decision)
+
+    def settle(self, t: int, decision: Decision) -> StepRecord:
+        """What comes of a decision; the day is at the step after it."""
         done = self.carry_out(t, decision)
         realised = done.realised
         result = done.ac
@@ -119,6 +126,9 @@ class Day:
             result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
             realised.q_injection_kvar)
         self.battery_kw = realised.charge_kw - realised.discharge_kw
+        # An island that batteries hold has no meter of import.
+        self.import_kw = None if self._held_by_batteries(t) else result.p_slack_kw
+        self.served = realised.served
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)
@@ -126,11 +136,15 @@ class Day:
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """What the day makes of a decision; physical mode's islands hold themselves."""
-        if not (self.options.mode == "physical" and self.scenario.outage[t]):
+        if not self._held_by_batteries(t):
             return realise(self.plant, self.ac, t, decision, self.state)
         if self.faults is not None:
             self.island.formers = self.faults.online(t) & self.scenario.batteries.formers
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
+
+    def _held_by_batteries(self, t: int) -> bool:
+        """Whether a step is an island of physical mode."""
+        return self.options.mode == "physical" and bool(self.scenario.outage[t])
 
 
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,

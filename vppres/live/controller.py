@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decider
-from vppres.contract.forecast import ForecastErrors
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
+from vppres.control.guard.guard import GuardedController
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import StepRecord
-from vppres.live.measurement import Measurement, see, step_at
+from vppres.live.measurement import Measurement, Seen, see, step_at
+from vppres.live.memory import Memory
 from vppres.physics.cold_load import ColdLoad
+from vppres.plant.plant import BatteryState
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -116,8 +124,8 @@ class Controller:
         self.scenario = scenario
         self.options = options
         self._decider = decider
-        self._operating_point: OperatingPoint | None = None
-        self._kept: tuple[SwitchingState | None, ColdLoad] | None = None
+        self._past = _Past.before_the_day(scenario, options)
+        self._step_before: tuple[Memory, _Past] | None = None
 
     @classmethod
     def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:
@@ -139,13 +147,16 @@ class Controller:
         """Beginnings of the steps that can be decided on."""
         return self.scenario.grid.times
 
-    def window(self, time: pd.Timestamp) -> pd.DatetimeIndex:
+    def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
         """Times for which the decision at ``time`` uses forecasts, ``time`` itself included."""
         steps = self._decider.horizon_steps(step_at(self.scenario.grid, time))
         return self.times[steps.start:steps.stop]
 
     def step(self, observation: Measurement) -> SetPoints:
         """Decide on the step that begins now.
+
+        The step that was decided last may be decided again, with other measurements: the second
+        decision takes the place of the first. A call that raises changes nothing.
 
         Parameters
         ----------
@@ -161,22 +172,89 @@ class Controller:
         Raises
         ------
         InputError
-            With every value of the measurement that does not fit the scenario.
+            With every value of the measurement that does not fit the scenario, and for a step
+            before the last.
         SolveError
             If the window has no answer and the options have no guard.
         VerificationError
             If the AC power flow of the set-points does not converge.
         """
-        seen = see(self.scenario, observation, self.scenario.batteries.t_ref_c)
-        day = Day(seen.scenario, self.options)
-        day.state = seen.state
-        day.operating_point = self._operating_point
-        if self._kept is not None:  # who was served since when
-            day.switching, day.plant.cold_load = self._kept
-        record = day.play(self._decider, seen.t)
-        self._operating_point = day.operating_point
-        self._kept = day.switching, day.plant.cold_load
-        return _set_points(seen.scenario, record)
+        seen = see(self.scenario, observation, self.options.guard, max(self._past.t, 0))
+        latest = Memory(self._decider)
+        start = (latest, self._past)
+        if seen.t == self._past.t and self._step_before is not None:
+            start = self._step_before
+        try:
+            start[0].restore()
+            scenario, record, past = self._decided(seen, start[1])
+        except VppresError:
+            latest.restore()
+            raise
+        except Exception as error:
+            latest.restore()
+            raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
+        except BaseException:  # Ctrl-C
+            latest.restore()
+            raise
+        self._past = past
+        self._step_before = start
+        return _set_points(scenario, record)
+
+    def _decided(self, seen: Seen, past: _Past) -> tuple[Scenario, StepRecord, _Past]:
+        """The scenario as it is believed to be, what was decided, and what to remember of it."""
+        switching, cold_load = past.held_until(seen.t)
+        steps = self._decider.horizon_steps(seen.t)
+        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(seen.t, steps)
+        b = self.scenario.batteries
+        soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
+        measured = Observation(
+            seen.t, replace(forecast, load_kw=_first_row(forecast.load_kw, seen.load_kw),
+                            pv_kw=_first_row(forecast.pv_kw, seen.pv_kw)),
+            soc, seen.eta_charge, seen.eta_discharge, past.operating_point, switching,
+            battery_kw=seen.battery_kw, online=seen.online, import_kw=seen.import_kw,
+            served=past.served)
+        decision = self._decider.decide(measured)
+        guard = self._decider
+        known = (guard.known.observation
+                 if isinstance(guard, GuardedController) and guard.known else measured)
+        scenario = seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
+        day = Day(scenario, self.options)
+        day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, b.t_ref_c)
+        day.switching = switching
+        day.plant.cold_load = cold_load
+        record = day.settle(seen.t, decision)
+        return scenario, record, _Past(seen.t, day.operating_point, day.switching,
+                                       day.plant.cold_load, record.served)
+
+
+@dataclass(frozen=True, eq=False)
+class _Past:
+    """What the set-points of the last step should have led to; ``t`` is -1 before the first."""
+
+    t: int
+    operating_point: OperatingPoint | None
+    switching: SwitchingState | None
+    cold_load: ColdLoad
+    served: Flags | None
+
+    @classmethod
+    def before_the_day(cls, scenario: Scenario, options: RunOptions) -> _Past:
+        day = Day(scenario, options)
+        return cls(-1, None, day.switching, day.plant.cold_load, None)
+
+    def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
+        """Switching state and cold load at a step, set-points held over those in between."""
+        switching = self.switching
+        cold_load = copy(self.cold_load)  # a step that fails must not have advanced it
+        if self.served is not None:
+            for _ in range(self.t + 1, t):
+                switching = None if switching is None else switching.advance(self.served)
+                cold_load.advance(self.served)
+        return switching, cold_load
+
+
+def _first_row(rows: Floats, row: Floats) -> Floats:
+    return np.vstack([row, rows[1:]])
 
 
 def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:

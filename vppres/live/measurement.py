@@ -2,75 +2,123 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Wholes
-from vppres.core.errors import InputError, Problem
-from vppres.io.messages import did_you_mean
-from vppres.plant.plant import BatteryState
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import InputError, Problem, VppresError
+from vppres.live.door import WHERE, Door, readable
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 Values = Mapping[str, float] | pd.Series  # by identifier
-WHERE = "measurement"
+Switches = Mapping[str, bool] | pd.Series  # by identifier
+
+IMPLAUSIBLE_SHARE = 1.5
+"""Measured battery power above this share of the inverter's rating is in another unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """What is known at the beginning of a step: measured now, expected for the steps ahead.
 
-    Only the time and the states of charge must be given. Whatever else is not given is what the
-    scenario's series say, so that a scenario can serve as the forecast of a day.
+    Only the time must be given. What is not given of the series is what the scenario says, so that
+    a scenario can serve as the forecast of a day; what is missing of the measurements is estimated
+    by the guard (``docs/operation.md``).
 
     Parameters
     ----------
-    time : pandas.Timestamp
-        Beginning of the step to decide on, with time zone; one of the scenario's steps.
-    soc : mapping or Series
+    time : pandas.Timestamp, datetime or str
+        Beginning of the step to decide on, with time zone; one of the scenario's steps. Text is ISO
+        8601 with an offset. Steps are decided in order; the last one may be decided again.
+    soc : mapping or Series, optional
         State of charge of every battery by its identifier, as a share of its capacity. What lies
-        outside the battery's limits counts as the limit.
+        outside the battery's limits counts as the limit, and more than 0.05 outside as missing.
     load_kw, pv_kw : mapping, Series or DataFrame, optional
         Demand of customers and available power of PV systems in kW, by identifier. A mapping or
         Series is the current step; a DataFrame has one row per time (its index) and one column per
-        identifier. PV power above a system's rating counts as the rating.
+        identifier. PV power above a system's rating counts as the rating. NaN, or a negative value,
+        is a missing reading; only the current step can miss one.
     price_gbp_per_kwh, grid_limit_kw : float or Series, optional
         Import price in GBP/kWh and largest import in kW (0 in an outage): a number for the current
         step, or a Series by time.
     eta_charge, eta_discharge : mapping or Series, optional
         Measured efficiencies by identifier; nominal where not given.
+    battery_kw : mapping or Series, optional
+        Mean power of each battery since the last step in kW, by identifier, positive where charged.
+        Without it set-points count as followed, and a frozen state of charge is not noticed.
+    online : mapping or Series of bool, optional
+        Whether each battery reports to be able to work; all that are not named do.
+    import_kw : float, optional
+        Mean import since the last step in kW, losses included. With ``battery_kw`` of all batteries
+        it shows frozen readings of demand and PV power.
 
     Examples
     --------
-    >>> now = Measurement(pd.Timestamp("2022-07-19T13:00Z"), soc={"b02": 0.5}, grid_limit_kw=0.0)
+    >>> now = Measurement("2022-07-19T13:00Z", soc={"b02": 0.5}, grid_limit_kw=0.0)
     >>> now.soc["b02"]
     0.5
     """
 
-    time: pd.Timestamp
-    soc: Values
+    time: pd.Timestamp | datetime | str
+    soc: Values | None = None
     load_kw: Values | pd.DataFrame | None = None
     pv_kw: Values | pd.DataFrame | None = None
     price_gbp_per_kwh: float | pd.Series | None = None
     grid_limit_kw: float | pd.Series | None = None
     eta_charge: Values | None = None
     eta_discharge: Values | None = None
+    battery_kw: Values | None = None
+    online: Switches | None = None
+    import_kw: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A measurement in the arrays of the closed loop: step, scenario as seen, batteries."""
+    """A measurement in arrays; NaN where a reading is missing.
+
+    Parameters
+    ----------
+    t : int
+        The step.
+    scenario : Scenario
+        The scenario with what was expected in its place, and what was measured where that is
+        anything.
+    load_kw, pv_kw : array, shape (C,) and (P,)
+        Readings of the step.
+    soc, eta_charge, eta_discharge : array, shape (B,)
+        Readings of the batteries.
+    battery_kw : array, shape (B,), or None
+        Their power since the last step.
+    online : array of bool, shape (B,)
+        Which of them report to be able to work.
+    import_kw : float or None
+        Import since the last step.
+    """
 
     t: int
     scenario: Scenario
-    state: BatteryState
+    load_kw: Floats
+    pv_kw: Floats
+    soc: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+    battery_kw: Floats | None
+    online: Flags
+    import_kw: float | None
+
+    def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
+        """The scenario with what is taken for true of the step, (C,) and (P,)."""
+        return replace(self.scenario, load_kw=_with_row(self.scenario.load_kw, self.t, load_kw),
+                       pv_kw=_with_row(self.scenario.pv_kw, self.t, pv_kw))
 
 
-def see(scenario: Scenario, measured: Measurement, t_cell_c: Floats) -> Seen:
+def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest: int = 0) -> Seen:
     """Lay a measurement over a scenario.
 
     Parameters
@@ -78,35 +126,31 @@ def see(scenario: Scenario, measured: Measurement, t_cell_c: Floats) -> Seen:
     scenario : Scenario
         What holds where nothing was measured.
     measured : Measurement
-        The measurement.
-    t_cell_c : array, shape (B,)
-        Cell temperature; it bears on nothing within a step.
+        The measurement; nothing of it is trusted.
+    guard : bool, optional
+        Whether a guard estimates what is missing; otherwise it is refused.
+    earliest : int, optional
+        First step that can still be decided.
 
     Raises
     ------
     InputError
         With every value that does not fit the scenario.
     """
-    desk = _Desk(scenario.grid, measured.time)
-    c = scenario.customers
-    pv = scenario.pv
-    b = scenario.batteries
-    load = desk.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
-    pv_kw = desk.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
-    price = desk.series("price_gbp_per_kwh", measured.price_gbp_per_kwh,
-                        scenario.price_gbp_per_kwh)
-    limit = desk.series("grid_limit_kw", measured.grid_limit_kw, scenario.grid_limit_kw)
-    soc = desk.values("soc", measured.soc, b.id, np.full(len(b), np.nan))
-    eta_charge = desk.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
-    eta_discharge = desk.values("eta_discharge", measured.eta_discharge, b.id, b.eta_discharge)
-    desk.finish()
-    seen = replace(scenario, load_kw=load, pv_kw=np.minimum(pv_kw, pv.p_max_kw),
-                   price_gbp_per_kwh=price, grid_limit_kw=limit)
-    state = BatteryState(np.clip(soc, b.soc_min, b.soc_max), eta_charge, eta_discharge, t_cell_c)
-    return Seen(desk.t, seen, state)
+    if not isinstance(measured, Measurement):
+        raise InputError(Problem(WHERE, "is not a Measurement", "Give a vppres.Measurement.",
+                                 field="observation", value=readable(measured)))
+    try:
+        return _seen(scenario, measured, guard, earliest)
+    except VppresError:
+        raise
+    except Exception as error:  # a mapping may be of anybody's making
+        raise InputError(Problem(WHERE, f"cannot be read: {type(error).__name__}, "
+                                 f"{readable(error)}", "Give plain dictionaries, numbers, Series "
+                                 "and DataFrames.")) from error
 
 
-def step_at(grid: TimeGrid, time: pd.Timestamp) -> int:
+def step_at(grid: TimeGrid, time: Any) -> int:
     """The step that begins at a time.
 
     Raises
@@ -114,97 +158,79 @@ def step_at(grid: TimeGrid, time: pd.Timestamp) -> int:
     InputError
         If none does.
     """
-    desk = _Desk(grid, time)
-    desk.finish()
-    return desk.t
+    door = Door(grid, time)
+    door.finish()
+    return door.t
 
 
-class _Desk:
-    """Reads the parts of one measurement and collects their problems."""
+def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int) -> Seen:
+    """The measurement, read."""
+    door = Door(scenario.grid, measured.time, guard)
+    c = scenario.customers
+    pv = scenario.pv
+    b = scenario.batteries
+    _check_order(door, measured, earliest)
+    load = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
+    pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
+    price = door.series("price_gbp_per_kwh", measured.price_gbp_per_kwh,
+                        scenario.price_gbp_per_kwh)
+    limit = door.series("grid_limit_kw", measured.grid_limit_kw, scenario.grid_limit_kw)
+    none = np.full(len(b), np.nan)
+    soc = door.values("soc", measured.soc, b.id, none)
+    eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
+    eta_discharge = door.values("eta_discharge", measured.eta_discharge, b.id, b.eta_discharge)
+    battery_kw = door.values("battery_kw", measured.battery_kw, b.id, none)
+    online = door.flags("online", measured.online, b.id)
+    import_kw = door.number("import_kw", measured.import_kw)
+    _check_batteries(door, scenario, soc, battery_kw)
+    if not guard:
+        _check_complete(door, scenario, measured, soc, online)
+    door.finish()
+    pv_kw = np.minimum(pv_kw, pv.p_max_kw)
+    t = door.t
+    laid = replace(scenario, load_kw=np.where(np.isnan(load), scenario.load_kw, load),
+                   pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
+                   price_gbp_per_kwh=price, grid_limit_kw=limit)
+    # A missing efficiency is the nominal one: no estimate is any better.
+    return Seen(t, laid, load[t], pv_kw[t], soc,
+                np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
+                np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
+                None if measured.battery_kw is None else battery_kw, online, import_kw)
 
-    def __init__(self, grid: TimeGrid, time: pd.Timestamp) -> None:
-        self.grid = grid
-        self.problems = list[Problem]()
-        self.t = int(self._steps("time", pd.Index([time]))[0])
 
-    def finish(self) -> None:
-        """Raise all problems at once."""
-        if self.problems:
-            raise InputError(self.problems)
+def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
+    """Time does not go back: what happened since cannot be undone."""
+    if 0 <= door.t < earliest:
+        door.problem("time", "lies before the step that was decided last, "
+                     f"{door.grid.times[earliest].isoformat()}",
+                     "Decide steps in their order; to begin again, make another Controller.",
+                     "time", measured.time)
 
-    def table(self, field: str, given: Values | pd.DataFrame | None, ids: Iterable[Any],
-              series: Floats) -> Floats:
-        """A series of shape (T, items) with what was given in its place."""
-        if given is None:
-            return series
-        frame = (given if isinstance(given, pd.DataFrame)
-                 else pd.DataFrame([dict(given)], index=[self.grid.times[max(self.t, 0)]]))
-        rows = self._steps(field, frame.index)
-        columns = self._positions(field, frame.columns, ids)
-        values = frame.to_numpy(dtype=float)
-        self._check(field, values, [str(name) for name in frame.columns])
-        if self.problems:
-            return series
-        result = series.copy()
-        result[np.ix_(rows, columns)] = values
-        return result
 
-    def series(self, field: str, given: float | pd.Series | None, series: Floats) -> Floats:
-        """A series of shape (T,) with what was given in its place."""
-        if given is None:
-            return series
-        by_time = given if isinstance(given, pd.Series) else pd.Series(
-            [given], index=[self.grid.times[max(self.t, 0)]])
-        return self.table(field, by_time.to_frame(field), [field], series[:, np.newaxis])[:, 0]
+def _check_batteries(door: Door, scenario: Scenario, soc: Floats, battery_kw: Floats) -> None:
+    """Powers that no inverter passes."""
+    b = scenario.batteries
+    for i in np.flatnonzero(np.abs(battery_kw) > IMPLAUSIBLE_SHARE * b.s_max_kva):
+        door.problem("battery_kw", "is beyond the inverter's rating of "
+                     f"{b.s_max_kva[i]:g} kVA", "Give the power in kW.",
+                     f"battery_kw of {b.id[i]}", battery_kw[i])
 
-    def values(self, field: str, given: Values | None, ids: Iterable[Any],
-               default: Floats) -> Floats:
-        """One share for each battery; those without default must be given."""
-        named = {} if given is None else dict(given)
-        positions = self._positions(field, list(named), ids)
-        result = default.copy()
-        for name, position, value in zip(named, positions, named.values(), strict=True):
-            lowest = 0.0 if field == "soc" else 1e-6
-            if not (np.isfinite(value) and lowest <= value <= 1.0):
-                self._problem("must lie between 0 and 1", "Give a share, for example 0.5.",
-                              f"{field} of {name}", value)
-            elif position >= 0:
-                result[position] = value
-        self.problems += [
-            Problem(WHERE, "is missing", "Give the state of charge of every battery.",
-                    field=f"{field} of {name}")
-            for name, value in zip(ids, result, strict=True)
-            if np.isnan(value) and name not in named]
-        return result
 
-    def _steps(self, field: str, times: pd.Index) -> Wholes:
-        """Steps of the scenario that begin at these times, -1 for those that do not."""
-        known = {time: t for t, time in enumerate(self.grid.times)}
-        steps = np.array([known.get(time, -1) for time in times], dtype=np.int64)
-        grid = self.grid
-        for time in times[steps < 0]:
-            self._problem("is not the beginning of a step",
-                          f"The scenario's steps begin at {grid.start.isoformat()} and last "
-                          f"{grid.step_minutes:g} min; there are {grid.n_steps}.", field, time)
-        return steps
+def _check_complete(door: Door, scenario: Scenario, measured: Measurement, soc: Floats,
+                    online: Flags) -> None:
+    """What only a guard can do without."""
+    b = scenario.batteries
+    given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
+    for i in np.flatnonzero(np.isnan(soc)):
+        if b.id[i] not in given:
+            door.problem("soc", "is missing", "Give the state of charge of every battery.",
+                         f"soc of {b.id[i]}")
+    for i in np.flatnonzero(~online):
+        door.problem("online", "needs a guard, which plans without the battery",
+                     "Leave RunOptions.guard as it is.", f"online of {b.id[i]}", False)
 
-    def _positions(self, field: str, names: Iterable[Any], ids: Iterable[Any]) -> Wholes:
-        """Positions of identifiers, -1 for those that the scenario does not have."""
-        position = {name: i for i, name in enumerate(ids)}
-        for name in names:
-            if name not in position:
-                self._problem("is not in the scenario",
-                              did_you_mean(str(name), [*map(str, ids)], "Correct the identifier."),
-                              field, name)
-        return np.array([position.get(name, -1) for name in names], dtype=np.int64)
 
-    def _check(self, field: str, values: Floats, names: Sequence[str]) -> None:
-        """Values that are no amounts; only the grid's limit may be infinite."""
-        finite = np.isfinite(values) | (field == "grid_limit_kw") & np.isposinf(values)
-        for row, column in np.argwhere(~(finite & (values >= 0))):
-            what = field if names == [field] else f"{field} of {names[column]}"
-            self._problem("must be a number not below 0", "Correct the measurement.", what,
-                          values[row, column])
-
-    def _problem(self, message: str, cure: str, field: str, value: object) -> None:
-        self.problems.append(Problem(WHERE, message, cure, field=field, value=value))
+def _with_row(series: Floats, t: int, row: Floats) -> Floats:
+    changed = series.copy()
+    changed[t] = row
+    return changed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -11,8 +12,10 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.core.errors import (
     InfeasibleError,
+    InputError,
     LimitError,
     NumericalError,
+    Problem,
     SolveError,
     UnboundedError,
 )
@@ -86,6 +89,19 @@ class SolveLimits:
     gap_rel: float = 1e-4
     gap_abs: float = 5e-3
     time_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        problems = []
+        for name, cure in (("gap_rel", "Give a share, for example 1e-4."),
+                           ("gap_abs", "Give weighted customer hours, for example 5e-3."),
+                           ("time_s", "Give seconds, for example 60.")):
+            value = getattr(self, name)
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not (number and 0.0 < value < np.inf):
+                problems.append(Problem("limits", "must be a finite number above 0", cure,
+                                        field=name, value=value))
+        if problems:
+            raise InputError(problems)
 
     def absolute(self, scale: float) -> float:
         """The absolute gap that meets both, for an objective of size ``scale``."""

@@ -149,6 +149,7 @@ def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
 
 def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     """What import has to be, against what the grid gives; nothing can be exported."""
+    pv = state.site.pv
     usable = state.usable_pv_kw
     own = np.minimum((state.load_kw * row.served)[state.site.owner], usable)
     # The plant lets an owner use its own power first; no more passes than the inverter's rating.
@@ -159,9 +160,11 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     losses_kw = within.loss_share * max(taken, given)
     short = taken - given - state.grid_limit_kw
     surplus = given - taken
-    if short > within.balance_kw:
+    # What each inverter may be off by adds up here: a plan must not pass there and fail here.
+    slack_kw = within.balance_kw + within.power_kw * len(pv)
+    if short > slack_kw:
         return f"balance: {short:.1f} kW short"
-    if surplus > within.balance_kw + losses_kw:
+    if surplus > slack_kw + losses_kw:
         return f"balance: {surplus:.1f} kW surplus"
     return ""
 

@@ -52,12 +52,15 @@ class GuardOptions:
         Linearisation centre of the voltages.
     within : Tolerances
         What passes as a decision that can be carried out.
+    physical : bool
+        Whether batteries hold the islands, and so do not follow their set-points there.
     """
 
     tiers: tuple[str, ...]
     protect_critical: bool = False
     centre: Centre = "lossless"
     within: Tolerances = PAPER
+    physical: bool = False
 
 
 class GuardedController:
@@ -93,7 +96,7 @@ class GuardedController:
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
         self._critical: dict[bytes, WindowSolver] = {}
-        self._estimator = Estimator(site)
+        self._estimator = Estimator(site, options.physical)
         self._plan: tuple[Dispatch, int] | None = None  # with the step of its first row
 
     @property
@@ -112,9 +115,7 @@ class GuardedController:
         decision = self._checked_answer(known, state)
         if self.options.protect_critical:
             decision = self._critical_first(decision, known, state)
-        plan = decision.dispatch
-        row = decision.row
-        self._estimator.commanded(plan.charge_kw[row], plan.discharge_kw[row])
+        self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated)
 
     def _checked_answer(self, known: Known, state: StepState) -> Decision:

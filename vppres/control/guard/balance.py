@@ -1,0 +1,105 @@
+"""Whether the readings of a step agree with what the plant then took from the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.contract.decision import Decision
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import OperatingPoint
+from vppres.core.arrays import Flags, Floats
+from vppres.model.site import Site
+
+BALANCE_KW = 1.0
+BALANCE_SHARE = 0.01
+"""Readings are contradicted by a mismatch above the first plus the second of the demand served.
+
+Meters of class 1 are off by at most that share each.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Commanded:
+    """What was decided for a step: customers (C,), PV systems (P,), batteries (B,)."""
+
+    served: Flags
+    pv_curtailed_kw: Floats
+    battery_kw: Floats
+
+    @classmethod
+    def of(cls, decision: Decision) -> Commanded:
+        """The step's row of a decision."""
+        plan = decision.dispatch
+        row = decision.row
+        return cls(np.asarray(plan.served[row], dtype=bool), plan.pv_curtailed_kw[row],
+                   plan.charge_kw[row] - plan.discharge_kw[row])
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Demand (C,) and PV power (P,) of one step in kW."""
+
+    load_kw: Floats
+    pv_kw: Floats
+
+
+def feeder_off(seen: Observation) -> bool:
+    """Whether nothing flowed in the step before: dark, or stopped by protection."""
+    point = seen.operating_point
+    return point is None or not np.any(point.p_injection_kw)
+
+
+def mismatch_kw(site: Site, commanded: Commanded, seen: Observation,
+                readings: Readings) -> float | None:
+    """Import of the step before beyond what readings of that step explain.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    commanded : Commanded
+        What was decided for that step.
+    seen : Observation
+        The observation after it: import, service and battery power as they were.
+    readings : Readings
+        Of that step.
+
+    Returns
+    -------
+    float or None
+        In kW; None where something was not measured, where nothing flowed, or where restored
+        customers take more than their reading says.
+    """
+    cold = seen.switching is not None and seen.switching.rules.cold
+    if seen.import_kw is None or seen.battery_kw is None or feeder_off(seen) or cold:
+        return None
+    usable = np.minimum(readings.pv_kw, site.pv.s_max_kva)
+    demand = readings.load_kw * _served(commanded, seen)
+    own = np.minimum(demand[site.owner], usable)
+    # The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
+    forced = readings.pv_kw - usable
+    curtailed = np.clip(commanded.pv_curtailed_kw, forced, forced + usable - own)
+    taken = float(demand.sum() + seen.battery_kw.sum())
+    given = float((readings.pv_kw - curtailed).sum())
+    assert seen.operating_point is not None  # otherwise the feeder was off
+    found = seen.import_kw - (taken - given + _losses_kw(site, seen.operating_point))
+    return found if np.isfinite(found) else None
+
+
+def contradicts(off_kw: float, commanded: Commanded, seen: Observation,
+                readings: Readings) -> bool:
+    """Whether a mismatch is more than meters are off by."""
+    served_kw = float(readings.load_kw @ _served(commanded, seen))
+    return abs(off_kw) > BALANCE_KW + BALANCE_SHARE * served_kw
+
+
+def _served(commanded: Commanded, seen: Observation) -> Flags:
+    return commanded.served if seen.served is None else seen.served
+
+
+def _losses_kw(site: Site, point: OperatingPoint) -> float:
+    """Losses of the lines: what left the slack bus and did not arrive anywhere."""
+    leaving = point.p_flow_kw[site.network.parent == 0]
+    return float(leaving.sum() + point.p_injection_kw[1:].sum())

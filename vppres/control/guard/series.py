@@ -1,0 +1,132 @@
+"""Readings of demand and PV power: missing ones, and frozen ones that the plant contradicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.contract.observation import Observation
+from vppres.control.guard.balance import Commanded, Readings, contradicts, mismatch_kw
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.model.site import Site
+
+
+@dataclass(frozen=True, eq=False)
+class _Frozen:
+    """Which readings are frozen: demand (C,) and PV power (P,)."""
+
+    load: Flags
+    pv: Flags
+
+    @property
+    def any(self) -> bool:
+        return bool(self.load.any() or self.pv.any())
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step as it was seen: its readings, and what had been forecast of them."""
+
+    t: int
+    seen: Readings
+    expected: Readings
+
+
+class SeriesJudge:
+    """Tells which readings of demand and PV power stand still although the plant says otherwise.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self._before: _Step | None = None
+        self._frozen = _Frozen(np.zeros(len(site.customers), dtype=bool),
+                               np.zeros(len(site.pv), dtype=bool))
+
+    def judged(self, seen: Observation, expected: Readings,
+               commanded: Commanded | None) -> tuple[Readings, list[str]]:
+        """Readings of the step with estimates where they must be, and what was estimated.
+
+        Parameters
+        ----------
+        seen : Observation
+            The step's observation.
+        expected : Readings
+            What the step before forecast of this one.
+        commanded : Commanded or None
+            What was decided for the step before.
+        """
+        now = _Step(seen.t0, Readings(seen.forecast.load_kw[0], seen.forecast.pv_kw[0]), expected)
+        frozen = self._frozen_now(now, seen, commanded)
+        kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
+        self._frozen = frozen
+        self._before = now
+        load, load_words = _estimated("load", self.site.customers.id, now.seen.load_kw,
+                                      expected.load_kw, frozen.load, kept)
+        pv, pv_words = _estimated("pv", self.site.pv.id, now.seen.pv_kw, expected.pv_kw,
+                                  frozen.pv, kept)
+        return Readings(load, pv), [*load_words, *pv_words]
+
+    def _frozen_now(self, now: _Step, seen: Observation, commanded: Commanded | None) -> _Frozen:
+        """Readings that stand still while the balance of the step before contradicts them.
+
+        Where that balance is not known the verdict before stands, until a reading moves.
+        """
+        before = self._before
+        if before is None:
+            return self._frozen
+        still = _Frozen(now.seen.load_kw == before.seen.load_kw,
+                        now.seen.pv_kw == before.seen.pv_kw)
+        off_kw = self._mismatch(seen, commanded, before.seen)
+        if commanded is None or off_kw is None:
+            return _Frozen(still.load & self._frozen.load, still.pv & self._frozen.pv)
+        if contradicts(off_kw, commanded, seen, before.seen):
+            return still
+        return _Frozen(np.zeros_like(still.load), np.zeros_like(still.pv))
+
+    def _forecast_was_nearer(self, seen: Observation, commanded: Commanded | None,
+                             frozen: _Frozen) -> bool:
+        """Whether the forecast explains the step before better than the frozen readings do."""
+        before = self._before
+        assert before is not None  # without a step before nothing is frozen
+        by_forecast = Readings(
+            np.where(frozen.load, before.expected.load_kw, before.seen.load_kw),
+            np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw))
+        of_readings = self._mismatch(seen, commanded, before.seen)
+        of_forecast = self._mismatch(seen, commanded, by_forecast)
+        if of_readings is None or of_forecast is None:
+            return True
+        return abs(of_forecast) < abs(of_readings)
+
+    def _mismatch(self, seen: Observation, commanded: Commanded | None,
+                  readings: Readings) -> float | None:
+        """Mismatch of the step before, None where it is not known."""
+        if commanded is None or self._before is None or seen.t0 != self._before.t + 1:
+            return None
+        return mismatch_kw(self.site, commanded, seen, readings)
+
+
+def _estimated(what: str, ids: Names, now: Floats, expected: Floats, frozen: Flags,
+               kept: bool) -> tuple[Floats, list[str]]:
+    """Readings with the expected ones in their place where needed, and what to say of it.
+
+    Frozen readings that are nearer to the truth than the forecast are kept, but named.
+    """
+    missing = ~(np.isfinite(now) & (now >= 0.0))
+    # A frozen reading that the forecast confirms, such as PV power at night, is not worth a word.
+    frozen = frozen & ~missing & (expected != now)
+    wrong = missing | frozen
+    values = np.where(missing | (frozen & (not kept)), expected, now)
+    if not wrong.any():
+        return now, []
+    kind = "frozen, kept" if kept else "frozen"
+    for flags, word in ((missing, "missing"), (frozen, kind)):
+        if flags.all():
+            return values, [f"{what} of all {len(ids)}, {values.sum():.1f} kW ({word})"]
+    return values, [f"{what} {ids[i]} {values[i]:.2f} kW ({'missing' if missing[i] else kind})"
+                    for i in np.flatnonzero(wrong)]

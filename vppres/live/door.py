@@ -1,0 +1,334 @@
+"""Reads what a caller gave, value by value, and collects every mistake.
+
+Nothing of a measurement is trusted: numbers may be strings, tables may have two columns of one
+name, times may be anything. Whatever does not fit is a problem that names quantity, identifier,
+value and cure; what fits comes out as arrays.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.core.errors import InputError, Problem
+from vppres.io.messages import did_you_mean, shown
+from vppres.scenario.timegrid import TimeGrid
+
+WHERE = "measurement"
+
+MOST_OF_A_KIND = 20
+"""Problems of one quantity that are listed; the others are counted."""
+
+WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
+LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a quantity can have.
+
+    Parameters
+    ----------
+    lowest, highest : float
+        Ends, included.
+    message, cure : str
+        What to say of a number outside.
+    beyond : str
+        What to say of a number above, if it is not the same.
+    infinite : bool
+        Whether it may be infinite.
+    """
+
+    lowest: float
+    highest: float
+    message: str
+    cure: str
+    beyond: str = ""
+    infinite: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether a number is in the range."""
+        return self.lowest <= value <= self.highest or (self.infinite and value == np.inf)
+
+    def text(self, value: float) -> str:
+        """What to say of a number that is not."""
+        above = np.isfinite(value) and value > self.highest and self.beyond != ""
+        return self.beyond if above else self.message
+
+
+_NUMBER = "must be a number not below 0"
+_CORRECT = "Correct the measurement."
+_UNIT = "is more than any feeder has: check the unit"
+_POWER = Range(0.0, 1e6, _NUMBER, _CORRECT, _UNIT)
+_SHARE = "must lie between 0 and 1"
+RANGES = {
+    "soc": Range(0.0, 1.0, _SHARE, "Give a share, for example 0.5."),
+    "load_kw": _POWER,
+    "pv_kw": _POWER,
+    "price_gbp_per_kwh": Range(0.0, 1e4, _NUMBER, _CORRECT, "is more than any price"),
+    "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
+    # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
+    "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
+    "eta_discharge": Range(0.1, 1.0, "must lie between 0.1 and 1",
+                           "Give a share, for example 0.95."),
+    "battery_kw": Range(-1e6, 1e6, "must be a finite number", _CORRECT, _UNIT),
+    "import_kw": Range(-1e7, 1e7, "must be a finite number", _CORRECT, _UNIT),
+}
+
+
+class Door:
+    """Reads the parts of one measurement and collects their problems.
+
+    Parameters
+    ----------
+    grid : TimeGrid
+        The scenario's steps.
+    time : Any
+        Beginning of the step that is measured.
+    estimates : bool
+        Whether readings of now may be missing, since somebody estimates them.
+    """
+
+    def __init__(self, grid: TimeGrid, time: Any, estimates: bool = False) -> None:
+        self.grid = grid
+        self.estimates = estimates
+        self.problems = list[Problem]()
+        self._steps_at = {moment: t for t, moment in enumerate(grid.times)}
+        self._counts: Counter[str] = Counter()
+        self.t = int(self._steps("time", [time])[0])
+
+    def finish(self) -> None:
+        """Raise all problems at once.
+
+        Raises
+        ------
+        InputError
+            If there is one.
+        """
+        more = [Problem(WHERE, f"has {count - MOST_OF_A_KIND} more problems",
+                        "Cure those above first.", field=field)
+                for field, count in self._counts.items() if count > MOST_OF_A_KIND]
+        if self.problems:
+            raise InputError([*self.problems, *more])
+
+    def table(self, field: str, given: Any, ids: Names, series: Floats) -> Floats:
+        """A series of shape (T, items) with what was given in its place.
+
+        Readings of now that are missing or negative are NaN where they may be.
+        """
+        if given is None:
+            return series
+        if isinstance(given, pd.DataFrame):
+            rows = self._steps(field, list(given.index))
+            columns = self._positions(field, list(given.columns), ids)
+            values = self._values_of(field, given, rows)
+        else:
+            pairs = self._pairs(field, given, "a mapping, a Series or a DataFrame by time")
+            rows = np.array([self.t])
+            columns = self._positions(field, [name for name, _ in pairs], ids)
+            values = np.array([[self._number(field, f"{field} of {shown(name)}", value, now=True)
+                                for name, value in pairs]]).reshape(1, len(pairs))
+        if self.problems:
+            return series
+        result = series.copy()
+        result[np.ix_(rows, columns)] = values
+        return result
+
+    def series(self, field: str, given: Any, series: Floats) -> Floats:
+        """A series of shape (T,) with what was given in its place."""
+        if given is None:
+            return series
+        if isinstance(given, pd.Series):
+            steps = self._steps(field, list(given.index))
+            values = [self._number(field, field, value) for value in given.to_list()]
+        else:
+            steps = np.array([self.t])
+            values = [self._number(field, field, given)]
+        if self.problems:
+            return series
+        result = series.copy()
+        result[steps] = values
+        return result
+
+    def values(self, field: str, given: Any, ids: Names, default: Floats) -> Floats:
+        """One number for each item; the default where none was given, NaN where it is missing."""
+        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
+        positions = self._positions(field, list(named), ids)
+        result = default.copy()
+        for (name, value), position in zip(named.items(), positions, strict=True):
+            number = self._number(field, f"{field} of {shown(name)}", value, now=True)
+            if position >= 0:
+                result[position] = number
+        return result
+
+    def flags(self, field: str, given: Any, ids: Names) -> Flags:
+        """True or false for each item, true where nothing was given."""
+        result = np.ones(len(ids), dtype=bool)
+        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
+        positions = self._positions(field, list(named), ids)
+        for (name, value), position in zip(named.items(), positions, strict=True):
+            if not isinstance(value, (bool, np.bool_)):
+                self.problem(field, "is neither true nor false", "Give True or False.",
+                             f"{field} of {shown(name)}", value)
+            elif position >= 0:
+                result[position] = value
+        return result
+
+    def number(self, field: str, given: Any) -> float | None:
+        """A single measured number, None if there is none."""
+        if given is None:
+            return None
+        value = self._number(field, field, given, now=True)
+        return None if np.isnan(value) else value
+
+    def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
+        """Keep a problem, or count it where there are many of its kind."""
+        self._counts[kind] += 1
+        if self._counts[kind] <= MOST_OF_A_KIND:
+            self.problems.append(Problem(WHERE, message, cure, field=field,
+                                         value=None if value is None else readable(value)))
+
+    def _pairs(self, field: str, given: Any, wanted: str) -> list[tuple[Any, Any]]:
+        """Identifiers and values, each identifier once."""
+        if isinstance(given, (Mapping, pd.Series)):
+            pairs = list(given.items())
+            if isinstance(given, Mapping) or given.index.is_unique:
+                return pairs
+            for name in given.index[given.index.duplicated()].unique():
+                self.problem(field, "is given more than once", "Give each identifier once.", field,
+                             name)
+            return list(dict(pairs).items())
+        self.problem(field, f"is not {wanted}", "Give values by identifier, for example {'a': 1}.",
+                     field, f"{type(given).__name__} {readable(given)}")
+        return []
+
+    def _values_of(self, field: str, frame: pd.DataFrame, rows: Wholes) -> Floats:
+        """A table's numbers, one by one only where a column holds anything but floats."""
+        values = np.empty(frame.shape)
+        for column, name in enumerate(frame.columns):
+            cells = frame.iloc[:, column]
+            plain = isinstance(cells.dtype, np.dtype) and cells.dtype.kind in "fiu"
+            numbers = cells.to_numpy(dtype=float) if plain else None
+            limits = RANGES[field]
+            if numbers is not None and ((numbers >= limits.lowest)
+                                        & (numbers <= limits.highest)).all():
+                values[:, column] = numbers
+                continue
+            what = f"{field} of {shown(name)}"
+            values[:, column] = [self._number(field, what, value, now=bool(step == self.t))
+                                 for value, step in zip(cells.to_list(), rows, strict=True)]
+        return values
+
+    def _number(self, field: str, what: str, value: Any, now: bool = False) -> float:
+        """A number in its range; NaN for a reading of now that somebody else estimates."""
+        limits = RANGES[field]
+        number = _float_of(value)
+        if number is None:
+            self.problem(field, "is not a number", LEAVE_OUT, what,
+                         "None" if value is None else value)
+            return np.nan
+        if limits.holds(number):
+            return number
+        measured_after = field in ("battery_kw", "import_kw")
+        if now and np.isnan(number) and (self.estimates or measured_after):
+            return np.nan
+        if now and self.estimates and field in ("load_kw", "pv_kw") and -1e6 <= number < 0.0:
+            return np.nan  # a meter with a wrong sign or offset
+        self.problem(field, limits.text(number), limits.cure, what, value)
+        return np.nan
+
+    def _steps(self, field: str, times: Sequence[Any]) -> Wholes:
+        """Steps of the scenario that begin at these times, each once; -1 for no such step."""
+        steps = np.array([self._step(field, time) for time in times], dtype=np.int64)
+        known = steps[steps >= 0]
+        for step in (np.bincount(known, minlength=1) > 1).nonzero()[0].tolist():
+            self.problem(field, "is given more than once", "Give each time once.", field,
+                         self.grid.times[step])
+        return steps
+
+    def _step(self, field: str, time: Any) -> int:
+        """The step that begins at a time, -1 if none does."""
+        moment = moment_of(time)
+        if moment is None:
+            self.problem(field, "is not a date and time", WRITE_A_TIME, field,
+                         "None" if time is None else time)
+            return -1
+        if moment.tzinfo is None:
+            self.problem(field, "has no time zone", WRITE_A_TIME, field, time)
+            return -1
+        step = self._steps_at.get(moment, -1)
+        if step < 0:
+            grid = self.grid
+            self.problem(field, "is not the beginning of a step",
+                         f"The scenario's steps begin at {grid.start.isoformat()} and last "
+                         f"{grid.step_minutes:g} min; there are {grid.n_steps}.", field, time)
+        return step
+
+    def _positions(self, field: str, names: Iterable[Any], ids: Names) -> Wholes:
+        """Positions of identifiers, each once; -1 for those that the scenario does not have."""
+        position = {name: i for i, name in enumerate(ids)}
+        found = []
+        taken = set[int]()
+        for name in names:
+            at = position.get(name, -1) if isinstance(name, Hashable) else -1
+            found.append(at)
+            if at in taken:
+                self.problem(field, "is given more than once", "Give each identifier once.", field,
+                             name)
+            if at >= 0:
+                taken.add(at)
+            elif self._counts[field] >= MOST_OF_A_KIND:
+                self._counts[field] += 1  # looking for a similar name takes time
+            else:
+                self.problem(field, "is not in the scenario",
+                             did_you_mean(readable(name), [*map(str, ids)],
+                                          "Correct the identifier."), field, name)
+        return np.array(found, dtype=np.int64)
+
+
+def moment_of(time: Any) -> pd.Timestamp | None:
+    """A time as a Timestamp, from one, a datetime, or ISO 8601 text; None if it is none.
+
+    Examples
+    --------
+    >>> moment_of("2022-07-19T12:00Z")
+    Timestamp('2022-07-19 12:00:00+0000', tz='UTC')
+    >>> moment_of("noon") is None
+    True
+    """
+    try:
+        if isinstance(time, str):
+            return pd.Timestamp(datetime.fromisoformat(time))
+        if isinstance(time, datetime):
+            moment = pd.Timestamp(time)
+            return None if pd.isna(moment) else moment
+    except (ValueError, OverflowError):
+        pass
+    return None
+
+
+def _float_of(value: Any) -> float | None:
+    """A real number as a float, None if it is none or too large to be one."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except (OverflowError, TypeError, ValueError):
+        return None
+
+
+def readable(value: object) -> str:
+    """Any value in a short line without control characters."""
+    try:
+        text = str(value)
+    except Exception:
+        return f"a {type(value).__name__} that cannot be shown"
+    return shown(text if text.isprintable() else repr(text)) or "''"
