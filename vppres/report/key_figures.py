@@ -31,6 +31,7 @@ KEY_FIGURES = (
     ("estimated_steps", "Steps with measurements that were estimated", "", "d"),
     ("ac_failures", "Steps in which load was shed because the AC power flow had no solution", "",
      "d"),
+    ("ac_not_found", "Steps whose AC power flow was not found; nobody was shed for it", "", "d"),
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
