@@ -27,7 +27,9 @@ from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
+from vppres.physics import nose
 from vppres.plant.collapse import realise
+from vppres.report.findings import findings
 from vppres.scenario.scenario import Scenario
 
 OPTIONS = RunOptions(horizon_h=2.0, protect_critical=True)
@@ -164,7 +166,7 @@ def test_power_flow_without_solution_sheds_the_lowest_tier(tiny: Scenario) -> No
     day, everyone = Day(scenario, OPTIONS), decision(scenario)
     done = realise(day.plant, day.ac, 1, everyone, day.state)
     assert done.realised.served.tolist() == [True, True, False]
-    assert done.ac_failed.startswith("low and below shed: the AC power flow does not converge: "
+    assert done.ac_failed.startswith("low and below shed: the AC power flow has no solution: "
                                      "net load 500")
     assert done.ac.v_pu.min() > 0.9
 
@@ -185,6 +187,30 @@ def test_run_goes_on_where_the_power_flow_has_no_solution(tiny: Scenario) -> Non
     assert failed == [False, True, False, False, False, False]
     run = day.recorder.finish(OPTIONS.as_record())
     assert summarise(run)["ac_failures"] == 1
+
+
+def test_a_power_flow_that_is_not_found_sheds_nobody(
+        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = overloaded(tiny)
+    monkeypatch.setattr(nose, "MAX_POINTS", 1)
+    day = Day(scenario, OPTIONS)
+    done = realise(day.plant, day.ac, 1, decision(scenario), day.state)
+    assert done.realised.served.all()
+    assert not done.shed.any()
+    assert not done.ac.converged
+    assert done.ac_failed.startswith("nobody shed: the AC power flow was not found: net load 500")
+    assert "misses 5.1e+05 kVA at bus 4. Nothing shows that there is no solution" in done.ac_failed
+
+
+def test_the_record_tells_not_found_from_no_solution(tiny: Scenario) -> None:
+    run = faulty(tiny, FaultPlan())
+    notes = ["low and below shed: the AC power flow has no solution", "",
+             "nobody shed: the AC power flow was not found", "nobody shed: not found", "", ""]
+    told = replace(run, steps=run.steps.assign(ac_failed=notes))
+    assert (summarise(told)["ac_failures"], summarise(told)["ac_not_found"]) == (1, 2)
+    found = findings(told)
+    assert "The AC power flow had no solution in 1 step." in found
+    assert "The AC power flow was not found, and nobody was shed for it, in 2 steps." in found
 
 
 def test_nothing_left_to_shed_stops_the_devices_too(tiny: Scenario) -> None:

@@ -11,7 +11,8 @@ import pytest
 import vppres
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, VerificationError
-from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.physics import nose, powerflow
+from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
 from vppres.scenario.network import Network
 
 Case = tuple[Network, Floats, Floats]
@@ -180,9 +181,9 @@ def test_divergence_names_the_load_and_the_next_solve_is_sound() -> None:
     with pytest.raises(VerificationError) as caught:
         flow.solve(5.0 * p_kw, 5.0 * q_kvar)
     assert str(caught.value) == (
-        "the AC power flow does not converge: net load 18575.0 kW and 11500.0 kvar, the largest "
-        "2100.0 kW at bus 24. The lines cannot carry it: check the units of loads and impedances, "
-        "or serve less.")
+        "the AC power flow has no solution: net load 18575.0 kW and 11500.0 kvar, the largest "
+        "2100.0 kW at bus 24, and voltages collapse at 72.4% of it. The lines cannot carry it: "
+        "check the units of loads and impedances, or serve less.")
     _assert_same(flow.solve(p_kw, q_kvar), first)
 
 
@@ -197,8 +198,94 @@ def test_two_buses_diverge_just_beyond_the_largest_load() -> None:
     # p = 1 / (2 (r + |z|)) pu, here 8.9 MW.
     limit_kw = 1000.0 / (2 * (0.02 + np.hypot(0.02, 0.03)))
     assert two_bus().solve([0.0, -0.99 * limit_kw], [0.0, 0.0]).v_pu[1] > 0.5
-    with pytest.raises(VerificationError, match="at bus end"):
+    with pytest.raises(NoSolutionError, match="at bus end") as caught:
         two_bus().solve([0.0, -1.01 * limit_kw], [0.0, 0.0])
+    assert caught.value.share == pytest.approx(1 / 1.01, abs=2e-3)
+
+
+# Where a line is almost a switch, and where there is no solution.
+
+
+def with_switches(ohm: float, n_buses: int = 40) -> tuple[Network, Floats, Floats]:
+    """A feeder of 12.47 kV in which every third line is a switch; kW and kvar by bus."""
+    rng = np.random.default_rng(3)
+    parent = np.array([int(rng.integers(max(0, i - 4), i)) for i in range(1, n_buses)])
+    r = rng.uniform(0.02, 0.1, n_buses - 1)
+    x = rng.uniform(0.02, 0.1, n_buses - 1)
+    r[1::3] = x[1::3] = ohm
+    network = Network(parent, np.arange(1, n_buses), r, x, slack_bus=0, base_kv=12.47)
+    return network, -rng.uniform(0.0, 300.0, n_buses), -rng.uniform(0.0, 150.0, n_buses)
+
+
+@pytest.mark.parametrize("ohm", [1e-4, 1e-5, 1e-6, 1e-9, 1e-14])
+def test_a_line_that_is_almost_a_switch(ohm: float) -> None:
+    # Merging its ends is the truth to some 1e-4 times the drop of voltage over 1e-4 ohm.
+    network, p_kw, q_kvar = with_switches(ohm)
+    coarse = ACPowerFlow(with_switches(1e-3)[0])
+    flow = ACPowerFlow(network)
+    for seed in range(6):
+        share = np.random.default_rng(seed).uniform(0.3, 1.2, network.n_buses)
+        result = flow.solve(p_kw * share, q_kvar * share)
+        near = coarse.solve(p_kw * share, q_kvar * share)
+        assert result.converged
+        # 1e-3 ohm at 20 MVA and 12.47 kV are 1.3e-4 pu.
+        assert result.v_pu == pytest.approx(near.v_pu, abs=1e-3)
+        assert result.p_slack_kw == pytest.approx(result.losses_kw - (p_kw * share).sum(),
+                                                  abs=1e3 * len(p_kw) * flow.tolerance_kva)
+
+
+def test_the_curve_in_currents_is_newton_s_answer() -> None:
+    for network, p_kw, q_kvar in (case33(), case69()):
+        newton = ACPowerFlow(network).solve(p_kw, q_kvar)
+        found = nose.follow(network, p_kw / 1e3, q_kvar / 1e3)
+        assert found.outcome == "solved"
+        assert np.abs(found.v) == pytest.approx(newton.v_pu, abs=1e-9)
+        sent = found.v[network.parent] * np.conj(found.i)
+        assert 1e3 * sent.real == pytest.approx(newton.p_from_kw, abs=1e-5)
+        assert 1e3 * sent.imag == pytest.approx(newton.q_from_kvar, abs=1e-5)
+
+
+@pytest.mark.parametrize("reference", [0, 20])
+def test_without_newton_all_results_are_the_same(reference: int,
+                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    network, p_kw, q_kvar = case33()
+    newton = ACPowerFlow(network).solve(0.2 * p_kw, 0.2 * q_kvar, reference)
+    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    curve = ACPowerFlow(network).solve(0.2 * p_kw, 0.2 * q_kvar, reference)
+    _assert_same(curve, newton)
+    assert (curve.p_slack_kw, curve.q_slack_kvar, curve.losses_kw) == pytest.approx(
+        (newton.p_slack_kw, newton.q_slack_kvar, newton.losses_kw), abs=1e-5)
+    assert curve.p_to_kw == pytest.approx(newton.p_to_kw, abs=1e-5)
+    assert curve.q_to_kvar == pytest.approx(newton.q_to_kvar, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_up_to_the_nose_there_is_a_solution_and_beyond_there_is_none(seed: int) -> None:
+    network, p_kw, q_kvar = case33()
+    share = np.random.default_rng(seed).uniform(0.2, 1.5, network.n_buses)
+    nose_at = nose.follow(network, 9e-3 * p_kw * share, 9e-3 * q_kvar * share)
+    assert nose_at.outcome == "none"
+    flow = ACPowerFlow(network)
+    below = 9.0 * nose_at.share * 0.999 * share
+    assert flow.solve(p_kw * below, q_kvar * below).converged
+    beyond = 9.0 * nose_at.share * 1.001 * share
+    with pytest.raises(NoSolutionError, match="voltages collapse at 9"):
+        flow.solve(p_kw * beyond, q_kvar * beyond)
+
+
+def test_not_found_is_not_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    network, p_kw, q_kvar = case33()
+    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(nose, "MAX_POINTS", 1)
+    with pytest.raises(NotFoundError) as caught:
+        ACPowerFlow(network).solve(20.0 * p_kw, 20.0 * q_kvar)
+    message = str(caught.value)
+    assert message.startswith("the AC power flow was not found: net load 74300.0 kW and 46000.0 ")
+    assert "; the best answer misses " in message
+    assert message.endswith(" Nothing shows that there is no solution: check the impedances of "
+                            "the lines.")
+    assert not caught.value.best.converged
+    assert np.isfinite(caught.value.best.v_pu).all()
 
 
 def test_results_are_read_only() -> None:

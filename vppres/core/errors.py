@@ -104,4 +104,4 @@ class LimitError(SolveError):
 
 
 class VerificationError(VppresError):
-    """The AC power flow did not converge, or contradicts the dispatch."""
+    """The AC power flow has no solution or was not found, or contradicts the dispatch."""

@@ -14,6 +14,7 @@ from vppres.core.units import kva_to_a
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
 from vppres.io.digest import scenario_digest
+from vppres.plant.island import NOBODY
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
@@ -238,11 +239,14 @@ def operation_figures(trajectory: Trajectory) -> dict[str, Any]:
     """How many steps had a fallback, in all and by kind, an estimate, and no AC solution."""
     steps = trajectory.steps
     kinds = steps.loc[steps["fallback"] != "none", "fallback"]
+    failed = steps["ac_failed"].astype(str)
+    not_found = failed.str.startswith(NOBODY)
     return {
         "fallbacks": len(kinds),
         "fallbacks_by_kind": {str(kind): int(n) for kind, n in kinds.value_counts().items()},
         "estimated_steps": int((steps["estimated"] != "").sum()),
-        "ac_failures": int((steps["ac_failed"] != "").sum()),
+        "ac_failures": int(((failed != "") & ~not_found).sum()),
+        "ac_not_found": int(not_found.sum()),
     }
 
 

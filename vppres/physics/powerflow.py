@@ -2,7 +2,8 @@
 
 The check shares the network's data with the optimiser, never its equations: pandapower solves the
 full AC equations by Newton's method. The pandapower net, which is mutable and keeps its results as
-side effects, does not leave this module.
+side effects, does not leave this module. What Newton's method does not find is followed from no
+load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which there is none.
 """
 
 from __future__ import annotations
@@ -17,18 +18,60 @@ from numpy.typing import ArrayLike
 from vppres.core.arrays import Floats, content_key, freeze_fields
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
+from vppres.physics.nose import Followed, follow
 from vppres.scenario.network import Network
 
 TOLERANCE_MVA = 1e-9
 """Largest mismatch of power at any bus, 1 mW."""
 
+ROUNDING = 4.0
+"""Rounding errors of the mismatch in units of ``eps |Y| V²``; see :func:`reachable_mva`. On
+random loads of a feeder with a line of 1e-4 to 1e-8 ohm Newton's method comes to rest below one of
+them; four also cover buses with many lines and voltages above 1 pu."""
+
+LARGEST_TOLERANCE_MVA = 1e-6
+"""1 W: where rounding allows no less, Newton's method in voltages is no judge, and its answer
+would be noise in what islands settle with."""
+
 REUSE = {"bus_pq": True, "trafo": False, "gen": False}
 """What pandapower refreshes between two solves: the power of the loads, nothing else."""
 
 
+class NoSolutionError(VerificationError):
+    """The power flow has no solution: from no load up, voltages collapse before these injections.
+
+    Parameters
+    ----------
+    message : str
+        Net load, where it is largest, and the share of it that has a solution.
+    share : float
+        That share.
+    """
+
+    def __init__(self, message: str, share: float) -> None:
+        super().__init__(message)
+        self.share = share
+
+
+class NotFoundError(VerificationError):
+    """No solution was found, and nothing shows that there is none.
+
+    Parameters
+    ----------
+    message : str
+        Net load, where it is largest, and by what the best answer misses it.
+    best : ACResult
+        The answer with the smallest mismatch; it has not converged.
+    """
+
+    def __init__(self, message: str, best: ACResult) -> None:
+        super().__init__(message)
+        self.best = best
+
+
 @dataclass(frozen=True, eq=False)
 class ACResult:
-    """One converged AC power flow; the arrays are read-only.
+    """One AC power flow; the arrays are read-only.
 
     Parameters
     ----------
@@ -43,7 +86,8 @@ class ACResult:
     p_slack_kw, q_slack_kvar : float
         What the source at the reference bus gives: the import, unless an island was solved.
     converged : bool
-        Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises.
+        Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
+        in :attr:`NotFoundError.best`.
     """
 
     v_pu: Floats
@@ -64,8 +108,9 @@ class ACResult:
 class ACPowerFlow:
     """AC power flow of a network, built once and solved for one injection after another.
 
-    A solve starts from the voltages of the solve before, and once more from a flat start where that
-    does not converge.
+    A solve tries, one after another until one converges: Newton's method from the voltages of the
+    solve before; from a flat start; the same with the tolerance that rounding allows, where that is
+    larger; and the curve from no load up in voltages and currents, which has no such limit.
 
     Parameters
     ----------
@@ -84,6 +129,7 @@ class ACPowerFlow:
         self.network = network
         self._nets = {0: _build(network, 0)}
         self._warm: set[int] = set()
+        self.tolerance_mva = reachable_mva(network)
 
     def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
         """Power flow for the net injection of every bus.
@@ -105,8 +151,11 @@ class ACPowerFlow:
         ------
         InputError
             If the shape is wrong or a value is not finite.
-        VerificationError
-            If there is no convergence; the message has the net load, the step is the caller's.
+        NoSolutionError
+            If the curve from no load turns back before these injections; a VerificationError.
+        NotFoundError
+            If there is no convergence and no such evidence; a VerificationError. Both messages
+            have the net load, the step is the caller's.
         """
         p = self._checked("p_kw", p_kw)
         q = self._checked("q_kvar", q_kvar)
@@ -118,9 +167,34 @@ class ACPowerFlow:
         warm = reference in self._warm
         self._warm.discard(reference)
         if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
-            raise VerificationError(self._divergence(p, q))
+            within_reach = TOLERANCE_MVA < self.tolerance_mva <= LARGEST_TOLERANCE_MVA
+            if not (within_reach and _run(net, "flat", self.tolerance_mva)):
+                return self._followed(p, q, reference)
         self._warm.add(reference)
         return _read(net)
+
+    @property
+    def tolerance_kva(self) -> float:
+        """Power that a solved flow may miss at a bus; the source's power is no better known."""
+        return float(mw_to_kw(min(self.tolerance_mva, LARGEST_TOLERANCE_MVA)))
+
+    def _followed(self, p_kw: Floats, q_kvar: Floats, reference: int) -> ACResult:
+        """The end of the curve from no load; where it turns back there is no solution."""
+        found = follow(self.network, kw_to_mw(p_kw), kw_to_mw(q_kvar), reference)
+        if found.outcome == "solved":
+            return _read_followed(self.network, found, p_kw, q_kvar, reference)
+        if found.outcome == "none":
+            raise NoSolutionError(
+                f"the AC power flow has no solution: {self._net_load(p_kw, q_kvar)}, and voltages "
+                f"collapse at {found.share:.1%} of it. The lines cannot carry it: check the units "
+                "of loads and impedances, or serve less.", found.share)
+        best = _read_followed(self.network, found, p_kw, q_kvar, reference)
+        worst = int(np.argmax(found.mismatch_mva))
+        missed_kva = float(mw_to_kw(found.mismatch_mva[worst]))
+        raise NotFoundError(
+            f"the AC power flow was not found: {self._net_load(p_kw, q_kvar)}; the best answer "
+            f"misses {missed_kva:.3g} kVA at bus {self.network.buses[worst]}. Nothing shows that "
+            "there is no solution: check the impedances of the lines.", best)
 
     def restart(self) -> None:
         """Forget the last solution: the next solve starts flat."""
@@ -140,22 +214,42 @@ class ACPowerFlow:
                                      field=name, value=array[wrong[0]]))
         return array
 
-    def _divergence(self, p_kw: Floats, q_kvar: Floats) -> str:
-        """What to say when there is no solution."""
+    def _net_load(self, p_kw: Floats, q_kvar: Floats) -> str:
+        """The load in words."""
         worst = int(np.argmin(p_kw))
-        return ("the AC power flow does not converge: net load "
-                f"{-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
-                f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}. The lines cannot carry "
-                "it: check the units of loads and impedances, or serve less.")
+        return (f"net load {-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
+                f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}")
 
 
-def _run(net: pp.pandapowerNet, init: str) -> bool:
+def reachable_mva(network: Network) -> float:
+    """Smallest mismatch of power that Newton's method can be asked for, 1 mW or more.
+
+    Examples
+    --------
+    Of a line of 1e-5 ohm at 12.47 kV nobody can ask 1 mW:
+
+    >>> reachable_mva(Network([1], [2], [1.0], [1.0], slack_bus=1, base_kv=12.47))
+    1e-09
+    >>> reachable_mva(Network([1], [2], [1e-5], [1e-5], slack_bus=1, base_kv=12.47)) > 1e-8
+    True
+    """
+    # The power of bus i is V_i conj(sum_k Y_ik V_k). Its terms are of the size |Y_ik| V², cancel
+    # to the little that flows, and leave their rounding: |error| <= c eps sum_k |Y_ik| V² with a
+    # small c (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., section 3.1, inner
+    # products). The diagonal is the sum of the others, hence the factor 2. With the base voltage in
+    # kV and ohm, |Y| V² is in MVA.
+    at_line = network.base_kv**2 / np.hypot(network.r_ohm, network.x_ohm)
+    sums = abs(network.incidence) @ at_line
+    return max(TOLERANCE_MVA, float(ROUNDING * np.finfo(float).eps * 2.0 * sums.max()))
+
+
+def _run(net: pp.pandapowerNet, init: str, tolerance_mva: float = TOLERANCE_MVA) -> bool:
     """Run Newton's method; whether it converged."""
     # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
     # time. Without numba the outcome does not hang on what else is installed.
     try:
         pp.runpp(net, init=init, recycle=REUSE if init == "results" else None,
-                 tolerance_mva=TOLERANCE_MVA, calculate_voltage_angles=False, numba=False)
+                 tolerance_mva=tolerance_mva, calculate_voltage_angles=False, numba=False)
     except pp.LoadflowNotConverged:
         return False
     return bool(net.converged)
@@ -173,6 +267,22 @@ def _read(net: pp.pandapowerNet) -> ACResult:
         losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
         p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
         q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]))
+
+
+def _read_followed(network: Network, found: Followed, p_kw: Floats, q_kvar: Floats,
+                   reference: int) -> ACResult:
+    """Results of a followed curve in kW."""
+    sent = found.v[network.parent] * np.conj(found.i)
+    arrived = found.v[1:] * np.conj(found.i)
+    # What leaves the reference bus over its lines comes from its source and its own injection.
+    source = -found.v[reference] * np.conj((network.incidence @ found.i)[reference])
+    return ACResult(
+        v_pu=np.abs(found.v), p_from_kw=mw_to_kw(sent.real), q_from_kvar=mw_to_kw(sent.imag),
+        p_to_kw=mw_to_kw(arrived.real), q_to_kvar=mw_to_kw(arrived.imag),
+        losses_kw=float(mw_to_kw((sent - arrived).real.sum())),
+        p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference]),
+        q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference]),
+        converged=found.outcome == "solved")
 
 
 def shared_power_flow(network: Network) -> ACPowerFlow:

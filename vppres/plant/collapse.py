@@ -1,4 +1,8 @@
-"""What happens where the AC power flow has no solution: the lowest tier is shed until it has."""
+"""What happens where the AC power flow has no solution: the lowest tier is shed until it has.
+
+Only evidence sheds: where no solution was found and none was shown to be missing, everybody stays
+on, and the record says by what its best answer misses.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +15,19 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
-from vppres.physics.powerflow import ACPowerFlow
-from vppres.plant.island import Settled
-from vppres.plant.plant import BatteryState, Plant
+from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
+from vppres.plant.island import NOBODY, Settled
+from vppres.plant.plant import BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario
 
 
 def realise(plant: Plant, flow: ACPowerFlow, t: int, decision: Decision,
             state: BatteryState) -> Settled:
-    """Carry out a decision; where its power flow diverges, shed tiers from the lowest up.
+    """Carry out a decision; where its power flow has no solution, shed tiers from the lowest up.
 
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
     If not even the empty feeder has a solution with PV and batteries running, they stop too.
+    A power flow that was merely not found sheds nobody: its best answer is recorded as such.
 
     Parameters
     ----------
@@ -42,20 +47,26 @@ def realise(plant: Plant, flow: ACPowerFlow, t: int, decision: Decision,
         realised = plant.apply(t, tried, state)
         try:
             result = flow.solve(realised.p_injection_kw, realised.q_injection_kvar)
-        except VerificationError as error:
-            failed = failed or str(error)
+        except NoSolutionError as error:
+            failed = failed or f": {error}"
             continue
-        asked = np.asarray(decision.dispatch.served[decision.row], dtype=bool)
-        why = f"{shed} shed: {failed}" if failed else ""
-        return Settled(realised, result, np.zeros(len(realised.charge_kw)),
-                       asked & ~realised.served, ac_failed=why)
-    raise VerificationError(failed)
+        except NotFoundError as error:
+            return _settled(decision, realised, error.best, f"{shed} shed{failed}: {error}")
+        return _settled(decision, realised, result, f"{shed} shed{failed}" if failed else "")
+    raise VerificationError(failed.removeprefix(": "))
+
+
+def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: str) -> Settled:
+    """A connected step as it came out; whoever was asked for and is not served was shed."""
+    asked = np.asarray(decision.dispatch.served[decision.row], dtype=bool)
+    return Settled(realised, ac, np.zeros(len(realised.charge_kw)), asked & ~realised.served,
+                   ac_failed=ac_failed)
 
 
 def _reduced(scenario: Scenario, t: int,
              decision: Decision) -> Iterator[tuple[str, Decision]]:
     """The decision, then without ever more tiers, then without any power at all."""
-    yield "nobody", decision
+    yield NOBODY, decision
     served = np.array(decision.dispatch.served[decision.row], dtype=bool)
     for tier in reversed(scenario.tiers):
         served = served & (scenario.customers.tier != tier)

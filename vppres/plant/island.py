@@ -14,12 +14,18 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
-from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.physics.powerflow import (
+    ACPowerFlow,
+    ACResult,
+    NoSolutionError,
+    NotFoundError,
+)
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
-"""Largest power that the source of the power flow may still give once the set has shared it."""
+"""Largest power that the source of the power flow may still give once the set has shared it; more
+only where the power flow itself is less exact (:attr:`ACPowerFlow.tolerance_kva`)."""
 
 COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island is dark."""
@@ -28,6 +34,8 @@ CUT_MARGIN_KW = 1e-3
 """What is cut beyond the need, so that the set has something left to settle with."""
 
 _MAX_SHARINGS = 50
+NOBODY = "nobody"
+"""Who was shed where a power flow was not found; the record's word for it."""
 NO_FORMER = "no battery forms the grid"
 NO_ENERGY = "no grid-forming battery has energy left"
 NO_SOLUTION = "the lines cannot carry the power: no AC solution"
@@ -52,7 +60,8 @@ class Settled:
     dark_reason : str
         Why the island is dark, empty if it is not.
     ac_failed : str
-        What was shed because the AC power flow had no solution, and why; empty if it had one.
+        What was shed because the AC power flow had no solution, and why; that nobody was, because
+        it was only not found; empty if it was.
     """
 
     realised: Realised
@@ -70,12 +79,16 @@ class Settled:
 
 @dataclass(frozen=True, eq=False)
 class _Balance:
-    """Powers with the mismatch shared, and what the set could not carry: deficits are positive."""
+    """Powers with the mismatch shared, and what the set could not carry: deficits are positive.
+
+    ``not_found`` says why ``ac`` is only the best answer; the mismatch is then that without losses.
+    """
 
     powers: Powers
     ac: ACResult
     left_kw: float
     excess_kvar: float
+    not_found: str = ""
 
 
 class IslandPlant:
@@ -93,6 +106,7 @@ class IslandPlant:
         self.plant = plant
         self.flow = flow
         self.formers = plant.scenario.batteries.formers
+        self.tolerance_kw = max(BALANCE_TOLERANCE_KW, flow.tolerance_kva)
 
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
         """Share the mismatch of step ``t``, cut what the set cannot carry, or go dark.
@@ -116,14 +130,17 @@ class IslandPlant:
         for _ in range(2 * (len(planned.served) + len(planned.pv_self_kw)) + 20):
             try:
                 found = self._balance(t, powers, state, able)
-            except VerificationError:
+            except NoSolutionError:
                 return self._dark(t, planned, state, NO_SOLUTION)
-            if found.ac.v_pu.min() < COLLAPSE_PU:
+            except VerificationError:
+                break
+            if not found.not_found and found.ac.v_pu.min() < COLLAPSE_PU:
                 return self._dark(t, planned, state, COLLAPSE)
-            if abs(found.left_kw) <= BALANCE_TOLERANCE_KW and found.excess_kvar <= 0.0:
+            if abs(found.left_kw) <= self.tolerance_kw and found.excess_kvar <= 0.0:
                 realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
                 gave = np.where(able, set_points.battery_kw - found.powers.battery_kw, 0.0)
-                return Settled(realised, found.ac, gave, planned.served & ~realised.served)
+                return Settled(realised, found.ac, gave, planned.served & ~realised.served,
+                               ac_failed=found.not_found)
             cut = self._cut(t, powers, found)
             if cut is None:
                 break
@@ -136,26 +153,23 @@ class IslandPlant:
         The battery with the largest inverter is the reference: all reactive mismatch is its own.
         """
         b = self.plant.scenario.batteries
-        most_charge, most_discharge = self.plant.battery_limits_kw(state)
         reference = int(np.argmax(np.where(able, b.s_max_kva, -1.0)))
         bus = int(self.plant.battery_bus[reference])
         batt_q = powers.batt_q_kvar.copy()
         deficit_kw = 0.0
         for _ in range(_MAX_SHARINGS):
-            disc_kw = np.sqrt(np.maximum(b.s_max_kva**2 - batt_q**2, 0.0))
-            lowest = -np.minimum(most_discharge, disc_kw)
-            highest = np.minimum(most_charge, disc_kw)
-            base_kw = np.clip(powers.battery_kw, lowest, highest)
-            room = base_kw - lowest if deficit_kw > 0 else highest - base_kw
-            given = np.copysign(share_out(abs(deficit_kw), np.where(able, room, 0.0), b.s_max_kva),
-                                deficit_kw)
-            shared = replace(powers, battery_kw=base_kw - given, batt_q_kvar=batt_q)
+            shared, left_kw = self._share(powers, state, able, batt_q, deficit_kw)
             realised = self.plant.realise(t, shared, state)
-            ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, bus)
-            left_kw = deficit_kw - given.sum()
+            try:
+                ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, bus)
+            except NotFoundError as error:
+                # Nothing shows that the lines cannot carry it: what is known is the balance.
+                deficit_kw += left_kw - float(realised.p_injection_kw.sum())
+                shared, left_kw = self._share(powers, state, able, batt_q, deficit_kw)
+                return _Balance(shared, error.best, left_kw, 0.0, f"{NOBODY} shed: {error}")
             change_kw = ac.p_slack_kw - left_kw
             change_kvar = ac.q_slack_kvar
-            if max(abs(change_kw), abs(change_kvar)) <= BALANCE_TOLERANCE_KW:
+            if max(abs(change_kw), abs(change_kvar)) <= self.tolerance_kw:
                 excess_kvar = abs(batt_q[reference]) - b.s_max_kva[reference]
                 return _Balance(shared, ac, left_kw, float(excess_kvar))
             deficit_kw += change_kw
@@ -163,13 +177,28 @@ class IslandPlant:
             batt_q[reference] += change_kvar
         raise VerificationError("the sharing of the mismatch does not converge")
 
+    def _share(self, powers: Powers, state: BatteryState, able: Flags, batt_q: Floats,
+               deficit_kw: float) -> tuple[Powers, float]:
+        """A deficit shared among the set, and what the set cannot take of it."""
+        b = self.plant.scenario.batteries
+        most_charge, most_discharge = self.plant.battery_limits_kw(state)
+        disc_kw = np.sqrt(np.maximum(b.s_max_kva**2 - batt_q**2, 0.0))
+        lowest = -np.minimum(most_discharge, disc_kw)
+        highest = np.minimum(most_charge, disc_kw)
+        base_kw = np.clip(powers.battery_kw, lowest, highest)
+        room = base_kw - lowest if deficit_kw > 0 else highest - base_kw
+        given = np.copysign(share_out(abs(deficit_kw), np.where(able, room, 0.0), b.s_max_kva),
+                            deficit_kw)
+        shared = replace(powers, battery_kw=base_kw - given, batt_q_kvar=batt_q)
+        return shared, float(deficit_kw - given.sum())
+
     def _cut(self, t: int, powers: Powers, found: _Balance) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~self.formers
-        if found.left_kw >= -BALANCE_TOLERANCE_KW:
+        if found.left_kw >= -self.tolerance_kw:
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
-            if found.left_kw > BALANCE_TOLERANCE_KW and charging.sum() > 0:
+            if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - _part(charging, need_kw))
             return self._shed(t, powers, need_kw)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW

@@ -9,6 +9,7 @@ import pandas as pd
 
 from vppres.day.metrics import island_figures, line_loading
 from vppres.day.trajectory import Trajectory
+from vppres.plant.island import NOBODY
 from vppres.plant.plant import CLIP_TOLERANCE_KW
 
 LIMIT_TOLERANCE_PU = 1e-6
@@ -114,12 +115,16 @@ def _unlit(run: Trajectory) -> Iterator[str]:
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
         why = f": {'; '.join(reasons)}" if reasons else ""
         yield f"The island was dark in {_steps(len(dark))}{why}."
-    for column, words in (
-        ("ac_failed", "The AC power flow had no solution"),
-        ("estimated", "A measurement was missing and estimated"),
+    failed = steps.get("ac_failed", pd.Series("", steps.index))
+    not_found = failed.astype(str).str.startswith(NOBODY)
+    estimated = steps.get("estimated", pd.Series("", steps.index))
+    for where, words in (
+        (failed.astype(bool) & ~not_found, "The AC power flow had no solution"),
+        (not_found, "The AC power flow was not found, and nobody was shed for it,"),
+        (estimated.astype(bool), "A measurement was missing and estimated"),
     ):
-        if column in steps and steps[column].astype(bool).any():
-            yield f"{words} in {_steps(int(steps[column].astype(bool).sum()))}."
+        if where.any():
+            yield f"{words} in {_steps(int(where.sum()))}."
 
 
 def _plain(name: object) -> str:

@@ -39,6 +39,7 @@ KEY_FIGURES = (
         "",
         "d",
     ),
+    ("ac_not_found", "Steps whose AC power flow was not found; nobody was shed for it", "", "d"),
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
