@@ -106,14 +106,14 @@ def run_one(seed: int) -> DayOutcome:
     process_s = time.process_time() - begin
     records = day.recorder.records
     finished = day.recorder.finish(options.as_record()) if not error else None
-    kinds = Counter(record.fallback for record in records)
+    kinds = Counter(record.steps["fallback"] for record in records)
     return DayOutcome(
         seed=seed, scenario=drawn.scenario.name, steps=len(records), error=error,
         resilience=None if finished is None else resilience(finished), fallbacks=dict(kinds),
         faults={"solver": len(faults.solver), "measurements": len(faults.measurements),
                 "trips": len(faults.trips), "pv_forecast": int(faults.pv_bias != 0)},
-        estimated=sum(record.estimated != "" for record in records),
-        ac_failures=sum(record.ac_failed != "" for record in records),
+        estimated=sum(record.steps["estimated"] != "" for record in records),
+        ac_failures=sum(record.steps["ac_failed"] != "" for record in records),
         unnamed=sum(_unnamed(record) for record in records),
         judged=len(to_judge), violations=judge(drawn, to_judge), process_s=process_s)
 
@@ -130,7 +130,7 @@ def _play(drawn: RandomDay, faults: FaultPlan,
     try:
         for t in range(drawn.scenario.grid.n_steps):
             day.step(guard, t)
-            served = day.recorder.records[-1].served
+            served = day.recorder.records[-1].customers["served"]
             if guard.known is not None and not served[critical].all():
                 to_judge.append(StepToJudge(t, guard.known, served))
     except Exception as error:  # the campaign counts what the guard let through
@@ -139,8 +139,8 @@ def _play(drawn: RandomDay, faults: FaultPlan,
 
 
 def _unnamed(record: StepRecord) -> bool:
-    return record.fallback not in FALLBACKS or (
-        (record.fallback != "none") != (record.fallback_reason != ""))
+    return record.steps["fallback"] not in FALLBACKS or (
+        (record.steps["fallback"] != "none") != (record.steps["fallback_reason"] != ""))
 
 
 def judge(drawn: RandomDay, steps: Sequence[StepToJudge]) -> list[str]:

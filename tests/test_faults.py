@@ -183,7 +183,7 @@ def test_run_goes_on_where_the_power_flow_has_no_solution(tiny: Scenario) -> Non
 
     for t in range(6):
         day.step(Blind(), t)
-    failed = [record.ac_failed != "" for record in day.recorder.records]
+    failed = [record.steps["ac_failed"] != "" for record in day.recorder.records]
     assert failed == [False, True, False, False, False, False]
     run = day.recorder.finish(OPTIONS.as_record())
     assert summarise(run)["ac_failures"] == 1

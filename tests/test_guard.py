@@ -49,15 +49,30 @@ def state_of(seed: int, stressed: bool = False) -> tuple[Scenario, StepState]:
     scenario, data = random_window(seed, stressed)
     every = np.ones(len(scenario.batteries), dtype=bool)
     return scenario, StepState(
-        Site.of(scenario), data.load_kw[0], data.pv_kw[0], float(data.grid_limit_kw[0]), data.soc,
-        data.eta_charge, data.eta_discharge, data.delta_pu2[0], every)
+        Site.of(scenario),
+        data.load_kw[0],
+        data.pv_kw[0],
+        float(data.grid_limit_kw[0]),
+        data.soc,
+        data.eta_charge,
+        data.eta_discharge,
+        data.delta_pu2[0],
+        every,
+    )
 
 
 def window_of(state: StepState) -> WindowData:
     """The step as the data of a window, for the independent checker."""
-    return WindowData(state.load_kw[None], state.pv_kw[None], np.zeros(1),
-                      np.array([state.grid_limit_kw]), state.soc, state.eta_charge,
-                      state.eta_discharge, state.offset_pu2[None])
+    return WindowData(
+        state.load_kw[None],
+        state.pv_kw[None],
+        np.zeros(1),
+        np.array([state.grid_limit_kw]),
+        state.soc,
+        state.eta_charge,
+        state.eta_discharge,
+        state.offset_pu2[None],
+    )
 
 
 @settings(max_examples=150, deadline=None)
@@ -72,8 +87,9 @@ def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
     exempt = {"voltage limits"}  # the rule goes by those of the AC voltages
     if carried.reactive_short_kvar > 1e-6:
         exempt |= {"reactive balance"}
-    assert {name: value for name, value in found.items()
-            if value > 1e-7 and name not in exempt} == {}
+    assert {
+        name: value for name, value in found.items() if value > 1e-7 and name not in exempt
+    } == {}
 
 
 @settings(max_examples=100, deadline=None)
@@ -81,8 +97,11 @@ def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
 def test_plant_carries_the_rule_out_as_it_is(seed: int, stressed: bool) -> None:
     scenario, state = state_of(seed, stressed)
     plan = rule_dispatch(state, TIERS).dispatch
-    now = replace(scenario, load_kw=np.tile(state.load_kw, (scenario.grid.n_steps, 1)),
-                  pv_kw=np.tile(state.pv_kw, (scenario.grid.n_steps, 1)))
+    now = replace(
+        scenario,
+        load_kw=np.tile(state.load_kw, (scenario.grid.n_steps, 1)),
+        pv_kw=np.tile(state.pv_kw, (scenario.grid.n_steps, 1)),
+    )
     battery = BatteryState(state.soc, state.eta_charge, state.eta_discharge, 25.0 + 0 * state.soc)
     done = Plant(now).apply(0, Decision(plan), battery)
     assert done.clipped_kw < 1e-6
@@ -91,13 +110,26 @@ def test_plant_carries_the_rule_out_as_it_is(seed: int, stressed: bool) -> None:
 
 
 @settings(max_examples=100, deadline=None)
-@given(weights=st.lists(st.sampled_from([1.0, 1.0, 1.5, 0.7]) | st.floats(0.1, 2.0), max_size=8),
-       seed=SEEDS, share=st.floats(0.0, 1.2))
+@given(
+    weights=st.lists(st.sampled_from([1.0, 1.0, 1.5, 0.7]) | st.floats(0.1, 2.0), max_size=8),
+    seed=SEEDS,
+    share=st.floats(0.0, 1.2),
+)
 def test_best_subset_is_the_best(weights: list[float], seed: int, share: float) -> None:
     loads = np.random.default_rng(seed).uniform(1.0, 20.0, len(weights))
     w, capacity = np.array(weights), share * loads.sum()
-    best = max((w @ chosen for chosen in map(np.array, itertools.product([0, 1], repeat=len(w)))
-                if loads @ chosen <= capacity + 1e-9), default=0.0) if len(w) else 0.0
+    best = (
+        max(
+            (
+                w @ chosen
+                for chosen in map(np.array, itertools.product([0, 1], repeat=len(w)))
+                if loads @ chosen <= capacity + 1e-9
+            ),
+            default=0.0,
+        )
+        if len(w)
+        else 0.0
+    )
     chosen = best_subset(w, loads, capacity)
     assert loads @ chosen <= capacity + 1e-6
     assert w @ chosen == pytest.approx(best, abs=1e-8)
@@ -107,8 +139,10 @@ def step(scenario: Scenario, t: int, soc: float = 0.5) -> StepState:
     """A step of a day with every battery at a state of charge."""
     b = scenario.batteries
     forecast = Forecaster(scenario, ForecastErrors(), 0).at(t, range(t, t + 1))
-    return StepState.of(Site.of(scenario), Observation(
-        t, forecast, np.full(len(b), soc), b.eta_charge, b.eta_discharge))
+    return StepState.of(
+        Site.of(scenario),
+        Observation(t, forecast, np.full(len(b), soc), b.eta_charge, b.eta_discharge),
+    )
 
 
 def test_rule_in_an_island_by_hand() -> None:
@@ -130,8 +164,9 @@ def test_rule_serves_the_first_tier_from_an_empty_battery_by_sun_alone() -> None
 
 
 def test_full_battery_leaves_the_surplus_curtailed() -> None:
-    plan = carry(step(small_scenario(), 1, soc=0.85), np.array([True, False, False]),
-                 np.zeros(1)).dispatch
+    plan = carry(
+        step(small_scenario(), 1, soc=0.85), np.array([True, False, False]), np.zeros(1)
+    ).dispatch
     assert (plan.charge_kw[0, 0], plan.pv_curtailed_kw[0, 0]) == (0.0, pytest.approx(2.0))
 
 
@@ -154,23 +189,30 @@ def test_sound_decision_passes(tiny: Scenario) -> None:
     assert violations(done, step(tiny, 0)) == []
 
 
-@pytest.mark.parametrize(("t", "change", "text"), [
-    (0, {"served": np.full((1, 3), 0.5)}, "a customer is neither served nor not"),
-    (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
-    (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
-    (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),
-    (0, {"charge_kw": np.array([[-5.0, 0.0]])}, "battery power: big by 5 kVA"),
-    (0, {"batt_q_kvar": np.array([[0.0, 36.0]])}, "battery power: small by 1 kVA"),
-    (0, {"charge_kw": np.array([[30.0, 0.0]]), "discharge_kw": np.array([[30.0, 0.0]])},
-     "battery power: big by 30 kVA"),
-    (0, {"pv_curtailed_kw": np.array([[-3.0, 0.0]])}, "pv: roof by 3 kVA"),
-    (0, {"pv_q_kvar": np.array([[0.0, -35.0]])}, "pv: field by 5 kVA"),
-    (0, {"v_pu": np.array([[1.0, 0.9, 1.0, 1.0]])}, "voltage: 0.9000 pu"),
-    (3, {}, "balance: 108.5 kW short"),
-    (3, {"served": np.zeros((1, 3), bool)}, "balance: 47.5 kW surplus"),
-])
-def test_unsound_decision_is_refused(tiny: Scenario, t: int, change: dict[str, Floats],
-                                     text: str) -> None:
+@pytest.mark.parametrize(
+    ("t", "change", "text"),
+    [
+        (0, {"served": np.full((1, 3), 0.5)}, "a customer is neither served nor not"),
+        (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
+        (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
+        (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),
+        (0, {"charge_kw": np.array([[-5.0, 0.0]])}, "battery power: big by 5 kVA"),
+        (0, {"batt_q_kvar": np.array([[0.0, 36.0]])}, "battery power: small by 1 kVA"),
+        (
+            0,
+            {"charge_kw": np.array([[30.0, 0.0]]), "discharge_kw": np.array([[30.0, 0.0]])},
+            "battery power: big by 30 kVA",
+        ),
+        (0, {"pv_curtailed_kw": np.array([[-3.0, 0.0]])}, "pv: roof by 3 kVA"),
+        (0, {"pv_q_kvar": np.array([[0.0, -35.0]])}, "pv: field by 5 kVA"),
+        (0, {"v_pu": np.array([[1.0, 0.9, 1.0, 1.0]])}, "voltage: 0.9000 pu"),
+        (3, {}, "balance: 108.5 kW short"),
+        (3, {"served": np.zeros((1, 3), bool)}, "balance: 47.5 kW surplus"),
+    ],
+)
+def test_unsound_decision_is_refused(
+    tiny: Scenario, t: int, change: dict[str, Floats], text: str
+) -> None:
     done = decision(tiny)
     wrong = replace(done, dispatch=replace(done.dispatch, **change))
     assert violations(wrong, step(tiny, t, soc=0.3)) == [text]
@@ -179,10 +221,10 @@ def test_unsound_decision_is_refused(tiny: Scenario, t: int, change: dict[str, F
 def test_energy_and_missing_batteries_are_refused(tiny: Scenario) -> None:
     full = step(tiny, 0, soc=0.84)
     assert violations(decision(tiny, battery_kw=[40.0, 0.0]), full) == [
-        "battery energy: big by 0.37 of capacity"]
+        "battery energy: big by 0.37 of capacity"
+    ]
     out = replace(step(tiny, 0), online=np.array([False, True]))
-    assert violations(decision(tiny, battery_kw=[5.0, 0.0]), out) == [
-        "battery power: big by 5 kVA"]
+    assert violations(decision(tiny, battery_kw=[5.0, 0.0]), out) == ["battery power: big by 5 kVA"]
 
 
 # The order of fallbacks.
@@ -203,14 +245,19 @@ class Scripted:
         return self.inner.decide(observation)
 
 
-def guarded(scenario: Scenario, script: dict[int, Exception], horizon_h: float = 2.0,
-            solver_of: Callable[[Site], WindowSolver] = WindowSolver,
-            protect: bool = False) -> GuardedController:
+def guarded(
+    scenario: Scenario,
+    script: dict[int, Exception],
+    horizon_h: float = 2.0,
+    solver_of: Callable[[Site], WindowSolver] = WindowSolver,
+    protect: bool = False,
+) -> GuardedController:
     def controller_of(site: Site) -> Decider:
         return Scripted(MPCController(WindowSolver(site), scenario.grid, horizon_h), script)
 
-    return GuardedController(controller_of, solver_of, Site.of(scenario),
-                             GuardOptions(TIERS, protect))
+    return GuardedController(
+        controller_of, solver_of, Site.of(scenario), GuardOptions(TIERS, protect)
+    )
 
 
 def played(scenario: Scenario, controller: Decider) -> Day:
@@ -222,7 +269,7 @@ def played(scenario: Scenario, controller: Decider) -> Day:
 
 
 def fallbacks(day: Day) -> list[str]:
-    return [record.fallback for record in day.recorder.records]
+    return [record.steps["fallback"] for record in day.recorder.records]
 
 
 @pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
@@ -242,8 +289,11 @@ def test_dead_solver_is_answered_by_the_previous_plan(tiny: Scenario, error: Exc
     # Without forecast errors the old plan closes the balance as it is.
     for t in (1, 2):
         record = day.recorder.records[t]
-        assert record.fallback_reason.startswith(type(error).__name__)
-        assert record.served.tolist() == undisturbed.recorder.records[t].served.tolist()
+        assert record.steps["fallback_reason"].startswith(type(error).__name__)
+        assert (
+            record.customers["served"].tolist()
+            == undisturbed.recorder.records[t].customers["served"].tolist()
+        )
 
 
 def test_plan_that_is_used_up_is_followed_by_the_rule(tiny: Scenario) -> None:
@@ -261,23 +311,29 @@ def test_plan_that_cannot_be_carried_out_is_not_followed(tiny: Scenario) -> None
     day.state = replace(day.state, soc=tiny.batteries.soc_min)
     day.step(guard, 3)
     assert fallbacks(day)[3] == "rule"
-    assert day.recorder.records[3].served[0] == (
-        tiny.load_kw[3, 0] <= tiny.pv_kw[3].sum())
+    assert day.recorder.records[3].customers["served"][0] == (
+        tiny.load_kw[3, 0] <= tiny.pv_kw[3].sum()
+    )
 
 
 def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
     net = scenario.network
-    return replace(scenario, network=Network(
-        net.from_bus, net.to_bus, net.r_ohm, net.x_ohm, net.slack_bus, net.base_kv, v_slack_pu))
+    return replace(
+        scenario,
+        network=Network(
+            net.from_bus, net.to_bus, net.r_ohm, net.x_ohm, net.slack_bus, net.base_kv, v_slack_pu
+        ),
+    )
 
 
-@pytest.mark.parametrize(("v_slack_pu", "limits"), [(0.945, "0.940 .. 1.060"),
-                                                    (0.92, "0.920 .. 1.077")])
+@pytest.mark.parametrize(
+    ("v_slack_pu", "limits"), [(0.945, "0.940 .. 1.060"), (0.92, "0.920 .. 1.077")]
+)
 def test_voltage_limits_give_by_as_little_as_possible(v_slack_pu: float, limits: str) -> None:
     scenario = with_slack(small_scenario(), v_slack_pu)
     day = played(scenario, guarded(scenario, {}, horizon_h=0.0))
     assert set(fallbacks(day)) == {"voltage"}
-    reason = day.recorder.records[0].fallback_reason
+    reason = day.recorder.records[0].steps["fallback_reason"]
     assert reason.startswith("InfeasibleError: The window of 1 steps has no feasible dispatch.")
     assert f"voltage limits widened to {limits} pu, this step 0.0" in reason
 
@@ -305,9 +361,11 @@ def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> Non
     error = InfeasibleError("The rules of switching leave nothing.")
     day = played(tiny, guarded(tiny, {3: error}, solver_of=OnlyOneStep))
     assert fallbacks(day) == ["none"] * 3 + ["service"] + ["none"] * 2
-    reason = day.recorder.records[3].fallback_reason
-    assert reason.startswith("InfeasibleError: The rules of switching leave nothing.; voltage: "
-                             "InfeasibleError: The future has no feasible dispatch.")
+    reason = day.recorder.records[3].steps["fallback_reason"]
+    assert reason.startswith(
+        "InfeasibleError: The rules of switching leave nothing.; voltage: "
+        "InfeasibleError: The future has no feasible dispatch."
+    )
     assert "the step alone, voltage limits widened to 0.946 .. 1.054 pu" in reason
 
 
@@ -321,7 +379,7 @@ class Dead(WindowSolver):
 def test_infeasible_window_without_any_solver_still_has_an_answer(tiny: Scenario) -> None:
     day = played(tiny, guarded(tiny, {0: InfeasibleError("nothing")}, solver_of=Dead))
     assert fallbacks(day) == ["rule"] + ["none"] * 5
-    assert "voltage: RuntimeError: no solver" in day.recorder.records[0].fallback_reason
+    assert "voltage: RuntimeError: no solver" in day.recorder.records[0].steps["fallback_reason"]
 
 
 # Critical customers.
@@ -333,32 +391,45 @@ def rationed() -> Scenario:
     load = np.array([[9.0, 50.0, 50.0], [9.0, 50.0, 50.0], [4.0, 1.0, 4.0], [9.0, 50.0, 50.0]])
     b = replace(day.batteries, soc_initial=[0.15 + 0.05 / 0.95])
     grid_limit_kw = [0.0, 0.0, 0.0, np.inf]
-    return replace(day, load_kw=load, pv_kw=np.zeros((4, 1)), batteries=b,
-                   grid_limit_kw=grid_limit_kw)
+    return replace(
+        day, load_kw=load, pv_kw=np.zeros((4, 1)), batteries=b, grid_limit_kw=grid_limit_kw
+    )
 
 
 @pytest.mark.parametrize("solver_of", [WindowSolver, Dead])
 def test_critical_customer_is_served_where_the_step_can(
-        solver_of: Callable[[Site], WindowSolver]) -> None:
+    solver_of: Callable[[Site], WindowSolver],
+) -> None:
     scenario = rationed()  # 5 kWh at the terminals, 4.5 kWh for the critical customer in a step
     free = played(scenario, guarded(scenario, {}, solver_of=solver_of))
-    assert [bool(r.served[0]) for r in free.recorder.records[:3]] == [False, False, True]
+    assert [bool(r.customers["served"][0]) for r in free.recorder.records[:3]] == [
+        False,
+        False,
+        True,
+    ]
     kept = played(scenario, guarded(scenario, {}, solver_of=solver_of, protect=True))
-    assert [bool(r.served[0]) for r in kept.recorder.records[:3]] == [True, False, False]
+    assert [bool(r.customers["served"][0]) for r in kept.recorder.records[:3]] == [
+        True,
+        False,
+        False,
+    ]
     first, second = kept.recorder.records[:2]
-    assert first.fallback == "critical"
-    assert first.fallback_reason.startswith(
-        "the plan serves 0 of the critical weight, the step alone 1")
-    assert ("RuntimeError: no solver" in first.fallback_reason) == (solver_of is Dead)
-    assert second.fallback == "none"  # what is left carries nobody
+    assert first.steps["fallback"] == "critical"
+    assert first.steps["fallback_reason"].startswith(
+        "the plan serves 0 of the critical weight, the step alone 1"
+    )
+    assert ("RuntimeError: no solver" in first.steps["fallback_reason"]) == (solver_of is Dead)
+    assert second.steps["fallback"] == "none"  # what is left carries nobody
 
 
 # Measurements and batteries that are out.
 
 
-def seen_day(scenario: Scenario, change: Callable[[Observation], Observation],
-             options: RunOptions) -> Day:
+def seen_day(
+    scenario: Scenario, change: Callable[[Observation], Observation], options: RunOptions
+) -> Day:
     """A day whose controller sees changed observations."""
+
     class Veiled(Day):
         def observe(self, controller: Decider, t: int) -> Observation:
             return change(super().observe(controller, t))
@@ -374,8 +445,10 @@ OPTIONS = RunOptions(horizon_h=2.0)
 
 def same_service(one: Day, other: Day) -> bool:
     pairs = zip(one.recorder.records, other.recorder.records, strict=True)
-    return all((a.served == b.served).all() and np.allclose(a.soc_end, b.soc_end, atol=1e-6)
-               for a, b in pairs)
+    return all(
+        (a.served == b.served).all() and np.allclose(a.soc_end, b.soc_end, atol=1e-6)
+        for a, b in pairs
+    )
 
 
 def test_missing_soc_is_reckoned_exactly(tiny: Scenario) -> None:
@@ -384,8 +457,11 @@ def test_missing_soc_is_reckoned_exactly(tiny: Scenario) -> None:
 
     blind = seen_day(tiny, without_soc, OPTIONS)
     assert same_service(blind, played(tiny, make_controller(tiny, OPTIONS)))
-    assert blind.recorder.records[0].estimated == "soc big 0.1500 (missing); soc small 0.5000 " \
-                                                  "(missing)"
+    assert (
+        blind.recorder.records[0].steps["estimated"]
+        == "soc big 0.1500 (missing); soc small 0.5000 "
+        "(missing)"
+    )
 
 
 def test_frozen_soc_is_noticed_once_the_battery_has_moved(tiny: Scenario) -> None:
@@ -394,13 +470,14 @@ def test_frozen_soc_is_noticed_once_the_battery_has_moved(tiny: Scenario) -> Non
 
     day = seen_day(tiny, frozen, OPTIONS)
     assert same_service(day, played(tiny, make_controller(tiny, OPTIONS)))
-    assert day.recorder.records[0].estimated == ""
-    assert "(frozen)" in day.recorder.records[3].estimated
+    assert day.recorder.records[0].steps["estimated"] == ""
+    assert "(frozen)" in day.recorder.records[3].steps["estimated"]
 
 
 @pytest.mark.parametrize("name", ["load_kw", "pv_kw"])
-def test_missing_series_come_from_the_forecast_of_the_step_before(tiny: Scenario,
-                                                                  name: str) -> None:
+def test_missing_series_come_from_the_forecast_of_the_step_before(
+    tiny: Scenario, name: str
+) -> None:
     def missing(seen: Observation) -> Observation:
         rows = np.array(getattr(seen.forecast, name))
         if seen.t0 in (1, 4):
@@ -410,7 +487,7 @@ def test_missing_series_come_from_the_forecast_of_the_step_before(tiny: Scenario
     day = seen_day(tiny, missing, OPTIONS)
     assert same_service(day, played(tiny, make_controller(tiny, OPTIONS)))
     words = {"load_kw": "load hospital 62.00 kW (missing)", "pv_kw": "pv roof 28.00 kW (missing)"}
-    assert [r.estimated for r in day.recorder.records][:3] == ["", words[name], ""]
+    assert [r.steps["estimated"] for r in day.recorder.records][:3] == ["", words[name], ""]
 
 
 def test_frozen_load_is_replaced_while_the_forecast_moves(tiny: Scenario) -> None:
@@ -421,10 +498,11 @@ def test_frozen_load_is_replaced_while_the_forecast_moves(tiny: Scenario) -> Non
         rows[0] = moving.load_kw[0]
         return replace(seen, forecast=replace(seen.forecast, load_kw=rows))
 
-    words = [r.estimated for r in seen_day(moving, frozen, OPTIONS).recorder.records]
+    words = [r.steps["estimated"] for r in seen_day(moving, frozen, OPTIONS).recorder.records]
     assert words[:2] == ["", ""]  # two forecasts are needed to see that it should move
-    assert words[2:] == [f"load of all 3, {moving.load_kw[t].sum():.1f} kW (frozen)"
-                         for t in range(2, 6)]
+    assert words[2:] == [
+        f"load of all 3, {moving.load_kw[t].sum():.1f} kW (frozen)" for t in range(2, 6)
+    ]
 
 
 def test_reported_trip_takes_the_battery_out_of_the_plan(tiny: Scenario) -> None:
@@ -432,7 +510,9 @@ def test_reported_trip_takes_the_battery_out_of_the_plan(tiny: Scenario) -> None
         return replace(seen, online=np.array([seen.t0 < 3, True]))
 
     records = seen_day(tiny, tripped, OPTIONS).recorder.records
-    assert [r.estimated for r in records] == [""] * 3 + ["battery big is out"] * 3
-    assert [r.fallback for r in records] == ["none"] * 6
-    assert all(r.charge_kw[0] == r.discharge_kw[0] == 0.0 for r in records[3:])
-    assert any(r.discharge_kw[1] > 1.0 for r in records[3:])
+    assert [r.steps["estimated"] for r in records] == [""] * 3 + ["battery big is out"] * 3
+    assert [r.steps["fallback"] for r in records] == ["none"] * 6
+    assert all(
+        r.batteries["charge_kw"][0] == r.batteries["discharge_kw"][0] == 0.0 for r in records[3:]
+    )
+    assert any(r.batteries["discharge_kw"][1] > 1.0 for r in records[3:])

@@ -40,8 +40,9 @@ class Items(NamedTuple):
     pv_bus: list[int]
 
 
-def check_dispatch(scenario: Scenario, data: WindowData, dispatch: Dispatch,
-                   state: SwitchingState | None = None) -> Check:
+def check_dispatch(
+    scenario: Scenario, data: WindowData, dispatch: Dispatch, state: SwitchingState | None = None
+) -> Check:
     """Violations and objective of a dispatch of W steps.
 
     Powers are scaled by the largest demand of a customer (at least 1 kW), inverters and battery
@@ -55,10 +56,15 @@ def check_dispatch(scenario: Scenario, data: WindowData, dispatch: Dispatch,
         data = replace(data, load_kw=data.load_kw * cold)
     scale_kw = max(1.0, float(data.load_kw.max(initial=0.0)))
     items = _items(scenario)
-    families = (_signs(dispatch, scale_kw), _batteries(scenario, data, dispatch),
-                _pv(scenario, data, dispatch, items), _grid(data, dispatch, scale_kw),
-                _balances(scenario, data, dispatch, items, scale_kw),
-                _voltages(scenario, data, dispatch), rules)
+    families = (
+        _signs(dispatch, scale_kw),
+        _batteries(scenario, data, dispatch),
+        _pv(scenario, data, dispatch, items),
+        _grid(data, dispatch, scale_kw),
+        _balances(scenario, data, dispatch, items, scale_kw),
+        _voltages(scenario, data, dispatch),
+        rules,
+    )
     violations = {name: value for family in families for name, value in family.items()}
     return Check(violations, _objective(scenario, data, dispatch) - price)
 
@@ -68,8 +74,12 @@ def _items(scenario: Scenario) -> Items:
     customer = list(scenario.customers.id)
     customer_bus = [bus.index(b) for b in scenario.customers.bus]
     owner = [customer.index(c) for c in scenario.pv.customer]
-    return Items(customer_bus, [bus.index(b) for b in scenario.batteries.bus], owner,
-                 [customer_bus[c] for c in owner])
+    return Items(
+        customer_bus,
+        [bus.index(b) for b in scenario.batteries.bus],
+        owner,
+        [customer_bus[c] for c in owner],
+    )
 
 
 def _most(*excess: Floats | float) -> float:
@@ -78,8 +88,14 @@ def _most(*excess: Floats | float) -> float:
 
 
 def _signs(d: Dispatch, scale_kw: float) -> dict[str, float]:
-    parts = (d.pv_self_kw, d.pv_export_kw, d.pv_curtailed_kw, d.charge_kw, d.discharge_kw,
-             d.p_grid_kw)
+    parts = (
+        d.pv_self_kw,
+        d.pv_export_kw,
+        d.pv_curtailed_kw,
+        d.charge_kw,
+        d.discharge_kw,
+        d.p_grid_kw,
+    )
     return {"not negative": _most(*(-part / scale_kw for part in parts))}
 
 
@@ -87,8 +103,9 @@ def _batteries(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     b, dt_h = s.batteries, s.grid.step_minutes / 60.0
     charged_kwh = dt_h * (data.eta_charge * d.charge_kw - d.discharge_kw / data.eta_discharge)
     apparent = np.hypot(d.charge_kw - d.discharge_kw, d.batt_q_kvar)
-    reserve, kept_kva = ((0.0, 0.0) if data.physics is None
-                         else (data.physics.soc_reserve, data.physics.headroom_kw))
+    reserve, kept_kva = (
+        (0.0, 0.0) if data.physics is None else (data.physics.soc_reserve, data.physics.headroom_kw)
+    )
     return {
         "charge rating": _most(d.charge_kw / b.p_max_kw - 1.0),
         "discharge rating": _most(d.discharge_kw / b.p_max_kw - 1.0),
@@ -130,8 +147,9 @@ def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
     }
 
 
-def _balances(s: Scenario, data: WindowData, d: Dispatch, items: Items,
-              scale_kw: float) -> dict[str, float]:
+def _balances(
+    s: Scenario, data: WindowData, d: Dispatch, items: Items, scale_kw: float
+) -> dict[str, float]:
     """Kirchhoff at every bus: what arrives and is made there, less what leaves and is used."""
     tan_phi = np.sqrt(1.0 - s.customers.power_factor**2) / s.customers.power_factor
     left_p = np.zeros((d.n_steps, s.network.n_buses))
@@ -153,8 +171,10 @@ def _balances(s: Scenario, data: WindowData, d: Dispatch, items: Items,
         if data.physics is not None:
             left_p[:, line + 1] -= data.physics.loss_kw[:, line]
             left_q[:, line + 1] -= data.physics.loss_kvar[:, line]
-    return {"active balance": _most(np.abs(left_p) / scale_kw),
-            "reactive balance": _most(np.abs(left_q) / scale_kw)}
+    return {
+        "active balance": _most(np.abs(left_p) / scale_kw),
+        "reactive balance": _most(np.abs(left_q) / scale_kw),
+    }
 
 
 def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
@@ -162,8 +182,11 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     base = 1000.0 * net.base_kv**2
     worst = 0.0
     for line, upstream in enumerate(net.parent):
-        drop = 2.0 * (net.r_ohm[line] * d.p_flow_kw[:, line]
-                      + net.x_ohm[line] * d.q_flow_kvar[:, line]) / base
+        drop = (
+            2.0
+            * (net.r_ohm[line] * d.p_flow_kw[:, line] + net.x_ohm[line] * d.q_flow_kvar[:, line])
+            / base
+        )
         expected = u[:, upstream] - drop + data.delta_pu2[:, line]
         worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
     held = [0] * d.n_steps if data.physics is None else list(data.physics.reference)
@@ -172,8 +195,13 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     return {
         "slack voltage": _most(np.abs(reference - net.v_slack_pu**2)),
         "voltage drop": worst,
-        "voltage limits": _most(*(excess for part in (u[:, 1:], alone) for excess in (
-            net.v_min_pu**2 - part, part - net.v_max_pu**2))),
+        "voltage limits": _most(
+            *(
+                excess
+                for part in (u[:, 1:], alone)
+                for excess in (net.v_min_pu**2 - part, part - net.v_max_pu**2)
+            )
+        ),
     }
 
 
@@ -184,13 +212,24 @@ def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
     for t in range(d.n_steps):
         service = sum(s.customers.weight[c] for c in range(len(s.customers)) if d.served[t, c])
         cost_gbp = data.price_gbp_per_kwh[t] * d.p_grid_kw[t] * dt_h
-        flows = sum(r * (p**2 + q**2) for r, p, q in
-                    zip(s.network.r_ohm, d.p_flow_kw[t], d.q_flow_kvar[t], strict=True))
-        use = sum((q / rating) ** 2 for q, rating in
-                  zip([*d.pv_q_kvar[t], *d.batt_q_kvar[t]],
-                      [*s.pv.s_max_kva, *s.batteries.s_max_kva], strict=True))
-        total += (dt_h * (service - w.lambda_curt * d.pv_curtailed_kw[t].sum())
-                  - w.lambda_grid * cost_gbp - w.lambda_l * flows - w.lambda_q * use)
+        flows = sum(
+            r * (p**2 + q**2)
+            for r, p, q in zip(s.network.r_ohm, d.p_flow_kw[t], d.q_flow_kvar[t], strict=True)
+        )
+        use = sum(
+            (q / rating) ** 2
+            for q, rating in zip(
+                [*d.pv_q_kvar[t], *d.batt_q_kvar[t]],
+                [*s.pv.s_max_kva, *s.batteries.s_max_kva],
+                strict=True,
+            )
+        )
+        total += (
+            dt_h * (service - w.lambda_curt * d.pv_curtailed_kw[t].sum())
+            - w.lambda_grid * cost_gbp
+            - w.lambda_l * flows
+            - w.lambda_q * use
+        )
     return float(total)
 
 

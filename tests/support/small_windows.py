@@ -18,33 +18,69 @@ CHECKER_TOLERANCE = 1e-5
 DARK, OPEN = 0.0, np.inf
 
 
-def two_buses(load_kw: Sequence[Sequence[float]], weights: Sequence[float],
-              grid_limit_kw: Sequence[float], price: Sequence[float] | float = 0.3,
-              r_ohm: float = 0.01) -> Scenario:
+def two_buses(
+    load_kw: Sequence[Sequence[float]],
+    weights: Sequence[float],
+    grid_limit_kw: Sequence[float],
+    price: Sequence[float] | float = 0.3,
+    r_ohm: float = 0.01,
+) -> Scenario:
     """Customers of power factor 1 at bus 2, without devices; hourly steps."""
     steps, count = np.shape(load_kw)
     return Scenario(
-        name="two-buses", title="Two buses",
+        name="two-buses",
+        title="Two buses",
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
         network=Network([1], [2], [r_ohm], [r_ohm], slack_bus=1, base_kv=11.0),
-        customers=Customers(id=[f"c{i}" for i in range(count)], bus=[2] * count,
-                            tier=["critical"] * count, weight=weights,
-                            power_factor=[1.0] * count),
-        pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]), batteries=battery(count=0),
-        load_kw=load_kw, pv_kw=np.zeros((steps, 0)), grid_limit_kw=grid_limit_kw,
-        price_gbp_per_kwh=np.broadcast_to(price, steps), temperature_c=np.full(steps, 25.0))
+        customers=Customers(
+            id=[f"c{i}" for i in range(count)],
+            bus=[2] * count,
+            tier=["critical"] * count,
+            weight=weights,
+            power_factor=[1.0] * count,
+        ),
+        pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]),
+        batteries=battery(count=0),
+        load_kw=load_kw,
+        pv_kw=np.zeros((steps, 0)),
+        grid_limit_kw=grid_limit_kw,
+        price_gbp_per_kwh=np.broadcast_to(price, steps),
+        temperature_c=np.full(steps, 25.0),
+    )
 
 
-def battery(energy_kwh: float = 100.0, p_max_kw: float = 50.0, s_max_kva: float = 100.0,
-            soc: float = 0.15, count: int = 1) -> Batteries:
+def battery(
+    energy_kwh: float = 100.0,
+    p_max_kw: float = 50.0,
+    s_max_kva: float = 100.0,
+    soc: float = 0.15,
+    count: int = 1,
+) -> Batteries:
     """A battery at bus 2 with the paper's efficiencies and limits."""
-    values = {"energy_kwh": energy_kwh, "p_max_kw": p_max_kw, "s_max_kva": s_max_kva,
-              "soc_min": 0.15, "soc_max": 0.85, "soc_initial": soc, "eta_charge": 0.95,
-              "eta_discharge": 0.95, "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3,
-              "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
-              "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": 25.0}
-    return Batteries(id=[f"b{i}" for i in range(count)], bus=[2] * count,
-                     **{name: np.full(count, value) for name, value in values.items()})
+    values = {
+        "energy_kwh": energy_kwh,
+        "p_max_kw": p_max_kw,
+        "s_max_kva": s_max_kva,
+        "soc_min": 0.15,
+        "soc_max": 0.85,
+        "soc_initial": soc,
+        "eta_charge": 0.95,
+        "eta_discharge": 0.95,
+        "r_theta_c_per_kw": 3.5,
+        "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 1e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "t_initial_c": 25.0,
+    }
+    return Batteries(
+        id=[f"b{i}" for i in range(count)],
+        bus=[2] * count,
+        **{name: np.full(count, value) for name, value in values.items()},
+    )
 
 
 def with_pv(scenario: Scenario, pv_kw: Sequence[float], s_max_kva: float = 100.0) -> Scenario:
@@ -57,12 +93,25 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
     """The true series of some steps as a window, with plain LinDistFlow."""
     b, n_steps = scenario.batteries, len(scenario.price_gbp_per_kwh[steps])
     return WindowData(
-        scenario.load_kw[steps], scenario.pv_kw[steps], scenario.price_gbp_per_kwh[steps],
-        scenario.grid_limit_kw[steps], b.soc_initial if soc is None else np.full(len(b), soc),
-        b.eta_charge, b.eta_discharge, np.zeros((n_steps, scenario.network.n_lines)))
+        scenario.load_kw[steps],
+        scenario.pv_kw[steps],
+        scenario.price_gbp_per_kwh[steps],
+        scenario.grid_limit_kw[steps],
+        b.soc_initial if soc is None else np.full(len(b), soc),
+        b.eta_charge,
+        b.eta_discharge,
+        np.zeros((n_steps, scenario.network.n_lines)),
+    )
 
 
 def replace_slack(network: Network, v_slack_pu: float) -> Network:
     """The network with another voltage at the slack bus."""
-    return Network(network.from_bus, network.to_bus, network.r_ohm, network.x_ohm,
-                   network.slack_bus, network.base_kv, v_slack_pu=v_slack_pu)
+    return Network(
+        network.from_bus,
+        network.to_bus,
+        network.r_ohm,
+        network.x_ohm,
+        network.slack_bus,
+        network.base_kv,
+        v_slack_pu=v_slack_pu,
+    )

@@ -17,18 +17,36 @@ def tiny_scenario() -> Scenario:
         name="tiny",
         title="Four buses, six hours",
         grid=TimeGrid(pd.Timestamp("2022-07-19T10:00:00Z"), 60.0, 6),
-        network=Network([1, 2, 2], [2, 3, 4], [0.3, 0.4, 0.5], [0.2, 0.3, 0.4],
-                        slack_bus=1, base_kv=11.0),
+        network=Network(
+            [1, 2, 2], [2, 3, 4], [0.3, 0.4, 0.5], [0.2, 0.3, 0.4], slack_bus=1, base_kv=11.0
+        ),
         customers=Customers(
-            id=["hospital", "shop", "homes"], bus=[2, 3, 4], tier=["critical", "high", "low"],
-            weight=[1.0, 0.1, 0.02], power_factor=[0.95, 0.9, 0.98]),
-        pv=PVSystems(id=["roof", "field"], customer=["hospital", "homes"],
-                     p_max_kw=[30.0, 20.0], s_max_kva=[40.0, 30.0]),
+            id=["hospital", "shop", "homes"],
+            bus=[2, 3, 4],
+            tier=["critical", "high", "low"],
+            weight=[1.0, 0.1, 0.02],
+            power_factor=[0.95, 0.9, 0.98],
+        ),
+        pv=PVSystems(
+            id=["roof", "field"],
+            customer=["hospital", "homes"],
+            p_max_kw=[30.0, 20.0],
+            s_max_kva=[40.0, 30.0],
+        ),
         batteries=_tiny_batteries(),
-        load_kw=np.array([[60.0, 40.0, 50.0], [62.0, 41.0, 48.0], [64.0, 42.0, 47.0],
-                          [65.0, 45.0, 46.0], [66.0, 44.0, 49.0], [63.0, 38.0, 55.0]]),
-        pv_kw=np.array([[20.0, 15.0], [28.0, 19.0], [30.0, 20.0],
-                        [29.0, 18.5], [24.0, 16.0], [18.0, 11.0]]),
+        load_kw=np.array(
+            [
+                [60.0, 40.0, 50.0],
+                [62.0, 41.0, 48.0],
+                [64.0, 42.0, 47.0],
+                [65.0, 45.0, 46.0],
+                [66.0, 44.0, 49.0],
+                [63.0, 38.0, 55.0],
+            ]
+        ),
+        pv_kw=np.array(
+            [[20.0, 15.0], [28.0, 19.0], [30.0, 20.0], [29.0, 18.5], [24.0, 16.0], [18.0, 11.0]]
+        ),
         price_gbp_per_kwh=np.array([0.30, 0.28, 0.32, 0.35, 0.40, 0.45]),
         temperature_c=np.array([28.0, 30.0, 32.0, 34.0, 34.5, 33.0]),
         grid_limit_kw=np.array([np.inf, np.inf, np.inf, 0.0, 0.0, np.inf]),
@@ -37,11 +55,24 @@ def tiny_scenario() -> Scenario:
 
 def _tiny_batteries() -> Batteries:
     """Two batteries with the default thermal constants."""
-    thermal = {"r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3, "alpha_charge_per_c2": 1e-4,
-               "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035, "beta_per_c": 0.003,
-               "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": np.nan}
+    thermal = {
+        "r_theta_c_per_kw": 3.5,
+        "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 1e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "t_initial_c": np.nan,
+    }
     limits = {"soc_min": 0.15, "soc_max": 0.85, "eta_charge": 0.95, "eta_discharge": 0.95}
     return Batteries(
-        id=["big", "small"], bus=[2, 4], energy_kwh=[100.0, 60.0], p_max_kw=[50.0, 30.0],
-        s_max_kva=[60.0, 35.0], soc_initial=[0.15, 0.5],
-        **{name: [value] * 2 for name, value in {**limits, **thermal}.items()})
+        id=["big", "small"],
+        bus=[2, 4],
+        energy_kwh=[100.0, 60.0],
+        p_max_kw=[50.0, 30.0],
+        s_max_kva=[60.0, 35.0],
+        soc_initial=[0.15, 0.5],
+        **{name: [value] * 2 for name, value in {**limits, **thermal}.items()},
+    )

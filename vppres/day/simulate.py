@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from vppres.contract.decision import Decider, Decision
+from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
@@ -14,7 +15,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.options import PERFECT, RunOptions
-from vppres.day.trajectory import Recorder, StepRecord, Trajectory
+from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
 from vppres.physics.powerflow import shared_power_flow
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
@@ -150,36 +151,95 @@ class Day:
 def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
             done: Settled, mode: str) -> StepRecord:
     """Everything that is known of the step."""
-    plan = decision.dispatch
-    row = decision.row
-    info = decision.info
     realised = done.realised
-    ac = done.ac
-    island = mode == "physical" and scenario.outage[t]
-    clipped = realised.clipped_kw if realised.clipped_kw > CLIP_TOLERANCE_KW else 0.0
-    return StepRecord(
-        t=t, served=realised.served, load_kw=realised.load_kw,
-        load_kvar=realised.load_kw * scenario.customers.q_per_p,
-        pv_available_kw=scenario.pv_kw[t], pv_self_kw=realised.pv_self_kw,
-        pv_export_kw=realised.pv_export_kw, pv_curtailed_kw=realised.pv_curtailed_kw,
-        pv_q_kvar=realised.pv_q_kvar, charge_kw=realised.charge_kw,
-        discharge_kw=realised.discharge_kw, batt_q_kvar=realised.batt_q_kvar,
-        soc_start=state.soc, soc_end=realised.soc_end, eta_charge=state.eta_charge,
-        eta_discharge=state.eta_discharge, temperature_c=state.t_cell_c,
-        v_model_pu=plan.v_pu[row], v_ac_pu=ac.v_pu, p_model_kw=plan.p_flow_kw[row],
-        q_model_kvar=plan.q_flow_kvar[row], p_ac_kw=ac.p_from_kw, q_ac_kvar=ac.q_from_kvar,
-        p_grid_kw=0.0 if island else ac.p_slack_kw, q_grid_kvar=0.0 if island else ac.q_slack_kvar,
-        losses_kw=ac.losses_kw, mismatch_kw=done.mismatch_kw, shed=done.shed,
-        objective=info.objective, bound=info.bound, gap=info.gap, status=info.status,
-        solve_s=info.solve_s, corrected=decision.corrected, correction_reason=decision.reason,
-        fallback=decision.fallback, fallback_reason=decision.fallback_reason,
-        estimated=decision.estimated, ac_failed=done.ac_failed,
-        notes={"gap_abs": info.gap_abs, "gap_service": info.gap_service,
-               "gap_cost_gbp": info.gap_cost_gbp,
-               "solver_s": info.solver_s, "stages": info.stages,
-               "compilations": float(info.compilations), "clipped_kw": clipped,
-               "switching_relaxed": info.switching_relaxed, "moved_kw": info.moved_kw,
-               "mode": mode, "passes": float(info.passes), **_island_notes(scenario, done)})
+    row = decision.row
+    plan = decision.dispatch
+    customers = {
+        "p_load_kw": realised.load_kw,
+        "q_load_kvar": realised.load_kw * scenario.customers.q_per_p,
+        "served": realised.served,
+        "shed": done.shed,
+    }
+    pv = {
+        "available_kw": scenario.pv_kw[t],
+        "self_kw": realised.pv_self_kw,
+        "export_kw": realised.pv_export_kw,
+        "curtailed_kw": realised.pv_curtailed_kw,
+        "q_kvar": realised.pv_q_kvar,
+    }
+    batteries = {
+        "charge_kw": realised.charge_kw,
+        "discharge_kw": realised.discharge_kw,
+        "q_kvar": realised.batt_q_kvar,
+        "soc_start": state.soc,
+        "soc_end": realised.soc_end,
+        "eta_charge": state.eta_charge,
+        "eta_discharge": state.eta_discharge,
+        "temperature_c": state.t_cell_c,
+        "mismatch_kw": done.mismatch_kw,
+    }
+    buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
+    lines = {
+        "p_model_kw": plan.p_flow_kw[row],
+        "q_model_kvar": plan.q_flow_kvar[row],
+        "p_ac_kw": done.ac.p_from_kw,
+        "q_ac_kvar": done.ac.q_from_kvar,
+    }
+    held_by_batteries = mode == "physical" and bool(scenario.outage[t])
+    steps = {
+        **_supply(done, buses, held_by_batteries),
+        **_answer(decision),
+        "ac_failed": done.ac_failed,
+        **_effort(decision.info, realised.clipped_kw),
+        "mode": mode,
+        "passes": float(decision.info.passes),
+        **_island_notes(scenario, done),
+    }
+    return StepRecord(t, steps, customers, pv, batteries, buses, lines)
+
+
+def _supply(done: Settled, buses: Mapping[str, Floats],
+            held_by_batteries: bool) -> dict[str, float]:
+    """What the AC power flow says of the step as a whole."""
+    return {
+        # Where batteries hold the island the reference bus is one of theirs: nothing is imported.
+        "p_grid_kw": 0.0 if held_by_batteries else done.ac.p_slack_kw,
+        "q_grid_kvar": 0.0 if held_by_batteries else done.ac.q_slack_kvar,
+        "losses_kw": done.ac.losses_kw,
+        **voltage_figures(buses["v_model_pu"], buses["v_ac_pu"]),
+    }
+
+
+def _answer(decision: Decision) -> dict[str, Any]:
+    """What was found for the step, and what overruled or replaced it."""
+    info = decision.info
+    return {
+        "objective": info.objective,
+        "bound": info.bound,
+        "gap": info.gap,
+        "status": info.status,
+        "solve_s": info.solve_s,
+        "corrected": decision.corrected,
+        "correction_reason": decision.reason,
+        "fallback": decision.fallback,
+        "fallback_reason": decision.fallback_reason,
+        "estimated": decision.estimated,
+    }
+
+
+def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
+    """Gaps level by level, how the answer was found, and what the plant could not follow."""
+    return {
+        "gap_abs": info.gap_abs,
+        "gap_service": info.gap_service,
+        "gap_cost_gbp": info.gap_cost_gbp,
+        "solver_s": info.solver_s,
+        "stages": info.stages,
+        "compilations": float(info.compilations),
+        "clipped_kw": clipped_kw if clipped_kw > CLIP_TOLERANCE_KW else 0.0,
+        "switching_relaxed": info.switching_relaxed,
+        "moved_kw": info.moved_kw,
+    }
 
 
 def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:

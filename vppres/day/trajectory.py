@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.notebook import facts_html
 from vppres.day.phases import phases, returning_steps
@@ -29,171 +29,88 @@ EXPLAINING_TABLES = ("explanations", "shadow_prices")
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 OPTIONS_FILE = "options.json"
 
-# Columns of the run folder's tables, each with the field of StepRecord that fills it.
-_STEPS = {
-    name: name
-    for name in (
-        "p_grid_kw",
-        "q_grid_kvar",
-        "losses_kw",
-        "v_min_ac_pu",
-        "v_max_ac_pu",
-        "v_error_pu",
-        "objective",
-        "bound",
-        "gap",
-        "status",
-        "solve_s",
-        "corrected",
-        "correction_reason",
-        "fallback",
-        "fallback_reason",
-        "estimated",
-        "ac_failed",
-    )
+STEP_COLUMNS = (
+    "p_grid_kw",
+    "q_grid_kvar",
+    "losses_kw",
+    "v_min_ac_pu",
+    "v_max_ac_pu",
+    "v_error_pu",
+    "objective",
+    "bound",
+    "gap",
+    "status",
+    "solve_s",
+    "corrected",
+    "correction_reason",
+    "fallback",
+    "fallback_reason",
+    "estimated",
+    "ac_failed",
+)
+"""Columns that the table of steps always has, besides time, outage and price."""
+
+ITEM_COLUMNS = {
+    "customers": ("p_load_kw", "q_load_kvar", "served", "shed"),
+    "pv": ("available_kw", "self_kw", "export_kw", "curtailed_kw", "q_kvar"),
+    "batteries": (
+        "charge_kw",
+        "discharge_kw",
+        "q_kvar",
+        "soc_start",
+        "soc_end",
+        "eta_charge",
+        "eta_discharge",
+        "temperature_c",
+        "mismatch_kw",
+    ),
+    "buses": ("v_model_pu", "v_ac_pu"),
+    "lines": ("p_model_kw", "q_model_kvar", "p_ac_kw", "q_ac_kvar"),
 }
-_CUSTOMERS = {
-    "p_load_kw": "load_kw",
-    "q_load_kvar": "load_kvar",
-    "served": "served",
-    "shed": "shed",
-}
-_PV = {
-    "available_kw": "pv_available_kw",
-    "self_kw": "pv_self_kw",
-    "export_kw": "pv_export_kw",
-    "curtailed_kw": "pv_curtailed_kw",
-    "q_kvar": "pv_q_kvar",
-}
-_BATTERIES = {
-    "charge_kw": "charge_kw",
-    "discharge_kw": "discharge_kw",
-    "q_kvar": "batt_q_kvar",
-    "soc_start": "soc_start",
-    "soc_end": "soc_end",
-    "eta_charge": "eta_charge",
-    "eta_discharge": "eta_discharge",
-    "temperature_c": "temperature_c",
-    "mismatch_kw": "mismatch_kw",
-}
-_BUSES = {"v_model_pu": "v_model_pu", "v_ac_pu": "v_ac_pu"}
-_LINES = {name: name for name in ("p_model_kw", "q_model_kvar", "p_ac_kw", "q_ac_kvar")}
+"""Columns of the other tables that change from step to step; identifiers come before them."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """Everything that is known of one step once it is over.
+    """Everything that is known of one step once it is over: a piece of each table.
 
     Parameters
     ----------
     t : int
         Step.
-    served : array of bool, shape (C,)
-        Who was supplied.
-    load_kw, load_kvar : array, shape (C,)
-        Actual demand, served or not.
-    pv_available_kw, pv_self_kw, pv_export_kw, pv_curtailed_kw, pv_q_kvar : array, shape (P,)
-        Actual PV power and its split, and reactive power.
-    charge_kw, discharge_kw, batt_q_kvar : array, shape (B,)
-        Battery powers at the terminals.
-    soc_start, soc_end : array, shape (B,)
-        State of charge at the beginning and the end of the step.
-    eta_charge, eta_discharge, temperature_c : array, shape (B,)
-        Efficiencies that held in the step, and the cell temperature they follow from.
-    v_model_pu, v_ac_pu : array, shape (N,)
-        Voltages of the optimisation and of the AC power flow, slack bus first.
-    p_model_kw, q_model_kvar, p_ac_kw, q_ac_kvar : array, shape (L,)
-        Line flows of the optimisation, and at the sending end in the AC power flow.
-    p_grid_kw, q_grid_kvar, losses_kw : float
-        What the slack bus supplies, and the losses, in the AC power flow.
-    objective, bound, gap : float
-        Value of the accepted dispatch, proven bound and relative gap of the window's solve.
-    status : str
-        Outcome of the solve.
-    solve_s : float
-        Time from forecast to decision in s.
-    corrected : bool
-        Whether the planned dispatch had to be replaced.
-    correction_reason : str
-        Which check failed; empty if none.
-    fallback : str
-        What took the place of the controller's answer: ``none``, ``voltage``, ``service``,
-        ``previous_plan``, ``rule`` or ``critical``.
-    fallback_reason : str
-        Why, and what it leaves open; empty if nothing did.
-    estimated : str
-        Measurements that were estimated and batteries that were out; empty if none.
-    ac_failed : str
-        What was shed because the AC power flow had no solution, and why; empty if it had one.
-    notes : mapping of str to float or str
-        Further columns of the steps table.
-    mismatch_kw : array, shape (B,), optional
-        What each grid-forming battery of an island gave beyond its set-point; zeros if not given.
-    shed : array of bool, shape (C,), optional
-        Who was to be served and was cut off in an island; nobody if not given.
+    steps : mapping of str to float, bool or str
+        The step's row: what the slack bus supplies and the losses in the AC power flow, the
+        voltages' extremes, how the decision was found (objective, bound, gap, status, time), what
+        overruled or replaced it and why, and any further figures.
+    customers, pv, batteries : mapping of str to array, shape (C,), (P,), (B,)
+        Demand and who was supplied; actual PV power and its split; battery powers at the
+        terminals, state of charge, efficiencies and cell temperature.
+    buses, lines : mapping of str to array, shape (N,), (L,)
+        Voltages and flows of the optimisation, and of the AC power flow at the sending end.
     """
 
     t: int
-    served: Flags
-    load_kw: Floats
-    load_kvar: Floats
-    pv_available_kw: Floats
-    pv_self_kw: Floats
-    pv_export_kw: Floats
-    pv_curtailed_kw: Floats
-    pv_q_kvar: Floats
-    charge_kw: Floats
-    discharge_kw: Floats
-    batt_q_kvar: Floats
-    soc_start: Floats
-    soc_end: Floats
-    eta_charge: Floats
-    eta_discharge: Floats
-    temperature_c: Floats
-    v_model_pu: Floats
-    v_ac_pu: Floats
-    p_model_kw: Floats
-    q_model_kvar: Floats
-    p_ac_kw: Floats
-    q_ac_kvar: Floats
-    p_grid_kw: float
-    q_grid_kvar: float
-    losses_kw: float
-    objective: float
-    bound: float
-    gap: float
-    status: str
-    solve_s: float
-    corrected: bool = False
-    correction_reason: str = ""
-    fallback: str = "none"
-    fallback_reason: str = ""
-    estimated: str = ""
-    ac_failed: str = ""
-    notes: Mapping[str, float | str] = field(default_factory=dict)
-    mismatch_kw: Floats | None = None
-    shed: Flags | None = None
+    steps: Mapping[str, Any]
+    customers: Mapping[str, NDArray[Any]]
+    pv: Mapping[str, Floats]
+    batteries: Mapping[str, Floats]
+    buses: Mapping[str, Floats]
+    lines: Mapping[str, Floats]
 
-    def __post_init__(self) -> None:
-        if self.mismatch_kw is None:
-            object.__setattr__(self, "mismatch_kw", np.zeros(len(self.charge_kw)))
-        if self.shed is None:
-            object.__setattr__(self, "shed", np.zeros(len(self.served), dtype=bool))
 
-    @property
-    def v_min_ac_pu(self) -> float:
-        """Lowest AC voltage of any bus."""
-        return float(np.min(self.v_ac_pu))
+def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
+    """Extremes of a step's AC voltages, and the largest error of the model at any bus.
 
-    @property
-    def v_max_ac_pu(self) -> float:
-        """Highest AC voltage of any bus."""
-        return float(np.max(self.v_ac_pu))
-
-    @property
-    def v_error_pu(self) -> float:
-        """Largest difference of any bus between optimisation and AC: ``max |V_model - V_ac|``."""
-        return float(np.max(np.abs(self.v_model_pu - self.v_ac_pu)))
+    Examples
+    --------
+    >>> voltage_figures(np.array([1.0, 0.97]), np.array([1.0, 0.99]))["v_error_pu"]
+    0.020000000000000018
+    """
+    return {
+        "v_min_ac_pu": float(np.min(v_ac_pu)),
+        "v_max_ac_pu": float(np.max(v_ac_pu)),
+        "v_error_pu": float(np.max(np.abs(v_model_pu - v_ac_pu))),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,8 +218,7 @@ class Recorder:
                 f"missing in options: {', '.join(missing)}" if missing else "no step was recorded"
             )
         tables = {
-            name: self._table(fixed, columns)
-            for name, (fixed, columns) in _layout(self._scenario).items()
+            name: self._table(name, fixed) for name, fixed in _identifiers(self._scenario).items()
         }
         steps = self._steps()
         n_seen = self._scenario.grid.steps_in_horizon(float(options["horizon_h"] or 0.0))
@@ -313,10 +229,10 @@ class Recorder:
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
-        for table, (fixed, columns) in _layout(self._scenario).items():
+        for table, fixed in _identifiers(self._scenario).items():
             length = len(next(iter(fixed.values())))
-            for name in columns.values():
-                shape = np.shape(getattr(step, name))
+            for name in ITEM_COLUMNS[table]:
+                shape = np.shape(getattr(step, table)[name])
                 if shape != (length,):
                     raise ValueError(
                         f"{name} has shape {shape}, the scenario's {table} need ({length},)"
@@ -327,30 +243,28 @@ class Recorder:
 
     def _steps(self) -> pd.DataFrame:
         n_steps = len(self._records)
-        table = pd.DataFrame(
+        known = pd.DataFrame(
             {
                 "time": self._times(),
                 "outage": self._scenario.outage[:n_steps],
                 "price_gbp_per_kwh": self._scenario.price_gbp_per_kwh[:n_steps],
-                **{
-                    column: [getattr(r, name) for r in self._records]
-                    for column, name in _STEPS.items()
-                },
             }
         )
-        notes = pd.DataFrame([dict(r.notes) for r in self._records], index=table.index)
-        return table.join(notes)
+        return known.join(pd.DataFrame([dict(r.steps) for r in self._records]))
 
-    def _table(self, fixed: Mapping[str, NDArray[Any]], columns: Mapping[str, str]) -> pd.DataFrame:
+    def _table(self, name: str, fixed: Mapping[str, NDArray[Any]]) -> pd.DataFrame:
+        """A table with items: identifiers repeat in every step."""
+        n_steps = len(self._records)
         n_items = len(next(iter(fixed.values())))
+        changing = {
+            column: np.concatenate([getattr(r, name)[column] for r in self._records])
+            for column in ITEM_COLUMNS[name]
+        }
         return pd.DataFrame(
             {
                 "time": self._times().repeat(n_items),
-                **{column: np.tile(values, len(self._records)) for column, values in fixed.items()},
-                **{
-                    column: np.concatenate([getattr(r, name) for r in self._records])
-                    for column, name in columns.items()
-                },
+                **{column: np.tile(values, n_steps) for column, values in fixed.items()},
+                **changing,
             }
         )
 
@@ -411,25 +325,19 @@ def _table_file(folder: Path, name: str) -> Path:
     return folder / f"{name}.parquet"
 
 
-def _layout(scenario: Scenario) -> dict[str, tuple[dict[str, NDArray[Any]], dict[str, str]]]:
-    """Of each table with items: columns that no step changes, and columns taken from the steps."""
+def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:
+    """The columns of each table with items that no step changes."""
     c = scenario.customers
     pv = scenario.pv
     b = scenario.batteries
     net = scenario.network
     owner_bus = c.bus[pv.owner(c)] if len(pv) else c.bus[:0]
     return {
-        "customers": (
-            {"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
-            _CUSTOMERS,
-        ),
-        "pv": ({"id": pv.id, "customer": pv.customer, "bus": _bus_labels(owner_bus)}, _PV),
-        "batteries": ({"id": b.id, "bus": _bus_labels(b.bus)}, _BATTERIES),
-        "buses": ({"bus": _bus_labels(net.buses)}, _BUSES),
-        "lines": (
-            {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},
-            _LINES,
-        ),
+        "customers": {"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
+        "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(owner_bus)},
+        "batteries": {"id": b.id, "bus": _bus_labels(b.bus)},
+        "buses": {"bus": _bus_labels(net.buses)},
+        "lines": {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},
     }
 
 

@@ -224,7 +224,7 @@ class Controller:
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
         return scenario, record, _Past(seen.t, day.operating_point, day.switching,
-                                       day.plant.cold_load, record.served)
+                                       day.plant.cold_load, record.customers["served"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,20 +262,27 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
     c = scenario.customers
     pv = scenario.pv
     b = scenario.batteries
-    solve = {name: getattr(step, name) for name in (
+    customers = step.customers
+    batteries = step.batteries
+    powers = step.pv
+    solve = {name: step.steps[name] for name in (
         "status", "gap", "objective", "bound", "solve_s", "corrected", "fallback",
         "fallback_reason", "estimated")}
     return SetPoints(
         time=scenario.grid.times[step.t],
-        customers=_table(c.id, bus=c.bus, tier=c.tier, load_kw=step.load_kw,
-                         load_kvar=step.load_kvar, served=step.served),
-        batteries=_table(b.id, bus=b.bus, p_kw=step.charge_kw - step.discharge_kw,
-                         q_kvar=step.batt_q_kvar, soc_end=step.soc_end),
-        pv=_table(pv.id, bus=c.bus[pv.owner(c)], available_kw=step.pv_available_kw,
-                  p_kw=step.pv_self_kw + step.pv_export_kw, curtailed_kw=step.pv_curtailed_kw,
-                  q_kvar=step.pv_q_kvar),
-        buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.v_ac_pu),
-        import_kw=float(step.p_grid_kw), solve={**solve, "reason": step.correction_reason})
+        customers=_table(
+            c.id, bus=c.bus, tier=c.tier, load_kw=customers["p_load_kw"],
+            load_kvar=customers["q_load_kvar"], served=customers["served"]),
+        batteries=_table(
+            b.id, bus=b.bus, p_kw=batteries["charge_kw"] - batteries["discharge_kw"],
+            q_kvar=batteries["q_kvar"], soc_end=batteries["soc_end"]),
+        pv=_table(
+            pv.id, bus=c.bus[pv.owner(c)], available_kw=powers["available_kw"],
+            p_kw=powers["self_kw"] + powers["export_kw"], curtailed_kw=powers["curtailed_kw"],
+            q_kvar=powers["q_kvar"]),
+        buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
+        import_kw=float(step.steps["p_grid_kw"]),
+        solve={**solve, "reason": step.steps["correction_reason"]})
 
 
 def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:
