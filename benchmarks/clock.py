@@ -18,9 +18,10 @@ from unittest.mock import patch
 import highspy
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 
-from vppres.solve.programs import Answer
+from vppres.solve.certificate import Certificate
+from vppres.solve.deadline import Deadline
+from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import Outcome
-from vppres.solve.search import Search
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -42,13 +43,13 @@ def watched() -> Iterator[Clock]:
     solver; the places where both can be told apart are wrapped for the time of the block.
     """
     clock = Clock()
-    note = Search.note
+    note = Certificate.note
     via_data = SolvingChain.solve_via_data
-    direct = Answer.of
+    direct = ProgramSolution.of
 
-    def noted(search: Search, stage: str, outcome: Outcome) -> None:
+    def noted(known: Certificate, stage: str, outcome: Outcome) -> None:
         clock.stages_s[stage] += outcome.solve_s
-        note(search, stage, outcome)
+        note(known, stage, outcome)
 
     def timed(chain: Any, *args: Any, **options: Any) -> Any:
         begin = time.perf_counter()
@@ -57,14 +58,15 @@ def watched() -> Iterator[Clock]:
         finally:
             clock.library_s += time.perf_counter() - begin
 
-    def timed_direct(solver: highspy.Highs) -> Answer:
+    def timed_direct(solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
         begin = time.perf_counter()
         try:
-            return direct(solver)
+            return direct(solver, deadline)
         finally:
             clock.library_s += time.perf_counter() - begin
 
-    with (patch.object(Search, "note", noted), patch.object(Answer, "of", timed_direct),
+    with (patch.object(Certificate, "note", noted),
+          patch.object(ProgramSolution, "of", timed_direct),
           patch.object(SolvingChain, "solve_via_data", timed)):
         yield clock
 

@@ -19,7 +19,7 @@ from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.problem import Form, WindowModel, objective_scale
 from vppres.model.site import Site
-from vppres.solve.dispatch import ModelCache
+from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import COMPILER, SOLVERS, SolverSpec, run

@@ -21,7 +21,7 @@ from vppres.day.simulate import Day
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.scenario import Scenario
-from vppres.solve.dispatch import ModelCache
+from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 
 ERRORS = ForecastErrors(0.1, 0.05, -0.1, 0.05)

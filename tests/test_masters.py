@@ -19,12 +19,13 @@ from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.dispatch import ModelCache, least_reactive
+from vppres.solve.cache import ModelCache
+from vppres.solve.deadline import Deadline
+from vppres.solve.dispatch import least_reactive
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
-from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.fleet.masters import Binaries
-from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.fleet.demand import DemandModel, demand_model
+from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections, Reactance
 from vppres.solve.network.master import NetworkMaster
@@ -50,10 +51,6 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
                       b.eta_discharge, np.zeros((steps, day.network.n_lines)))
 
 
-def demand_model(site: Site, n_steps: int, lumped: bool = True) -> DemandModel:
-    return DemandModel(AggregateModel(site, n_steps, False, lumped))
-
-
 def point_of(model: DemandModel, data: WindowData, dispatch: Dispatch) -> np.ndarray:
     """Demand, loss and cost of a dispatch, as the masters know it."""
     site = model.relaxation.site
@@ -70,7 +67,7 @@ def test_no_cut_excludes_what_can_be_dispatched(seed: int, lumped: bool) -> None
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data)
     model = demand_model(site, case.data.n_steps, lumped)
-    master = Counts(model, case.data, TIME_S)
+    master = Counts(model, case.data, Deadline(TIME_S))
     outcome, _ = master.service(0.1)
     service = answer.terms.f1 - site.weights.lambda_curt * answer.terms.f3
     assert outcome.bound * master.unit >= service - 1e-6
@@ -85,7 +82,7 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     data = day_window(packaged, 2, 6, 0.5)
     site = Site.of(packaged)
     cost_gbp = WindowSolver(site).solve(data).terms.f2
-    master = Counts(demand_model(site, 6), data, TIME_S)
+    master = Counts(demand_model(site, 6, lumped=True), data, Deadline(TIME_S))
     everyone = packaged.customers.weight.sum() * 6 / master.unit
     outcome, _ = master.cost(everyone - 1e-6, True, np.inf, np.inf)
     assert outcome.bound <= cost_gbp
@@ -96,8 +93,8 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
 def test_counts_find_what_binaries_find(packaged: Scenario, first: int, steps: int,
                                         soc: float) -> None:
     data, cache = day_window(packaged, first, steps, soc), ModelCache(Site.of(packaged))
-    counted, _ = Counts(cache.demand(data, True), data, TIME_S).service(0.1)
-    binary, _ = Binaries(cache, data, find_solver("highs"), TIME_S, True).service(0.1)
+    counted, _ = Counts(demand_of(cache, data, lumped=False), data, Deadline(TIME_S)).service(0.1)
+    binary, _ = Binaries(cache, data, find_solver("highs"), Deadline(TIME_S)).service(0.1)
     assert counted.value == pytest.approx(binary.value, abs=1e-4)
     assert counted.bound == binary.bound
 
@@ -107,14 +104,14 @@ def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
     dark = replace(day_window(packaged, 13, 2, 0.5), grid_limit_kw=np.zeros(2))
     dark = replace(dark, pv_kw=np.zeros_like(dark.pv_kw))
     site, b = Site.of(packaged), packaged.batteries
-    model = demand_model(site, 2)
+    model = demand_model(site, 2, lumped=True)
     model.fill(dark)
     energy_kwh = (b.energy_kwh * (0.5 - b.soc_min)).sum() * dark.eta_discharge.min()
-    reach = Reach(model, TIME_S)
+    reach = Reach(model)
     share = energy_kwh / dark.load_kw.sum()
     for factor, carried in ((0.999, True), (1.001, False)):
         point = np.append(factor * share * dark.load_kw.sum(axis=1), [0.0, 0.0])
-        status, cut = reach.separate(point)
+        status, cut = reach.separate(point, Deadline(TIME_S))
         assert status == Status.OPTIMAL
         assert (cut is None) is carried
     assert cut is not None
@@ -123,14 +120,14 @@ def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
 
 
 def test_any_prices_give_a_bound(packaged: Scenario) -> None:
-    model = demand_model(Site.of(packaged), 3)
+    model = demand_model(Site.of(packaged), 3, lumped=True)
     model.fill(day_window(packaged, 12, 3, 0.5))
     program, first = compiled(model.problem)
     cost = np.zeros(len(program.cost))
     cost[first["load"]:first["load"] + 3] = -1.0
     box = replace(program, cost=cost, x_lower=np.full(len(cost), -1e4),
                   x_upper=np.full(len(cost), 1e4))
-    solver = box.loaded(TIME_S)
+    solver = box.loaded()
     solver.run()
     value = solver.getInfo().objective_function_value
     for prices in (np.asarray(solver.getSolution().row_dual),
@@ -166,12 +163,12 @@ def test_counts_are_rounded_down_where_time_runs_out(
     best = WindowSolver(site).solve(data)
     search = Counts._most
 
-    def late(self: Counts, block: np.ndarray, integer: bool) -> object:
-        found = search(self, block, integer)
+    def late(self: Counts, block: np.ndarray, integer: bool, deadline: Deadline) -> object:
+        found = search(self, block, integer, deadline)
         return replace(found, status=Status.NO_ANSWER) if integer else found
 
     monkeypatch.setattr(Counts, "_most", late)
-    counts = Counts(demand_model(site, data.n_steps), data, TIME_S)
+    counts = Counts(demand_model(site, data.n_steps, lumped=True), data, Deadline(TIME_S))
     outcome, served = counts.service(0.5)
     assert outcome.status == Status.TIME_LIMIT
     assert served is not None
@@ -179,7 +176,7 @@ def test_counts_are_rounded_down_where_time_runs_out(
     assert 0.9 * outcome.bound < outcome.value <= outcome.bound
     assert outcome.bound * counts.unit >= best.terms.f1
     found = WindowSolver(site).solve(data)
-    assert found.stages[0] == "service:time_limit"
+    assert found.stages[0] == "service[highs]:time_limit"
     assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
 
 
@@ -189,12 +186,12 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     site = Site.of(heavy)
     decomposed, whole = (WindowSolver(site, method).solve(data)
                          for method in ("decomposed", "monolithic"))
-    assert "network_service" in decomposed.stages
+    assert "network_service[highs]" in decomposed.stages
     assert decomposed.status == whole.status == Status.OPTIMAL
     assert decomposed.bound >= whole.objective - 1e-6
     assert decomposed.objective >= whole.objective - 1e-4 * abs(whole.objective)
-    master = NetworkMaster(site, Reactance(site), data, TIME_S)
-    outcome, served = master.service(1.0)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    outcome, served = master.service(Deadline(TIME_S))
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
@@ -205,11 +202,12 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
     data = day_window(heavy, 18, 4, 0.3)
     usual = WindowSolver(Site.of(heavy)).solve(data)
-    monkeypatch.setattr("vppres.solve.network.decide.LARGE", 0)
+    monkeypatch.setattr("vppres.solve.task.LARGE", 0)
     answer = WindowSolver(Site.of(heavy)).solve(data)
-    first = answer.stages.index("network_service")
+    first = answer.stages.index("network_service[highs]")
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages[:first])
-    assert answer.stages[first + 1:first + 3] == ("network_dispatch", "reactive_power")
+    assert answer.stages[first + 1:first + 3] == (
+        "network_dispatch[highs]", "reactive_power[clarabel]")
     assert answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(usual.objective, abs=1e-4 * usual.objective)
     name, worst = check_dispatch(heavy, data, answer.dispatch).worst
@@ -219,13 +217,15 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
 def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: Scenario) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data, site = day_window(heavy, 17, 3, 0.3), Site.of(heavy)
-    master = NetworkMaster(site, Reactance(site), data, TIME_S)
-    served = master.service(1.0)[1]
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    served = master.service(Deadline(TIME_S))[1]
     assert served is not None
-    before = master.cheapest(served, TIME_S)[1]
+    before = master.cheapest(served, Deadline(TIME_S))[1]
     assert before is not None
-    outcome, after = least_reactive(ModelCache(site), data, before, TIME_S)
-    assert outcome.status == Status.OPTIMAL
+    attempt = least_reactive(ModelCache(site), data, before, Deadline(TIME_S))
+    after = attempt.dispatch
+    assert attempt.outcome.status == Status.OPTIMAL
+    assert after is not None
     np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)
     assert check_dispatch(heavy, data, after).worst[1] < 2e-5
     weights, r = site.weights, site.network.r_ohm
@@ -245,10 +245,10 @@ def test_a_cheaper_set_in_the_network_is_found(name: str, cheaper_gbp: float,
     data = window_data(instance)
     found = WindowSolver(Site.of(instances_day())).solve(data)
     assert found.cost_gap_gbp <= 1e-3 * found.terms.f2 + 2e-3
-    assert "network_cost_level" in found.stages
-    monkeypatch.setattr("vppres.solve.network.decide.is_large", lambda *_: True)
+    assert "network_cost_level[highs]" in found.stages
+    monkeypatch.setattr("vppres.solve.task.LARGE", 0)
     first = WindowSolver(Site.of(instances_day())).solve(data)
-    assert "network_cost_level" not in first.stages
+    assert "network_cost_level[highs]" not in first.stages
     assert first.terms.f1 == pytest.approx(found.terms.f1)
     assert found.terms.f2 < first.terms.f2 - cheaper_gbp
     # What the other search could at most have saved covers what this one found.

@@ -355,6 +355,6 @@ def test_problem_that_the_solver_refuses_is_an_error_and_no_crash() -> None:
     program = Program(one, 0.0 * one, one, sp.csc_array([[1e16]]), 0.0 * one, one,
                       np.zeros(0, dtype=np.int64))
     with pytest.raises(NumericalError) as error:
-        program.loaded(1.0)
+        program.loaded()
     assert str(error.value) == ("HiGHS refuses a problem: its coefficients are not finite or too "
                                 "large. Check the data for extreme values.")

@@ -1,20 +1,16 @@
-"""The levels below service: cost of a served set, then the tie-breakers.
+"""A served set becomes a dispatch: its cheapest, then the one that the tie-breakers prefer.
 
 One MIP at a usual gap leaves cost and reactive power undecided, so each term is solved to its own
-precision with the terms above it held.
+precision with the terms above it held (``docs/method.md``, *Levels*).
 """
 
 from __future__ import annotations
 
-import time
-from collections import OrderedDict
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.switching import RuleSteps
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
@@ -22,130 +18,100 @@ from vppres.model.problem import Form, WindowModel, disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
-from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.fleet.relaxation import AggregateModel
-from vppres.solve.network.injections import Reactance
+from vppres.solve.cache import ModelCache
+from vppres.solve.certificate import Candidate
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
+from vppres.solve.task import WindowTask
 
 POLYGON_SIDES = 16
 """Default sides of an inverter's polygon."""
 
+COST_GAP_GBP = 1e-4
+"""Gap of a dispatch's cost: far below any price difference that a dispatch could exploit."""
+
 HELD_REL = 1e-6
 HELD_ABS = 1e-5
-"""How much the tie-breakers may worsen cost (GBP) and curtailment (kWh)."""
+"""How much the tie-breakers may worsen cost (GBP) and curtailment (kWh): what interior points need
+to have an inside at all."""
 
 CURTAILMENT_HELD_REL = 1e-7
 """The same of curtailment, which weighs more: nearly as much as all service in a sunny outage."""
 
+SOC_OVER = 1e-7
+"""By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
 
-@dataclass
-class ModelCache:
-    """Compiled problems, one for each form and window length, and how many were compiled."""
-
-    site: Site
-    models: dict[tuple[Form, int], WindowModel] = field(default_factory=dict)
-    lumped: dict[tuple[int, bool, bool, bool, RuleSteps | None], AggregateModel] = field(
-        default_factory=dict)
-    ties: dict[tuple[int, bool, bool, bool], TieBreakerModel] = field(default_factory=dict)
-
-    demands: dict[tuple[int, bool, bool], DemandModel] = field(default_factory=dict)
-
-    @property
-    def compilations(self) -> int:
-        """Problems compiled so far."""
-        return (len(self.models) + len(self.lumped) + len(self.ties) + len(self.demands)
-                + int("reactive" in self.__dict__))
-
-    def window(self, form: Form, data: WindowData) -> WindowModel:
-        """The window problem of a form, of the window's length, mode and switching rules."""
-        rules = None if form.service == "fixed" else rule_steps(data)
-        form = replace(form, physical=data.physical, switching=rules)
-        n_steps = data.n_steps
-        if (form, n_steps) not in self.models:
-            self.models[form, n_steps] = WindowModel(self.site, n_steps, form)
-        return self.models[form, n_steps]
-
-    def aggregate(self, data: WindowData, integer: bool = True,
-                  lumped: bool = True) -> AggregateModel:
-        """The relaxation of the window's length, with a lumped battery or with every battery."""
-        key = data.n_steps, integer, lumped, data.physical, rule_steps(data)
-        if key not in self.lumped:
-            self.lumped[key] = AggregateModel(self.site, *key)
-        return self.lumped[key]
-
-    @cached_property
-    def reactance(self) -> Reactance:
-        """How the site's voltages depend on injections."""
-        return Reactance(self.site)
-
-    def demand(self, data: WindowData, lumped: bool) -> DemandModel:
-        """What the fleet can carry in a window of that length and mode."""
-        key = data.n_steps, lumped, data.physical
-        if key not in self.demands:
-            self.demands[key] = DemandModel(AggregateModel(
-                self.site, data.n_steps, False, lumped, data.physical))
-        return self.demands[key]
-
-    @cached_property
-    def reactive(self) -> ReactiveModel:
-        """Reactive power of one step."""
-        return ReactiveModel(self.site)
-
-    def tie_breakers(self, data: WindowData, curtailing: bool) -> TieBreakerModel:
-        """The last level's problem of the window's length and mode."""
-        key = data.n_steps, curtailing, data.physical, data.moves is not None
-        if key not in self.ties:
-            self.ties[key] = TieBreakerModel(self.site, *key)
-        return self.ties[key]
-
-
-_CACHES: OrderedDict[str, ModelCache] = OrderedDict()
-_CACHES_KEPT = 3
-
-
-def shared_cache(site: Site) -> ModelCache:
-    """The process's compiled problems of a site, shared by all runs; only the last few are kept.
-
-    Compiling costs more than a day of re-solving, so a study of many days on one site should do it
-    once. A problem is filled completely before every solve, so nothing leaks from run to run.
-    """
-    cache = _CACHES.pop(site.key, None) or ModelCache(site)
-    _CACHES[site.key] = cache
-    while len(_CACHES) > _CACHES_KEPT:
-        _CACHES.popitem(last=False)
-    return cache
+NETWORK_SHARE = 1.0 / 3.0
+"""Share of the time left for the cheapest dispatch in the network. A large network may need long to
+find that there is none, so it may not take all of it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """A stage's dispatch, if it has one, and its outcome."""
+class Attempt:
+    """A solve for a dispatch: its outcome, and the dispatch if there is one."""
 
     outcome: Outcome
     dispatch: Dispatch | None
 
 
-def solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
-               form: Form, time_s: float) -> Stage:
-    """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
+# From a served set to a candidate.
 
-    ``form`` says whether the network is part of it, and how its discs are stated for binaries;
-    without binaries they are cones, or polygons in large windows.
+
+def keep_dispatch(task: WindowTask, served: Flags) -> None:
+    """Keep the cheapest dispatch of a served set if it is the best so far; without the network.
+
+    A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
     """
-    sides = disc_sides(cache.site, data.n_steps) if form.network else 0
-    relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
-    stage = _cost(cache, data, served, spec, relaxed, time_s)
-    if stage.dispatch is None:
-        return stage
-    netted, done = net_modes(cache.site, data, stage.dispatch)
-    if done:
-        return replace(stage, dispatch=netted)
-    first_s = stage.outcome.solve_s
-    exclusive = _cost(cache, data, served, spec, replace(form, exclusivity="integer"),
-                      time_s - first_s)
-    both_s = first_s + exclusive.outcome.solve_s
-    return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
+    if task.obeys_rules(served):
+        task.certificate.keep(cheapest(task, "cost", served, cost_form(0, network=False)))
+
+
+def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:
+    """Keep the cheapest dispatch of a served set that the network carries if it is the best.
+
+    The cost without the network is tried first, since most networks carry it.
+    """
+    if not task.obeys_rules(served):
+        return
+    found = cheapest(task, "cost", served, cost_form(0, network=False))
+    if found is not None:
+        task.certificate.keep(with_tie_breakers(task, found) or in_network(task, served))
+
+
+def in_network(task: WindowTask, served: Flags) -> Candidate | None:
+    """Cheapest dispatch of a served set in the network, with the true discs."""
+    form = cost_form(task.sides, network=True)
+    found = cheapest(task, "network_cost", served, form)
+    return found and (with_tie_breakers(task, found) or found)
+
+
+def cheapest(task: WindowTask, name: str, served: Flags, form: Form) -> Candidate | None:
+    """Cheapest dispatch of a served set in a form of the cost level."""
+    deadline = task.answer_by(NETWORK_SHARE if form.network else 1.0)
+    # What a restoration adds to the demand is known with the service.
+    data = task.data.for_service(served)
+    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline)
+    task.certificate.note(name, attempt.outcome)
+    if attempt.dispatch is None:
+        return None
+    slack_gbp = abs(attempt.outcome.value - attempt.outcome.bound)
+    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network)
+
+
+def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
+    """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
+    data = task.data.for_service(found.dispatch.served)
+    attempt = polish(task.cache, data, found.dispatch, task.answer_by())
+    task.certificate.note("tie_breakers", attempt.outcome)
+    if attempt.dispatch is None:
+        return None
+    terms = evaluate(task.site, data, attempt.dispatch)
+    return replace(found, dispatch=attempt.dispatch, terms=terms, in_network=True)
+
+
+# Cost.
 
 
 def cost_form(polygon_sides: int, network: bool) -> Form:
@@ -153,14 +119,48 @@ def cost_form(polygon_sides: int, network: bool) -> Form:
     return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network=network)
 
 
-def _cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
-          form: Form, time_s: float) -> Stage:
-    model = cache.window(form, data)
+def solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
+               form: Form, deadline: Deadline) -> Attempt:
+    """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
+
+    ``form`` says whether the network is part of it, and how its discs are stated for binaries;
+    without binaries they are cones, or polygons in large windows.
+    """
+    sides = disc_sides(cache.site, data.n_steps) if form.network else 0
+    relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
+    attempt = _solve_cost(cache, data, served, spec, relaxed, deadline)
+    if attempt.dispatch is None:
+        return attempt
+    netted, fits = net_modes(cache.site, data, attempt.dispatch)
+    if fits:
+        return replace(attempt, dispatch=netted)
+    first_s = attempt.outcome.solve_s
+    integer = replace(form, exclusivity="integer")
+    exclusive = _solve_cost(cache, data, served, spec, integer, deadline)
+    both_s = first_s + exclusive.outcome.solve_s
+    return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
+
+
+def _solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
+                form: Form, deadline: Deadline) -> Attempt:
+    """One solve of a form of the cost level."""
+    if deadline.passed:
+        return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
+    model = window_model(cache, data, form)
     model.fill(data, served)
     conic = form.network and form.exclusivity == "relaxed"
-    # 1e-4 GBP is far below any price difference that a dispatch could exploit.
-    outcome = run_conic(model.problem, time_s) if conic else run(model.problem, spec, 1e-4, time_s)
-    return Stage(outcome, model.dispatch(served) if outcome.status.has_answer else None)
+    if conic:
+        outcome = run_conic(model.problem, deadline.left_s)
+    else:
+        outcome = run(model.problem, spec, COST_GAP_GBP, deadline.left_s)
+    return Attempt(outcome, model.dispatch(served) if outcome.status.has_answer else None)
+
+
+def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:
+    """The window problem of a form, of the window's length, mode and switching rules."""
+    rules = None if form.service == "fixed" else rule_steps(data)
+    shaped = replace(form, physical=data.physical, switching=rules)
+    return cache.problem(WindowModel, n_steps=data.n_steps, form=shaped)
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
@@ -173,8 +173,8 @@ def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatc
     charge = np.maximum(net, 0.0)
     discharge = np.maximum(-net, 0.0)
     soc = soc_path(site, data, charge, discharge)
-    return (replace(dispatch, charge_kw=charge, discharge_kw=discharge, soc=soc),
-            bool((soc <= site.batteries.soc_max + 1e-7).all()))
+    netted = replace(dispatch, charge_kw=charge, discharge_kw=discharge, soc=soc)
+    return netted, bool((soc <= site.batteries.soc_max + SOC_OVER).all())
 
 
 def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floats) -> Floats:
@@ -184,45 +184,58 @@ def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floa
     return np.vstack([data.soc, data.soc + change])
 
 
-def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, time_s: float) -> Stage:
+# Tie-breakers.
+
+
+def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch,
+           deadline: Deadline) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
     It also decides whether a dispatch that was found without the network can be had in it: reactive
     power, voltages and true discs are all here. The answer is dropped if it is inaccurate or
     worsens cost or curtailment beyond the tolerance.
     """
+    if deadline.passed:
+        return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     site = cache.site
     terms = evaluate(site, data, dispatch)
     f2_max = terms.f2 + HELD_REL * abs(terms.f2) + HELD_ABS
     f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
+    # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
-    model = cache.tie_breakers(data, curtailing)
+    model = cache.problem(TieBreakerModel, n_steps=data.n_steps, curtailing=curtailing,
+                          physical=data.physical, moves=data.moves is not None)
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
-    outcome = run_conic(model.problem, time_s)
+    outcome = run_conic(model.problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
-        return Stage(outcome, None)
+        return Attempt(outcome, None)
     better = model.dispatch(dispatch.served)
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
-    return Stage(outcome, better if kept else None)
+    return Attempt(outcome, better if kept else None)
 
 
 def least_reactive(cache: ModelCache, data: WindowData, dispatch: Dispatch,
-                   time_s: float) -> tuple[Outcome, Dispatch]:
+                   deadline: Deadline) -> Attempt:
     """Least reactive flows and use of inverters for the active power of a dispatch, step by step.
 
-    A step without an answer keeps the reactive power that it has.
+    A step without an answer, or for which there is no time, keeps the reactive power that it has.
     """
-    begin = time.perf_counter()
-    model = cache.reactive
+    watch = Stopwatch()
+    model = cache.problem(ReactiveModel)
     changed = dispatch
     status = Status.OPTIMAL
+    solver = "none"
     for t in range(data.n_steps):
+        if deadline.passed:
+            status = Status.TIME_LIMIT
+            break
         model.fill(data, dispatch, t)
-        outcome = run_conic(model.problem, time_s - (time.perf_counter() - begin))
+        outcome = run_conic(model.problem, deadline.left_s)
+        solver = outcome.solver
         if outcome.status == Status.OPTIMAL:
             changed = model.put_into(changed, t)
         else:
             status = outcome.status
-    return Outcome(status, np.nan, np.nan, time.perf_counter() - begin), changed
+    return Attempt(Outcome(status, np.nan, np.nan, watch.spent_s, solver), changed)

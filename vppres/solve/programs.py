@@ -11,8 +11,13 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
-from vppres.solve.result import Status
-from vppres.solve.solvers import COMPILER
+from vppres.solve.deadline import Deadline
+from vppres.solve.result import Outcome, Status
+from vppres.solve.solvers import COMPILER, LEAST_S
+
+DIRECT = "highs"
+"""Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear
+solve starts where the last one ended, which no common interface offers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +65,11 @@ class Program:
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
 
-    def loaded(self, time_s: float, gap_abs: float = 0.0) -> highspy.Highs:
+    def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
-        for name, value in {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs,
-                            "time_limit": max(time_s, 0.01), "threads": 1}.items():
+        options = {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "threads": 1}
+        for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
         if solver.passModel(self._model()) == highspy.HighsStatus.kError:
@@ -95,28 +100,32 @@ class Program:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """Status, value and dual bound of a program, its columns' values and the duals of both."""
+class ProgramSolution:
+    """Status, value and dual bound of a program, values of its columns and duals of its rows."""
 
     status: Status
     value: float
     bound: float
     x: Floats
     row_dual: Floats
-    column_dual: Floats
 
     @classmethod
-    def of(cls, solver: highspy.Highs) -> Answer:
-        """Run a solver; duals come only without whole numbers."""
+    def of(cls, solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
+        """Run a solver until a deadline; duals come only without whole numbers."""
+        # HiGHS counts the time of all runs of a solver together.
+        solver.setOptionValue("time_limit", solver.getRunTime() + max(deadline.left_s, LEAST_S))
         solver.run()
         solution = solver.getSolution()
         info = solver.getInfo()
         whole = len(solver.getLp().integrality_) > 0
         value = info.objective_function_value
-        return cls(_status(solver.getModelStatus(), info.primal_solution_status), value,
-                   min(info.mip_dual_bound, value) if whole else value,
-                   np.asarray(solution.col_value), np.asarray(solution.row_dual),
-                   np.asarray(solution.col_dual))
+        bound = min(info.mip_dual_bound, value) if whole else value
+        return cls(_status(solver.getModelStatus(), info.primal_solution_status), value, bound,
+                   np.asarray(solution.col_value), np.asarray(solution.row_dual))
+
+    def outcome(self, solve_s: float) -> Outcome:
+        """The same without values, after so many seconds."""
+        return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
 
 
 def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:

@@ -58,14 +58,23 @@ _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
 }
 
 
+LEAST_OBJECTIVE = 0.01
+"""Gaps are relative to the objective, or to this many weighted customer hours where it is smaller:
+half of a low-priority customer for an hour, below which no objective is told from zero."""
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """Status, value and bound of one solve, in the problem's own sense; seconds in the solver."""
+    """Status, value and bound of one solve, in the problem's own sense.
+
+    ``solve_s`` are the seconds in the solver, ``solver`` its name.
+    """
 
     status: Status
     value: float
     bound: float
     solve_s: float
+    solver: str = "none"
 
     def require_answer(self, what: str) -> None:
         """Raise the typed error of an outcome without values."""
@@ -107,6 +116,22 @@ class SolveLimits:
         """The absolute gap that meets both, for an objective of size ``scale``."""
         return min(self.gap_abs, self.gap_rel * scale)
 
+    def gap_at(self, objective: float) -> float:
+        """The absolute gap that certifies an objective."""
+        return self.absolute(max(abs(objective), LEAST_OBJECTIVE))
+
+    def met(self, bound: float, objective: float) -> bool:
+        """Whether an objective is within both gaps of a bound.
+
+        Examples
+        --------
+        >>> SolveLimits().met(bound=10.0009, objective=10.0)
+        True
+        >>> SolveLimits().met(bound=1.0009, objective=1.0)
+        False
+        """
+        return bound - objective <= self.gap_at(objective)
+
 
 @dataclass(frozen=True, eq=False)
 class WindowSolution:
@@ -130,7 +155,8 @@ class WindowSolution:
     solve_s, solver_s : float
         Wall time of the window in seconds, and the part of it inside solvers.
     stages : tuple of str
-        What was solved, in order.
+        What was solved, in order, with its solver and, if not optimal, its status:
+        ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
     passes : int
         Linearisations that the dispatch took; with more than one, objective, bound and gaps are
         those of the window as it was linearised when the served set was decided.
@@ -159,4 +185,6 @@ class WindowSolution:
     @property
     def gap(self) -> float:
         """Certified gap relative to the objective."""
-        return self.gap_abs / max(abs(self.objective), 1e-9) if np.isfinite(self.bound) else np.inf
+        if not np.isfinite(self.bound):
+            return np.inf
+        return self.gap_abs / max(abs(self.objective), LEAST_OBJECTIVE)

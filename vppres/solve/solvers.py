@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,11 +11,19 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.core.errors import InputError, Problem
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.result import Outcome, Status
 
 COMPILER = cp.settings.COO_CANON_BACKEND
 """cvxpy's compiler back end; for problems with many parameters it takes a third of the default's
 time, and the compiled problem is the same."""
+
+INTERIOR_POINTS = "clarabel"
+"""Solver of all continuous problems with cones or squares, whichever solver is chosen: those of the
+table are for binaries, and HiGHS takes no cones."""
+
+LEAST_S = 0.01
+"""Least time limit that is handed to a solver: some take zero for none."""
 
 
 @dataclass(frozen=True)
@@ -157,22 +164,22 @@ def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
 
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
     """
-    begin = time.perf_counter()
+    watch = Stopwatch()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": mapped below
             problem.solve(solver=spec.cvxpy_name, warm_start=False, canon_backend=COMPILER,
-                          **spec.options(gap_abs * scale, max(time_s, 0.01)))
+                          **spec.options(gap_abs * scale, max(time_s, LEAST_S)))
     except cp.SolverError:
-        return Outcome(Status.NUMERICAL, np.nan, np.nan, time.perf_counter() - begin)
-    elapsed = time.perf_counter() - begin
+        return Outcome(Status.NUMERICAL, np.nan, np.nan, watch.spent_s, spec.name)
+    elapsed = watch.spent_s
     status = _map_status(problem, spec)
     if not status.has_answer:
-        return Outcome(status, np.nan, np.nan, elapsed)
+        return Outcome(status, np.nan, np.nan, elapsed, spec.name)
     sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
     value = float(problem.objective.value)
     bound = value + sign * max(spec.slack(problem), 0.0)
-    return Outcome(status, value / scale, bound / scale, elapsed)
+    return Outcome(status, value / scale, bound / scale, elapsed, spec.name)
 
 
 def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
@@ -194,14 +201,13 @@ def run_conic(problem: cp.Problem, time_s: float, scale: float = 1.0) -> Outcome
 
     ``scale`` is a factor in the problem's objective; the value is meant without it.
     """
-    begin = time.perf_counter()
+    deadline = Deadline(time_s)
     # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
     status = _interior_points(problem, time_s, refined=False)
-    left_s = time_s - (time.perf_counter() - begin)
-    if status in (Status.INACCURATE, Status.NUMERICAL) and left_s > 0.0:
-        status = _interior_points(problem, left_s, refined=True)
+    if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
+        status = _interior_points(problem, deadline.left_s, refined=True)
     value = float(problem.objective.value) / scale if status.has_answer else np.nan
-    return Outcome(status, value, value, time.perf_counter() - begin)
+    return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
 
 
 def _interior_points(problem: cp.Problem, time_s: float, refined: bool) -> Status:
@@ -209,7 +215,7 @@ def _interior_points(problem: cp.Problem, time_s: float, refined: bool) -> Statu
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL, warm_start=False, time_limit=max(time_s, 0.01),
+            problem.solve(solver=cp.CLARABEL, warm_start=False, time_limit=max(time_s, LEAST_S),
                           canon_backend=COMPILER, iterative_refinement_enable=refined)
     except cp.SolverError:
         return Status.NUMERICAL

@@ -7,7 +7,6 @@ the search with whole numbers is small however large the fleet; ``docs/method.md
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,14 +16,22 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import Answer, Program
+from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
 TOLERANCE = 1e-6
+"""Feasibility tolerance of the solver: what a whole number may be off by."""
+
 SERVICE_SHARE = 0.6
-"""Share of the time that service may take; the rest is for cost and a dispatch."""
+"""Share of the time left that service may take; the rest is for cost and a dispatch. A window that
+spends it all here keeps the set of the linear solution, which is seldom more than 1 % off."""
+
+DEMAND_GAP_REL = 1e-4
+"""Gap of the search for whom to serve with the PV power that would be lost: the demand that is
+asked for is met either way, and a tenth of a per mille more costs nothing that counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +113,14 @@ class Counts:
         What the fleet can carry.
     data : WindowData
         The window.
-    time_s : float
-        Time limit of all masters of the window together.
+    deadline : Deadline
+        When service and cost must be done.
     """
 
     prefix = ""
 
-    def __init__(self, model: DemandModel, data: WindowData, time_s: float) -> None:
-        self.end = time.perf_counter() + time_s
+    def __init__(self, model: DemandModel, data: WindowData, deadline: Deadline) -> None:
+        self.deadline = deadline
         self.unit = model.relaxation.grid
         model.fill(data)
         self.load_kw = data.load_kw
@@ -122,33 +129,26 @@ class Counts:
         self.unlimited: Flags = np.isinf(data.grid_limit_kw)
         self.demand_kw = np.asarray(model.p["load_all"].value)
         self.worst = model.worst()
-        self.paid = bool((data.price_gbp_per_kwh < 0.0).any())
-        self.reach = Reach(model, time_s)
+        self.least_gbp = model.least_cost_gbp()
+        self.reach = Reach(model)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
         self.gap = 0.0
 
-    @property
-    def left_s(self) -> float:
-        """Seconds until the masters' time limit."""
-        return self.end - time.perf_counter()
-
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units to a gap, whole without loss; everyone connected is served."""
-        begin = time.perf_counter()
+        watch = Stopwatch()
+        search = self.deadline.part(SERVICE_SHARE)
         free = ~self.unlimited
         self.gap = gap
-        found = self._carried(lambda: self._most(free, integer=False))
+        found = self._carried(lambda: self._most(free, False, self.deadline), self.deadline)
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
-            end = self.end
-            self.end = begin + SERVICE_SHARE * (self.end - begin)
-            whole = self._carried(lambda: self._in_blocks(free, solved))
+            whole = self._carried(lambda: self._in_blocks(free, solved, search), search)
             found = whole if whole.status.has_answer else self._rounded(found, free)
-            self.end = end
         anyway = int((self.able[self.unlimited] * self.units).sum())
         outcome = Outcome(found.status, anyway - found.value, anyway - found.bound,
-                          time.perf_counter() - begin)
+                          watch.spent_s, DIRECT)
         return outcome, self._completed(found, free) if found.status.has_answer else None
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
@@ -167,29 +167,34 @@ class Counts:
         gap_gbp : float
             Gap of the search.
         """
-        begin = time.perf_counter()
+        watch = Stopwatch()
         free = ~(self.unlimited & everyone)
-        found = self._carried(lambda: self._least(free, units_min, 0.0, integer=False))
+        found = self._carried(lambda: self._least(free, units_min, 0.0, integer=False),
+                              self.deadline)
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
         if found.status == Status.OPTIMAL and not near:
-            whole = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True))
-            near, found = (False, whole) if whole.status.has_answer else (True, found)
-        outcome = Outcome(found.status, found.value, found.bound, time.perf_counter() - begin)
+            whole = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True),
+                                  self.deadline)
+            if whole.status.has_answer:
+                found = whole
+            else:
+                near = True  # the linear bound is all there is
+        outcome = Outcome(found.status, found.value, found.bound, watch.spent_s, DIRECT)
         none = near or not found.status.has_answer
         return outcome, None if none else self._completed(found, free)
 
-    def _carried(self, solve: Callable[[], _Found]) -> _Found:
+    def _carried(self, solve: Callable[[], _Found], deadline: Deadline) -> _Found:
         """Solve, cut off what the fleet cannot carry, and again until it carries the answer."""
         while True:
             found = solve()
             if not found.status.has_answer:
                 return found
-            status, cut = self.reach.separate(found.point)
+            status, cut = self.reach.separate(found.point, deadline)
             if status != Status.OPTIMAL:
                 return replace(found, status=status)
             if cut is None:
                 return found
-            if self.left_s <= 0.0:
+            if deadline.passed:
                 return replace(found, status=Status.NO_ANSWER)
             self.cuts.append(cut)
 
@@ -198,13 +203,14 @@ class Counts:
         units = int((linear.served[free] * self.units).sum())
         return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
 
-    def _in_blocks(self, free: Flags, solved: dict[tuple[bytes, int], _Found]) -> _Found:
+    def _in_blocks(self, free: Flags, solved: dict[tuple[bytes, int], _Found],
+                   deadline: Deadline) -> _Found:
         """Most service, block by block: steps that no cut joins have nothing to do with another."""
         parts = []
         for block in self._blocks(free):
             key = block.tobytes(), len(self._touching(block))
             if key not in solved:
-                solved[key] = self._most(block, integer=True)
+                solved[key] = self._most(block, True, deadline)
             if not solved[key].status.has_answer:
                 return solved[key]
             parts.append(solved[key])
@@ -229,7 +235,7 @@ class Counts:
         """Cuts that a block's steps or the loss have a part in."""
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
-    def _most(self, block: Flags, integer: bool) -> _Found:
+    def _most(self, block: Flags, integer: bool, deadline: Deadline) -> _Found:
         """Least of the loss minus the service of a block's steps, in units."""
         cuts = self._touching(block)
         layout, program = self._program(block, cuts)
@@ -237,7 +243,8 @@ class Counts:
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
         whole = integer and not any(cut.weights[layout.lost] for cut in cuts)
-        found = self._solve(program, layout, 1.0 - TOLERANCE if whole else self.gap, integer)
+        gap = 1.0 - TOLERANCE if whole else self.gap
+        found = self._solve(program, layout, gap, integer, deadline)
         # Service is whole, so its bound may be rounded.
         return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found
 
@@ -250,7 +257,7 @@ class Counts:
         enough[0, layout.lost] = -1.0
         anyway = (self.able[~free] * self.units).sum()
         program = plain.with_rows(sp.csc_array(enough), np.array([units_min - anyway]))
-        return self._solve(program, layout, gap_gbp, integer)
+        return self._solve(program, layout, gap_gbp, integer, self.deadline)
 
     def _program(self, free: Flags, cuts: list[Cut]) -> tuple[_Layout, Program]:
         """Limits of demand, loss and cost, shares and counts, and cuts; without objective."""
@@ -273,18 +280,18 @@ class Counts:
         upper = np.ones(layout.size)
         lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
         upper[:layout.n_steps] = self.demand_kw
-        lower[layout.spent] = -np.inf if self.paid else 0.0
+        lower[layout.spent] = self.least_gbp
         upper[layout.lost:layout.spent + 1] = self.worst
         upper[layout.counts] = members
         most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))
         return layout, Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
                                np.zeros(len(most)), most, layout.counts)
 
-    def _solve(self, program: Program, layout: _Layout, gap_abs: float,
-               integer: bool) -> _Found:
+    def _solve(self, program: Program, layout: _Layout, gap_abs: float, integer: bool,
+               deadline: Deadline) -> _Found:
         """Solve a program once."""
         whole = program if integer else replace(program, integer=np.arange(0))
-        answer = Answer.of(whole.loaded(max(self.left_s, 0.0), gap_abs))
+        answer = ProgramSolution.of(whole.loaded(gap_abs), deadline)
         served = self.able.copy()
         if answer.status.has_answer:
             counts = answer.x[layout.counts]
@@ -309,15 +316,14 @@ class Counts:
         served = found.served.copy()
         point = found.point.copy()
         point[:-2] = (self.load_kw * served).sum(axis=1)
-        needed = self.reach.least_demand(point)
+        needed = self.reach.least_demand(point, self.deadline)
         if needed is None:
             return served
         for t in np.flatnonzero(free & (needed > point[:-2] + VIOLATED_KW)):
             served[t] = self._with_demand(served[t], int(t), float(needed[t]))
         return served
 
-    def _with_demand(self, served: Flags, t: int, needed_kw: float
-                     ) -> Flags:
+    def _with_demand(self, served: Flags, t: int, needed_kw: float) -> Flags:
         """As many of each weight with the least demand above what is needed, or else the most."""
         able = np.flatnonzero(self.able[t] & (self.units > 0))
         weights, kind = np.unique(self.units[able], return_inverse=True)
@@ -328,9 +334,10 @@ class Counts:
         program = Program(load, 0.0 * each, each, sp.csc_array(rows), counts, counts,
                           np.arange(len(able)))
         enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))
-        answer = Answer.of(enough.loaded(self.left_s, 1e-4 * needed_kw))
+        answer = ProgramSolution.of(enough.loaded(DEMAND_GAP_REL * needed_kw), self.deadline)
         if not answer.status.has_answer:
-            answer = Answer.of(replace(program, cost=-load).loaded(self.left_s))
+            most = replace(program, cost=-load)
+            answer = ProgramSolution.of(most.loaded(), self.deadline)
         chosen = served.copy()
         if answer.status.has_answer:
             chosen[able] = answer.x > 0.5

@@ -8,8 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Floats
+from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import Answer, compiled
+from vppres.solve.programs import ProgramSolution, compiled
 from vppres.solve.result import Status
 
 VIOLATED_KW = 2e-6
@@ -35,18 +36,20 @@ class Reach:
     ----------
     model : DemandModel
         Filled with the window's data.
-    time_s : float
-        Time limit of one separation.
     """
 
-    def __init__(self, model: DemandModel, time_s: float) -> None:
+    def __init__(self, model: DemandModel) -> None:
         program, first = compiled(model.problem)
         W = model.relaxation.n_steps
         size = len(program.cost)
         self.places = np.concatenate([first["load"] + np.arange(W), [first["lost"]],
                                       [first["spent"]]])
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
-        direction = np.concatenate([np.asarray(model.p["load_all"].value), model.worst()])
+        most_lost, dearest_gbp = model.worst()
+        # From any cost there can be, one step leads to the dearest, which is carried for certain.
+        range_gbp = dearest_gbp - model.least_cost_gbp()
+        direction = np.concatenate([np.asarray(model.p["load_all"].value),
+                                    [most_lost, range_gbp]])
         self.program = program
         self.largest = float(direction.max() + model.fleet_kw())
         rows = sp.csc_array(
@@ -60,14 +63,14 @@ class Reach:
                         rows=sp.csc_array(sp.hstack([program.rows,
                                                      sp.csc_array((len(program.lower), 1))])))
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
-        self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded(time_s)
+        self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded()
 
-    def separate(self, point: Floats) -> tuple[Status, Cut | None]:
+    def separate(self, point: Floats, deadline: Deadline) -> tuple[Status, Cut | None]:
         """A cut that a point violates; none if the fleet can carry it."""
         count = len(self.asked)
         self.solver.changeRowsBounds(count, self.asked, self.signs * point,
                                      np.full(count, np.inf))
-        answer = Answer.of(self.solver)
+        answer = ProgramSolution.of(self.solver, deadline)
         if answer.status != Status.OPTIMAL:
             return answer.status, None
         # The duals of a point outside support what is carried where the solution lies.
@@ -79,7 +82,7 @@ class Reach:
         cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
 
-    def least_demand(self, point: Floats) -> Floats | None:
+    def least_demand(self, point: Floats, deadline: Deadline) -> Floats | None:
         """Demand (W) that the fleet needs at least to stay within a point's loss and cost.
 
         It is more than the point's where PV power would otherwise be lost; None if there is none.
@@ -93,7 +96,7 @@ class Reach:
         self.solver.changeColCost(step, 0.0)
         self.solver.changeColBounds(step, 0.0, 0.0)
         self.solver.changeColsCost(size, loads, np.ones(size))
-        answer = Answer.of(self.solver)
+        answer = ProgramSolution.of(self.solver, deadline)
         self.solver.changeColsCost(size, loads, np.zeros(size))
         self.solver.changeColBounds(step, 0.0, np.inf)
         self.solver.changeColCost(step, cost)

@@ -8,6 +8,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.problem import require_dpp
+from vppres.model.site import Site
 from vppres.solve.fleet.relaxation import AggregateModel
 
 
@@ -92,6 +93,11 @@ class DemandModel:
         prices: Floats = np.maximum(self.relaxation.rho_dt.value, 0.0)
         return float(lost * p["P_pv"].value.sum()), float(prices @ p["P_grid_max"].value)
 
+    def least_cost_gbp(self) -> float:
+        """Cost that no dispatch falls below: that of all import where it earns money, or zero."""
+        prices: Floats = np.minimum(self.relaxation.rho_dt.value, 0.0)
+        return float(prices @ self.relaxation.p["P_grid_max"].value)
+
     def fleet_kw(self) -> float:
         """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
         p = self.relaxation.p
@@ -99,3 +105,21 @@ class DemandModel:
         factor = max(1.0, float(p["eta_hi"].value.max(initial=1.0)),
                      float(p["inv_hi"].value.max(initial=1.0)))
         return float(b.p_max_kw.sum() * factor)
+
+
+def demand_model(site: Site, n_steps: int, lumped: bool, physical: bool = False) -> DemandModel:
+    """What the fleet can carry in windows of a length and mode.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    lumped : bool
+        Whether the fleet is one battery.
+    physical : bool
+        Whether losses and headroom are part of it.
+    """
+    relaxation = AggregateModel(site, n_steps, integer=False, lumped=lumped, physical=physical)
+    return DemandModel(relaxation)

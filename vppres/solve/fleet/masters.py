@@ -1,27 +1,42 @@
-"""The masters of service and cost: by counts where a step's service is free, else by binaries."""
+"""The masters of service and cost: by counts where a step's service is free, else by binaries.
+
+``docs/method.md``, *Why counts are enough* and *With switching rules*.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
+from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
-from vppres.solve.dispatch import ModelCache
+from vppres.solve.cache import ModelCache
+from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.counts import Counts
+from vppres.solve.fleet.demand import DemandModel, demand_model
+from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.result import Outcome
 from vppres.solve.solvers import SolverSpec, run
+from vppres.solve.task import WindowTask
 
-COST_GAP_REL = 1e-3
-"""Gap of the cost level's search over served sets, relative to the cost."""
+WHOLE_GAP = 0.99
+"""Gap of a search whose objective is a whole number: below one, the best number is known."""
+
+ROUNDING = 1e-6
+"""By how much a bound may exceed a whole number and still be rounded down to it."""
+
+ALIKE = 1e-4
+"""Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
+battery of the best efficiencies says too little, and the search begins with every battery."""
 
 
 class Master(Protocol):
-    """Finds served sets and bounds of a window in a lumped relaxation.
+    """Finds served sets and bounds of a window in a relaxation without the network.
 
     ``unit`` is the weights' grid, ``prefix`` begins the names of its stages.
     """
@@ -40,42 +55,54 @@ class Master(Protocol):
         """
 
 
-# Master of a window and its seconds, None where it does not apply.
-MastersOf = Callable[[ModelCache, WindowData, SolverSpec, float], Master | None]
-
-
 class Binaries:
-    """The lumped relaxation with a binary for each customer and step."""
+    """The relaxation with a binary for each customer and step, and with every battery.
+
+    Parameters
+    ----------
+    cache : ModelCache
+        Compiled problems of the site.
+    data : WindowData
+        The window.
+    spec : SolverSpec
+        Solves it.
+    deadline : Deadline
+        When service and cost must be done.
+    """
 
     prefix = "binary_"
 
-    def __init__(self, cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: float,
-                 lumped: bool) -> None:
+    def __init__(self, cache: ModelCache, data: WindowData, spec: SolverSpec,
+                 deadline: Deadline) -> None:
         self.cache = cache
         self.data = data
         self.spec = spec
-        self.lumped = lumped
-        self.model = cache.aggregate(data, lumped=lumped)
+        self.deadline = deadline
+        self.model = relaxation_of(cache, data, integer=True, lumped=False)
         self.unit = self.model.grid
-        self.end = time.perf_counter() + time_s
+
+    @property
+    def applies(self) -> bool:
+        """Whether weights and prices of switching have a grid."""
+        return self.unit > 0.0 and self.model.whole_price(self.data)
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
-        outcome = run(self.model.grid_problem, self.spec, 0.99, self.end - time.perf_counter())
+        outcome = run(self.model.grid_problem, self.spec, WHOLE_GAP, self.deadline.left_s)
         # The objective is whole, so the bound may be rounded down.
-        outcome = replace(outcome, bound=float(np.floor(outcome.bound + 1e-6)))
+        outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
         return outcome, self._set(outcome)
 
     def cost(self, units_min: float, everyone: bool, known_gbp: float,
              gap_gbp: float) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; linear where any gap will do."""
         integer = np.isfinite(gap_gbp)
-        model = self.model if integer else self.cache.aggregate(self.data, False, self.lumped)
+        model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=False)
         model.fill(self.data, all_connected=everyone)
         model.service_min.value = units_min * self.unit
-        outcome = run(model.cost_problem, self.spec, gap_gbp if integer else 0.0,
-                      self.end - time.perf_counter())
+        gap = gap_gbp if integer else 0.0
+        outcome = run(model.cost_problem, self.spec, gap, self.deadline.left_s)
         return outcome, self._set(outcome) if integer else None
 
     def _set(self, outcome: Outcome) -> Flags | None:
@@ -83,32 +110,44 @@ class Binaries:
         return np.asarray(self.model.x.value) > 0.5 if outcome.status.has_answer else None
 
 
-def counts(cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: float,
-           lumped: bool) -> Master | None:
-    """The master by counts, where weights have a grid and no rule joins a step to another."""
-    model = cache.demand(data, lumped)
-    joined = data.switching is not None
-    return None if joined or not model.relaxation.grid else Counts(model, data, time_s)
+def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
+    """What makes the masters of a window, in the order of trial; they may not apply.
+
+    Rules join a step to another, so that a step is not free to serve its cheapest customers.
+    """
+    if task.data.switching is not None:
+        return [partial(_binaries, task)]
+    return [partial(_counts, task, lumped) for lumped in fleets_of(task.data)]
 
 
-def binaries(cache: ModelCache, data: WindowData, spec: SolverSpec, time_s: float,
-             lumped: bool) -> Master | None:
+def _binaries(task: WindowTask) -> Master | None:
     """The master by binaries, where weights and prices of switching have a grid."""
-    master = Binaries(cache, data, spec, time_s, lumped)
-    return master if master.unit and master.model.whole_price(data) else None
+    master = Binaries(task.cache, task.data, task.spec, task.deadline)
+    return master if master.applies else None
 
 
-def cost_gap_gbp(cost_gbp: float) -> float:
-    """Gap at which the search for a cheaper set may stop."""
-    return COST_GAP_REL * cost_gbp + 1e-3
+def _counts(task: WindowTask, lumped: bool) -> Master | None:
+    """The master by counts, where weights have a grid."""
+    model = demand_of(task.cache, task.data, lumped)
+    return Counts(model, task.data, task.deadline) if model.relaxation.grid else None
+
+
+def relaxation_of(cache: ModelCache, data: WindowData, integer: bool,
+                  lumped: bool) -> AggregateModel:
+    """The relaxation of the window's length, with a lumped battery or with every battery."""
+    return cache.problem(AggregateModel, n_steps=data.n_steps, integer=integer, lumped=lumped,
+                         physical=data.physical, switching=rule_steps(data))
+
+
+def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
+    """What the fleet can carry in a window of that length and mode."""
+    return cache.problem(demand_model, n_steps=data.n_steps, lumped=lumped,
+                         physical=data.physical)
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
-    """Whether batteries are lumped, in the order of trial.
-
-    A lumped battery says too little where efficiencies differ.
-    """
-    alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < 1e-4
+    """Whether batteries are lumped, in the order of trial."""
+    alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
 
 

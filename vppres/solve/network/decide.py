@@ -1,39 +1,90 @@
-"""Service, cost and dispatch of a window whose network forbids what the fleet could do."""
+"""A window enters the network: is its dispatch carried, and if not, who is served at what cost.
+
+``docs/method.md``, *Service in the network*.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
-from vppres.model.data import WindowData
-from vppres.model.site import Site
-from vppres.model.terms import evaluate
-from vppres.solve.dispatch import ModelCache, least_reactive, net_modes
+from vppres.solve.certificate import Candidate, cost_gap_gbp
+from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.masters import cost_gap_gbp, fleets_of
-from vppres.solve.network.master import TOLERANCE, NetworkMaster
+from vppres.solve.fleet.masters import demand_of, fleets_of
+from vppres.solve.network.injections import Reactance
+from vppres.solve.network.master import TOLERANCE, NetworkMaster, applies
 from vppres.solve.result import Outcome
-from vppres.solve.search import GRACE_S, Candidate, Search
-
-Polish = Callable[[Candidate], Candidate | None]
-
-LARGE = 1500
-"""Buses times steps beyond which the tie-breakers take seconds and are not asked in vain."""
+from vppres.solve.task import WindowTask
 
 SERVICE_SHARE = 0.5
+"""Share of the time left for the search of a set: the other half is for its dispatch, its bound on
+cost and, where the window is small, the whole problem."""
+
 FLEET_SHARE = 0.1
+"""Share of the time left for the fleet's least cost, a bound that only narrows the certificate."""
+
+LEAST_FLEET_S = 1.0
+"""What it may take of a short limit, as far as there is so much left."""
+
 COST_SHARE = 0.04
-"""Shares of the time left for the searches of a set, of the fleet's cost and of a cheaper set."""
+"""Share of the time left for a cheaper set. On the benchmark's windows what it finds comes early,
+and the proof that there is nothing cheaper never ends where it does not end soon."""
+
+HALF_UNIT = 0.5
+"""Units of service by which the network's bound must lie below the fleet's set to say that it
+forbids the set."""
+
+UNITS_TOLERANCE = 1e-9
+"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 
-def is_large(site: Site, data: WindowData) -> bool:
-    """Whether a window is large."""
-    return site.network.n_buses * data.n_steps > LARGE
+def enter_network(task: WindowTask) -> None:
+    """Put the best dispatch into the network, at a higher cost or with others where it must be."""
+    best = task.certificate.best
+    if best is None:
+        return
+    master = network_master(task)
+    found = None
+    if master is None or worth_asking_tie_breakers(task, master, best):
+        found = with_tie_breakers(task, best)
+    if found is None:
+        found = decided_anew(task, master, best)
+    task.certificate.best = found
+
+
+def network_master(task: WindowTask) -> NetworkMaster | None:
+    """The master in the network, None where the window does not have its form."""
+    if not applies(task.site, task.data):
+        return None
+    return NetworkMaster(task.site, task.cache.table(Reactance), task.data, task.deadline)
+
+
+def worth_asking_tie_breakers(task: WindowTask, master: NetworkMaster, best: Candidate) -> bool:
+    """Whether the tie-breakers may carry the dispatch, or are cheap enough to be asked anyway.
+
+    In a large window they take seconds to find that there is no answer. There the linear problem of
+    the network is asked first: where it carries less than the fleet, they need not be.
+    """
+    if not task.is_large:
+        return True
+    return master.unit * (master.most_units + HALF_UNIT) > best.service
+
+
+def decided_anew(task: WindowTask, master: NetworkMaster | None,
+                 best: Candidate) -> Candidate | None:
+    """A dispatch where the network forbids the cost of the one at hand, or the set itself.
+
+    The master decides who is served; where there is none, the set stays and costs more.
+    """
+    if master is not None:
+        found = InNetwork(task, master).decide()
+        if found is not None:
+            return found
+    return in_network(task, best.dispatch.served)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,23 +93,14 @@ class InNetwork:
 
     Attributes
     ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
+    task : WindowTask
         The window.
     master : NetworkMaster
         Its master.
-    search : Search
-        Keeps stages, bounds and time.
-    polish : callable, optional
-        The tie-breakers of a candidate; without them only reactive power is polished.
     """
 
-    cache: ModelCache
-    data: WindowData
+    task: WindowTask
     master: NetworkMaster
-    search: Search
-    polish: Polish | None
 
     def decide(self) -> Candidate | None:
         """The cheapest dispatch of the set with the most service, and bounds on F and cost.
@@ -66,14 +108,14 @@ class InNetwork:
         A set that serves less than the dispatch is worth has a lower ``F``; any other costs at
         least the bound, and none serves more than the bound on service.
         """
-        search = self.search
-        outcome, served = self.master.service(SERVICE_SHARE)
-        search.note("network_service", outcome)
+        known = self.task.certificate
+        outcome, served = self.master.service(self.task.deadline.part(SERVICE_SHARE))
+        known.note("network_service", outcome)
         if served is None:
-            search.prove(outcome)
+            known.prove(outcome)
             return None
-        search.service_bound = self.master.unit * outcome.bound
-        search.bound = min(search.bound, search.service_bound)
+        known.service_bound = self.master.unit * outcome.bound
+        known.bound_service(known.service_bound)
         found = self._cheapest(served)
         if found is None:
             return None
@@ -82,49 +124,53 @@ class InNetwork:
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""
-        search = self.search
+        known = self.task.certificate
         gap_gbp = cost_gap_gbp(found.terms.f2)
-        if (is_large(self.cache.site, self.data)
-                or found.terms.f2 - search.cost_bound_gbp <= gap_gbp):
+        if self.task.is_large or found.terms.f2 - known.cost_bound_gbp <= gap_gbp:
             return found
         units = float(np.ceil(found.service / self.master.unit - TOLERANCE))
-        outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, COST_SHARE)
-        search.note("network_cost_level", outcome)
-        search.cost_bound_gbp = max(search.cost_bound_gbp, outcome.bound)
+        deadline = self.task.deadline.part(COST_SHARE)
+        outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, deadline)
+        known.note("network_cost_level", outcome)
+        known.cost_bound_gbp = max(known.cost_bound_gbp, outcome.bound)
         other = None if served is None else self._cheapest(served)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
-        A set with ``F`` above the candidate's serves more than that ``F``. Where the fleet's bound
-        is not enough, that of shares of customers in the network may be.
+        Where the fleet's bound is not enough, that of shares of customers in the network may be.
         """
-        search = self.search
+        known = self.task.certificate
         unit = self.master.unit
-        enough = (found.value - 1e-9) / unit
-        for name, least in (("cost_level", self._fleet_cost), ("network_least_cost",
-                                                               self._network_cost)):
+        needed = found.value + known.lambda_grid * known.cost.least_gbp
+        enough = (needed - UNITS_TOLERANCE) / unit
+        for name, least in (("cost_level", self._fleet_cost),
+                            ("network_least_cost", self._network_cost)):
             cost_gbp = self._bound(name, least(enough, found))
-            worth = search.service_bound - self.cache.site.weights.lambda_grid * cost_gbp
-            search.bound = min(search.bound, max(found.value, worth))
-            if search.bound - found.value <= search.gap or search.left_s <= 0.0:
+            known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
+            if known.limits.met(known.bound, found.value) or self.task.deadline.passed:
                 break
-        served = (found.service - 1e-9) / unit
+        served = (found.service - UNITS_TOLERANCE) / unit
         if np.ceil(served) > np.ceil(enough):
-            cost_gbp = max(cost_gbp, self._bound("cost_level", self._fleet_cost(served, found)))
-        search.cost_bound_gbp = cost_gbp
+            # Sets that serve as much as this one, not only as much as it is worth, cost more.
+            as_much = self._bound("cost_level", self._fleet_cost(served, found))
+            cost_gbp = max(cost_gbp, as_much)
+        known.cost_bound_gbp = cost_gbp
 
     def _bound(self, name: str, outcome: Outcome) -> float:
-        """A stage's lower bound on cost, 0 if it has none."""
-        self.search.note(name, outcome)
-        return max(outcome.bound, 0.0) if outcome.status.has_answer else 0.0
+        """A stage's lower bound on cost in GBP."""
+        self.task.certificate.note(name, outcome)
+        return self.task.certificate.least_cost_gbp(outcome)
 
     @cached_property
     def _fleet(self) -> Counts:
         """The fleet's master; cuts of its first answer serve the second too."""
-        demand = self.cache.demand(self.data, fleets_of(self.data)[0])
-        return Counts(demand, self.data, max(FLEET_SHARE * self.search.left_s, 1.0))
+        task = self.task
+        demand = demand_of(task.cache, task.data, fleets_of(task.data)[0])
+        share_s = FLEET_SHARE * task.deadline.left_s
+        least_s = min(LEAST_FLEET_S, task.deadline.left_s)
+        return Counts(demand, task.data, task.deadline.within(max(share_s, least_s)))
 
     def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
         """Least cost of all sets with so many units, without the network."""
@@ -136,27 +182,22 @@ class InNetwork:
 
     def _cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
-        outcome, dispatch = self.master.cheapest(served, GRACE_S)
-        self.search.note("network_dispatch", outcome)
+        task = self.task
+        outcome, dispatch = self.master.cheapest(served, task.answer_by())
+        task.certificate.note("network_dispatch", outcome)
         if dispatch is None:
             return None
-        netted, done = net_modes(self.cache.site, self.data, dispatch)
-        if not done:
+        netted, fits = net_modes(task.site, task.data, dispatch)
+        if not fits:
             return None
-        polished = self.polish(self._candidate(netted)) if self.polish is not None else None
-        return polished or self._candidate(self._with_least_reactive(netted))
+        carried = Candidate.of(task.site, task.data, netted, 0.0, in_network=True)
+        polished = None if task.is_large else with_tie_breakers(task, carried)
+        return polished or self._with_least_reactive(carried)
 
-    def _with_least_reactive(self, dispatch: Dispatch) -> Dispatch:
+    def _with_least_reactive(self, found: Candidate) -> Candidate:
         """A dispatch with the least reactive power that its active power needs."""
-        time_s = max(self.search.left_s, GRACE_S)
-        outcome, better = least_reactive(self.cache, self.data, dispatch, time_s)
-        self.search.note("reactive_power", outcome)
-        return better
-
-    def _candidate(self, dispatch: Dispatch) -> Candidate:
-        """A dispatch that the network carries, with what it is worth."""
-        weights = self.cache.site.weights
-        terms = evaluate(self.cache.site, self.data, dispatch)
-        value = terms.upper_levels(weights)
-        return Candidate(dispatch, terms, value + weights.lambda_grid * terms.f2, value, terms.f2,
-                         True)
+        task = self.task
+        attempt = least_reactive(task.cache, task.data, found.dispatch, task.answer_by())
+        task.certificate.note("reactive_power", attempt.outcome)
+        assert attempt.dispatch is not None
+        return Candidate.of(task.site, task.data, attempt.dispatch, 0.0, in_network=True)

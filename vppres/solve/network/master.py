@@ -6,7 +6,6 @@ solution violates them, so every solution on the way is one of a relaxation.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,24 +17,39 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid
 from vppres.solve.network.injections import Injections, Reactance, Rows
-from vppres.solve.programs import Answer, Program
+from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
 VOLTAGE_PU2 = 1e-6
-"""By how much a squared voltage may miss its limit in a relaxation."""
+"""By how much a squared voltage may miss its limit in a relaxation: 5e-7 pu, the tolerance to which
+a linear solver meets its rows."""
+
 DISC = 2e-3
+"""Share of its radius by which a disc may be exceeded in a relaxation: a bound need not be sharp
+where few discs bind, and sharper ones take several times as many rounds."""
+
 EXACT_DISC = 5e-6
-"""Share of its radius by which a disc may be exceeded, in a relaxation and in a dispatch."""
+"""The same in a dispatch, whose discs are checked."""
+
 INSIDE = (3e-4, 0.0)
-"""Shares by which a dispatch's tangents are tried to lie within the discs: few end inside them."""
+"""Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
+solutions leave them, the second is for sets that need all of the inverters."""
+
 SMALL = 2000
+"""Binaries up to which the search has the network in it: beyond it, it does not end in minutes."""
+
 ROUNDS = 3
-"""Binaries up to which the search has the network in it, after so many sets were tried."""
+"""Sets that are tried before it begins: most windows are closed by then, at a tenth of its time."""
+
 NEAR = 0.3
-"""Units for which a set may be preferred because it is close to a linear solution."""
+"""Units for which a set may be preferred because it is close to a linear solution. Twice as much
+must stay below one unit, or the best set would no longer be told from the next."""
+
 TOLERANCE = 1e-6
+"""Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
 MOST_BUSES = 3000
 """Buses up to which voltages are kept as functions of all injections: 200 MB."""
@@ -59,12 +73,13 @@ class NetworkMaster:
         How voltages depend on injections.
     data : WindowData
         The window.
-    time_s : float
-        Time limit of everything together.
+    deadline : Deadline
+        When everything must be done but for what gets a deadline of its own.
     """
 
-    def __init__(self, site: Site, reactance: Reactance, data: WindowData, time_s: float) -> None:
-        self.end = time.perf_counter() + time_s
+    def __init__(self, site: Site, reactance: Reactance, data: WindowData,
+                 deadline: Deadline) -> None:
+        self.deadline = deadline
         self.site = site
         self.data = data
         self.model = Injections(site, reactance, data)
@@ -77,16 +92,11 @@ class NetworkMaster:
         self.program = Program(np.zeros(self.model.size), lower, upper, rows.matrix.tocsc(),
                                rows.lower, rows.upper, np.arange(0))
 
-    @property
-    def left_s(self) -> float:
-        """Seconds until the time limit."""
-        return self.end - time.perf_counter()
-
     @cached_property
-    def root(self) -> tuple[highspy.Highs, Answer]:
+    def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
         solver = self._loaded(self._with_cost(self.model.at["x"].ravel(), -self.units))
-        return solver, self._until_carried(solver)
+        return solver, self._until_carried(solver, self.deadline)
 
     @property
     def most_units(self) -> float:
@@ -94,52 +104,52 @@ class NetworkMaster:
         root = self.root[1]
         return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    def service(self, share: float) -> tuple[Outcome, Flags | None]:
-        """Most service in whole units, whatever is curtailed for it, in a share of the time left.
+    def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
+        """Most service in whole units until a deadline, whatever is curtailed for it.
 
         The linear problem in which nobody is served beyond a set bounds the service of all sets by
         its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
         one is carried in full.
         """
-        begin = time.perf_counter()
-        x = self.model.at["x"].ravel()
-        end = begin + share * self.left_s
+        watch = Stopwatch()
+        x = self.model.at["x"]
         solver, root = self.root
         if root.status != Status.OPTIMAL:
-            return _outcome(root, begin), None
+            return root.outcome(watch.spent_s), None
         cuts = _ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = _Known(np.ones(len(x)), self._in_full(root),
-                       np.floor(most + TOLERANCE))
-        self._close(solver, root, known, cuts, end)
-        outcome = Outcome(Status.OPTIMAL if known.closed(self.units) else Status.TIME_LIMIT,
-                          float(self.units @ known.best), float(known.bound),
-                          time.perf_counter() - begin)
-        return outcome, known.best.reshape(self.model.at["x"].shape) > 0.5
+        known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
+        self._close(solver, root, known, cuts, deadline)
+        status = Status.OPTIMAL if known.closed(self.units) else Status.TIME_LIMIT
+        outcome = Outcome(status, float(self.units @ known.best), float(known.bound),
+                          watch.spent_s, DIRECT)
+        return outcome, known.best.reshape(x.shape) > 0.5
 
-    def _close(self, solver: highspy.Highs, linear: Answer, known: _Known, cuts: _ServiceCuts,
-               end: float) -> None:
+    def _close(self, solver: highspy.Highs, linear: ProgramSolution, known: _Known,
+               cuts: _ServiceCuts, deadline: Deadline) -> None:
         """Try sets until the best has as much as the bound."""
         x = self.model.at["x"].ravel()
         few = list(self.found)
         rounds = 0
-        while not known.closed(self.units) and time.perf_counter() < end:
-            left_s = end - time.perf_counter()
+        while not known.closed(self.units) and not deadline.passed:
             rounds = rounds + 1
             before = len(self.found)
             whole = len(x) <= SMALL and rounds > ROUNDS
             enough = float(self.units @ known.best)
-            known.take(self._searched(few, left_s) if whole
-                       else cuts.most(linear.x[x], enough + 1.0, left_s), enough)
+            if whole:
+                found = self._searched(few, deadline)
+            else:
+                found = cuts.most(linear.x[x], enough + 1.0, deadline)
+            known.take(found, enough)
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
-            linear = self._until_carried(solver, worth=enough)
+            linear = self._until_carried(solver, self.deadline, worth=enough)
             if linear.status != Status.OPTIMAL:
                 return
             self._cut(linear, cuts)
             known.improve(self._in_full(linear), self.units)
             few += self.found[before:] if whole else []
 
-    def _cut(self, linear: Answer, cuts: _ServiceCuts) -> float:
+    def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
         program = _limited(self._with_cost(x, -self.units), self.found)
@@ -148,49 +158,51 @@ class NetworkMaster:
         rest[x] = 0.0
         return cuts.add(left[x], -worth - float(rest.sum()))
 
-    def _in_full(self, linear: Answer) -> Floats:
+    def _in_full(self, linear: ProgramSolution) -> Floats:
         """Who is served in full by a linear solution."""
         return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
 
-    def _searched(self, rows: list[Rows], time_s: float) -> Answer:
+    def _searched(self, rows: list[Rows], deadline: Deadline) -> ProgramSolution:
         """Search with binaries in the network, with some of its limits."""
         x = self.model.at["x"].ravel()
         program = replace(self._with_cost(x, -self.units), integer=x)
-        found = Answer.of(_limited(program, rows).loaded(time_s, 1.0 - TOLERANCE))
+        found = ProgramSolution.of(_limited(program, rows).loaded(1.0 - TOLERANCE), deadline)
         return replace(found, x=found.x[x] if found.status.has_answer else found.x)
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
-        begin = time.perf_counter()
-        return _outcome(self._until_carried(self._loaded(self._enough(units_min))), begin)
+        watch = Stopwatch()
+        found = self._until_carried(self._loaded(self._enough(units_min)), self.deadline)
+        return found.outcome(watch.spent_s)
 
     def cost_level(self, units_min: float, known_gbp: float, gap_gbp: float,
-                   share: float) -> tuple[Outcome, Flags | None]:
-        """Least cost of all sets with so many units, to a gap or in a share of the time left.
+                   deadline: Deadline) -> tuple[Outcome, Flags | None]:
+        """Least cost of all sets with so many units, to a gap or until a deadline.
 
         The search has the limits of the network that are known; whatever it finds is put into all
         of them, which adds some. The set in the answer is cheaper than the known cost.
         """
-        begin = time.perf_counter()
+        watch = Stopwatch()
         x = self.model.at["x"]
         best = None
-        end = begin + share * self.left_s
-        bound = 0.0
+        bound = -np.inf
         size = -1
         program = replace(self._enough(units_min), integer=x.ravel())
-        while known_gbp - bound > gap_gbp and time.perf_counter() < end and len(self.found) > size:
+        while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
             limited = _limited(program, self.found)
-            found = Answer.of(limited.loaded(end - time.perf_counter(), 0.5 * gap_gbp))
-            bound = max(bound, found.bound if np.isfinite(found.bound) else 0.0)
+            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp), deadline)
+            if np.isfinite(found.bound):
+                bound = max(bound, found.bound)
             if not found.status.has_answer:
                 break
             served = np.round(found.x[x])
-            carried = self._until_carried(self._loaded(self._of_set(served)))
+            carried = self._until_carried(self._loaded(self._of_set(served)), self.deadline)
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
                 best = served > 0.5
-        return Outcome(Status.OPTIMAL, known_gbp, bound, time.perf_counter() - begin), best
+        status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else Status.TIME_LIMIT
+        return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""
@@ -206,27 +218,24 @@ class NetworkMaster:
         program.x_upper[x] = served
         return program
 
-    def cheapest(self, served: Flags, grace_s: float) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a served set, within the discs; it has so much time at least."""
-        begin = time.perf_counter()
-        end = self.end
-        self.end = max(end, begin + grace_s)
-        answer = self._cheapest(served)
-        self.end = end
-        done = answer.status == Status.OPTIMAL
-        return _outcome(answer, begin), self.model.dispatch(answer.x, served) if done else None
+    def cheapest(self, served: Flags,
+                 deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of a served set, within the discs.
 
-    def _cheapest(self, served: Flags) -> Answer:
-        """Cheapest dispatch of a set, with tangents well within the discs or else at them."""
+        Tangents are put well within the discs first, which ends sooner, or else at them.
+        """
+        watch = Stopwatch()
         known = self.found
         program = self._of_set(served)
         for inside in INSIDE:
             self.found = list(known)
-            answer = self._until_carried(self._loaded(program), EXACT_DISC, inside)
+            answer = self._until_carried(self._loaded(program), deadline, EXACT_DISC, inside)
             self.found = known  # tangents within the discs hold for no other problem
             if answer.status == Status.OPTIMAL:
                 break
-        return answer
+        done = answer.status == Status.OPTIMAL
+        dispatch = self.model.dispatch(answer.x, served) if done else None
+        return answer.outcome(watch.spent_s), dispatch
 
     @property
     def price(self) -> tuple[Wholes, Floats]:
@@ -243,23 +252,25 @@ class NetworkMaster:
 
     def _loaded(self, program: Program) -> highspy.Highs:
         """A solver with the program and the limits that were violated so far."""
-        return _limited(program, self.found).loaded(self.left_s)
+        return _limited(program, self.found).loaded()
 
-    def _until_carried(self, solver: highspy.Highs, over: float = DISC, inside: float = 0.0,
-                       worth: float = -np.inf) -> Answer:
+    def _until_carried(self, solver: highspy.Highs, deadline: Deadline, over: float = DISC,
+                       inside: float = 0.0, worth: float = -np.inf) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
 
-        Or until no more than so many units are served in full.
+        Or until no more than so many units are served in full. A solver that meets limits only
+        within a tolerance may violate the same ones for ever: then time ends it.
         """
         while True:
-            solver.setOptionValue("time_limit", solver.getRunTime() + max(self.left_s, 0.01))
-            answer = Answer.of(solver)
+            answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
             found = [*self.model.voltage_rows(answer.x, VOLTAGE_PU2),
                      *self.model.disc_rows(answer.x, over, inside)]
             if not found:
                 return answer
+            if deadline.passed:
+                return replace(answer, status=Status.NO_ANSWER)
             rows = Rows.joined(found)
             self.found.append(rows)
             _add(solver, rows)
@@ -277,7 +288,7 @@ class _Known:
         """Whether the best set has as much as the bound."""
         return bool(units @ self.best >= self.bound)
 
-    def take(self, found: Answer, best: float) -> None:
+    def take(self, found: ProgramSolution, best: float) -> None:
         """The next set to try, and what its search proves."""
         if found.status == Status.INFEASIBLE:
             self.bound = best
@@ -311,7 +322,7 @@ class _ServiceCuts:
         self.most_units.append(most + TOLERANCE)
         return most + float(self.gains[-1].sum())
 
-    def most(self, shares: Floats, at_least: float, time_s: float) -> Answer:
+    def most(self, shares: Floats, at_least: float, deadline: Deadline) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
@@ -326,7 +337,7 @@ class _ServiceCuts:
                           sp.csc_array(self.units - np.array(self.gains)),
                           np.full(len(self.gains), -np.inf), np.array(self.most_units),
                           np.arange(len(cost)))
-        found = Answer.of(program.loaded(time_s, 1.0 - 2.0 * NEAR))
+        found = ProgramSolution.of(program.loaded(1.0 - 2.0 * NEAR), deadline)
         return replace(found, bound=found.bound - NEAR)
 
 
@@ -343,7 +354,3 @@ def _add(solver: highspy.Highs, rows: Rows) -> None:
     m = rows.matrix
     solver.addRows(m.shape[0], rows.lower, rows.upper, m.nnz, m.indptr[:-1].astype(np.int32),
                    m.indices.astype(np.int32), m.data)
-
-
-def _outcome(answer: Answer, begin: float) -> Outcome:
-    return Outcome(answer.status, answer.value, answer.bound, time.perf_counter() - begin)

@@ -1,0 +1,109 @@
+"""The lower rungs of the ladder: relaxations without the network, each with its bound.
+
+The proofs are in ``docs/method.md``, *Why a bound bounds*.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vppres.model.problem import objective_scale
+from vppres.solve.certificate import cost_gap_gbp
+from vppres.solve.dispatch import keep_dispatch
+from vppres.solve.fleet.masters import Master, fleets_of, relaxation_of
+from vppres.solve.solvers import run
+from vppres.solve.task import WindowTask
+
+NOTHING_LOST = 1e-6
+"""Share of the gap by which the service of everyone may be missed: rounding of its sum."""
+
+SERVICE_GAP_SHARE = 0.4
+"""Share of the window's gap that the search for service may leave open, so that the levels after it
+have the rest. It matters only where PV power must be lost: service is a whole number otherwise."""
+
+ALL_TERMS_GAP_SHARE = 0.8
+"""The same of the search with all terms at once, which leaves less for others to do."""
+
+ADMITTED_UNITS = 0.5
+"""Units below the best service down to which cheaper sets are looked for: between two whole
+numbers, so that rounding does not decide."""
+
+EVERYONE_UNITS = 0.99
+"""Units below the bound on service within which nobody connected can be left out."""
+
+UNITS_TOLERANCE = 1e-9
+"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
+
+
+def everyone_served(task: WindowTask) -> None:
+    """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
+    keep_dispatch(task, np.ones(task.data.load_kw.shape, dtype=bool))
+    best = task.certificate.best
+    if best is not None and task.everyone - best.service <= NOTHING_LOST * task.gap:
+        smallest = task.site.customers.weight.min() * task.site.dt_h
+        task.certificate.everyone_is_served(task.everyone, smallest)
+
+
+def service_then_cost(task: WindowTask, master: Master) -> None:
+    """Service first, on the weights' grid, then the cost of all sets that serve as much."""
+    known = task.certificate
+    outcome, served = master.service(SERVICE_GAP_SHARE * task.gap / master.unit)
+    known.note(f"{master.prefix}service", outcome)
+    if served is None:
+        known.prove(outcome)
+        return
+    keep_dispatch(task, served)
+    service_bound = master.unit * outcome.bound
+    known.bound_service(service_bound)
+    if known.best is not None and service_bound - known.best.service <= task.gap:
+        known.service_bound = service_bound
+        _cost_level(task, master)
+
+
+def _cost_level(task: WindowTask, master: Master) -> None:
+    """Cheapest set that serves as much, the bound on the cost of all, and so the bound on F.
+
+    A set that serves less than the search admits either serves too little to be better than the
+    dispatch at hand, or costs at least what the linear relaxation says.
+    """
+    known = task.certificate
+    best = known.best
+    assert best is not None
+    unit = master.unit
+    needed = known.least_service_of_better()
+    admitted = max(needed, best.service - ADMITTED_UNITS * unit)
+    everyone = known.service_bound - admitted < EVERYONE_UNITS * unit
+    outcome, served = master.cost((admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2,
+                                  cost_gap_gbp(best.terms.f2))
+    known.note(f"{master.prefix}cost_level", outcome)
+    if not outcome.status.has_answer:
+        return
+    known.cost_bound_gbp = known.least_cost_gbp(outcome)
+    bound = known.worth(known.service_bound, known.cost_bound_gbp)
+    if admitted > needed:
+        # Costs of sets that serve less: the linear relaxation is enough.
+        least, _ = master.cost((needed - UNITS_TOLERANCE) / unit, False, np.inf, np.inf)
+        known.note(f"{master.prefix}least_cost", least)
+        bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
+    known.bound = max(bound, best.value)
+    if (served is not None and (served != best.dispatch.served).any()
+            and outcome.value < best.terms.f2):
+        keep_dispatch(task, served)
+
+
+def all_terms(task: WindowTask) -> None:
+    """Served set and bound of the relaxation with all terms as weighted, to the gap of F.
+
+    It needs no grid of weights or prices.
+    """
+    known = task.certificate
+    model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
+    model.fill(task.data)
+    gap = ALL_TERMS_GAP_SHARE * task.gap_to_best
+    outcome = run(model.problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
+    known.note("aggregate", outcome)
+    if outcome.status.has_answer:
+        known.bound_by(outcome.bound)
+        keep_dispatch(task, np.asarray(model.x.value) > 0.5)
+    else:
+        known.prove(outcome)

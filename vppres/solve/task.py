@@ -1,0 +1,144 @@
+"""A window on its way through the stages: its data, its time, its problems, what is proven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from vppres.core.arrays import Flags
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
+from vppres.solve.certificate import Certificate, CostRange
+from vppres.solve.deadline import Deadline
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.solvers import SolverSpec
+
+LARGE = 1500
+"""Buses times steps beyond which a window is large: its tie-breakers take seconds to find that
+there is no answer, and the search with all binaries never ends."""
+
+GRACE_S = 0.3
+GRACE_S_PER_BUS = 1.4e-3
+"""What the way to the first answer may take beyond the time limit, all of its steps together:
+0.35 s at 33 buses, 1.7 s at 1,000. A linear problem and the tie-breakers fit in it, so that a
+window in which time ran out during the search still gets the dispatch of the set that was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowTask:
+    """What every stage of a window gets, and where it leaves what it found.
+
+    Parameters
+    ----------
+    data : WindowData
+        The window.
+    cache : ModelCache
+        Compiled problems of the site.
+    limits : SolveLimits
+        Gaps and time limit.
+    spec : SolverSpec
+        Solver of the problems that follow the choice of a solver.
+    sides : int
+        Sides of the inverters' polygons in problems with binaries, 0 for cones.
+    deadline : Deadline
+        When the window's time limit is reached.
+    certificate : Certificate
+        What is known so far.
+    """
+
+    data: WindowData
+    cache: ModelCache
+    limits: SolveLimits
+    spec: SolverSpec
+    sides: int
+    deadline: Deadline
+    certificate: Certificate
+
+    @classmethod
+    def begin(cls, data: WindowData, cache: ModelCache, limits: SolveLimits, spec: SolverSpec,
+              sides: int) -> WindowTask:
+        """A window whose time begins now."""
+        site = cache.site
+        cost = CostRange.of(site, data)
+        certificate = Certificate(limits, site.weights.lambda_grid, cost)
+        return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
+
+    @property
+    def site(self) -> Site:
+        """Fixed data."""
+        return self.cache.site
+
+    @cached_property
+    def everyone(self) -> float:
+        """Service of everyone in every step, in weighted customer hours."""
+        return float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
+
+    @property
+    def gap(self) -> float:
+        """Absolute gap of the searches for a served set, before it is known what can be served."""
+        return self.limits.absolute(self.everyone)
+
+    @property
+    def gap_to_best(self) -> float:
+        """Absolute gap that certifies the best dispatch, the searches' gap where there is none."""
+        best = self.certificate.best
+        return self.gap if best is None else self.limits.gap_at(best.value)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the window is large."""
+        return self.site.network.n_buses * self.data.n_steps > LARGE
+
+    def obeys_rules(self, served: Flags) -> bool:
+        """Whether a served set breaks no switching rule."""
+        return self.data.switching is None or not self.data.switching.broken(served).any()
+
+    # Time.
+
+    @property
+    def grace_s(self) -> float:
+        """What the way to the first answer may take beyond the time limit."""
+        return GRACE_S + GRACE_S_PER_BUS * self.site.network.n_buses
+
+    @property
+    def latest(self) -> Deadline:
+        """When the way to the first answer ends at the latest."""
+        return self.deadline.later(self.grace_s)
+
+    def answer_by(self, share: float = 1.0) -> Deadline:
+        """The deadline of a step on the way to an answer.
+
+        A started answer is finished even when time is up, in the grace that there is for it.
+        """
+        grace_s = min(self.grace_s, self.latest.left_s)
+        return Deadline(max(share * self.deadline.left_s, grace_s))
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether there is something left to prove and time for it."""
+        return not self.certificate.certified and not self.deadline.passed
+
+    # The end.
+
+    def solution(self) -> WindowSolution:
+        """The best dispatch and what is proven about it.
+
+        Raises
+        ------
+        SolveError
+            If there is no dispatch that the network carries.
+        """
+        known = self.certificate
+        best = known.best
+        late = self.deadline.passed
+        if best is None or not best.in_network:
+            known.no_answer(late).require_answer(f"The window of {self.data.n_steps} steps")
+            raise AssertionError("an outcome without answer always raises")
+        objective = best.terms.total(self.site.weights)
+        return WindowSolution(
+            dispatch=best.dispatch, terms=best.terms, objective=objective, bound=known.bound,
+            status=known.status(objective, late), service_gap=known.service_gap(),
+            cost_gap_gbp=known.cost_gap_gbp(), solve_s=self.deadline.spent_s,
+            solver_s=known.solver_s, stages=tuple(known.stages),
+            loss_kw=self.data.loss_kw if self.data.physical else None)

@@ -1,0 +1,88 @@
+"""The upper rungs of the ladder: the whole problem, without binaries and with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.model.problem import Form, objective_scale
+from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, window_model
+from vppres.solve.result import Status
+from vppres.solve.solvers import run, run_conic
+from vppres.solve.task import WindowTask
+
+IN_FULL = 1.0 - 1e-3
+"""Share from which a customer counts as served in a solution by interior points, which end near a
+limit and never at it."""
+
+CONIC_TOLERANCE = 1e-6
+"""How far interior points may end from the optimum, on either side, relative and absolute."""
+
+AGAIN = 0.999
+"""Share of a gap below which another search to the smaller gap can tell anything new."""
+
+
+def without_binaries(task: WindowTask) -> None:
+    """Bound of the whole problem without binaries, and those it serves in full.
+
+    It is there for networks that forbid what the fleet could do: an answer comes before the search
+    with binaries, which may need all the time there is. Where there is no answer yet it runs even
+    when time is up.
+    """
+    known = task.certificate
+    deadline = task.answer_by()
+    if deadline.passed:
+        return
+    form = Form("service", "relaxed", "relaxed", task.sides or POLYGON_SIDES, outer=True)
+    model = window_model(task.cache, task.data, form)
+    model.fill(task.data)
+    outcome = run_conic(model.problem, deadline.left_s, objective_scale(task.site))
+    known.note("relaxed", outcome)
+    if outcome.status == Status.OPTIMAL:
+        known.bound_by(outcome.value + CONIC_TOLERANCE * abs(outcome.value) + CONIC_TOLERANCE)
+        keep_dispatch_in_network(task, model.v.x_served.value > IN_FULL)
+
+
+def with_binaries(task: WindowTask) -> None:
+    """The whole problem. Where discs are polygons, outer ones bound and inner ones answer.
+
+    ``docs/decisions/bounds-of-discs.md`` says why there are two.
+    """
+    form = Form("service", "integer", "integer", task.sides)
+    if task.sides:
+        _search(task, "full_outer", replace(form, outer=True))
+    if task.goes_on:
+        _search(task, "full", form)
+
+
+def _search(task: WindowTask, name: str, form: Form) -> None:
+    """Search the whole problem in a form until it is as close as its own objective asks for.
+
+    Solvers stop at an absolute gap, and how much can be served is not known before: where it turns
+    out to be less than was thought, the search is done again to the gap of that.
+    """
+    gap = task.gap_to_best
+    done = _solve(task, name, form, gap)
+    if done and task.goes_on and task.gap_to_best < AGAIN * gap:
+        _solve(task, name, form, task.gap_to_best)
+
+
+def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
+    """One solve of the whole problem: keeps the dispatch of its served set; whether it ended."""
+    known = task.certificate
+    model = window_model(task.cache, task.data, form)
+    model.fill(task.data)
+    outcome = run(model.problem, task.spec, gap, task.deadline.left_s,
+                  objective_scale(task.site))
+    known.note(name, outcome)
+    inner = form.polygon_sides > 0 and not form.outer
+    x = model.v.x_served.value
+    if outcome.status.has_answer and x is not None:
+        if not inner:
+            known.bound_by(outcome.bound)
+        keep_dispatch_in_network(task, np.asarray(x) > 0.5)
+    elif not inner:
+        # Inner polygons take capacity away: that they leave nothing proves nothing.
+        known.prove(outcome)
+    return outcome.status == Status.OPTIMAL
