@@ -9,7 +9,7 @@ import pytest
 
 from vppres.model import constraints, objective
 from vppres.model.beyond_paper.physical import PhysicalParameters
-from vppres.model.problem import Form, WindowModel
+from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 from vppres.scenario.scenario import Scenario

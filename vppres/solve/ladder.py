@@ -12,7 +12,8 @@ import numpy as np
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
-from vppres.model.problem import Form, objective_scale
+from vppres.model.forms import Form
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.solve.dispatch import POLYGON_SIDES, cost_form, polish, shared_cache, solve_cost
