@@ -39,8 +39,8 @@ KEPT = ("circular_charging", "grid_active_limit", "grid_reactive_max", "grid_rea
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """What is held of a dispatch, for a window of W steps.
+class HeldModes:
+    """Modes, cost and curtailment that are held, for a window of W steps.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Held:
     f3: cp.Parameter
 
     @classmethod
-    def create(cls, site: Site, W: int) -> Held:
+    def create(cls, site: Site, W: int) -> HeldModes:
         """Parameters of a window of W steps."""
         B = len(site.batteries)
         P = len(site.pv)
@@ -137,7 +137,7 @@ class TieBreakerModel:
         self.physical: PhysicalParameters | None = None
         if physical:
             self.physical = PhysicalParameters.create(site, n_steps)
-        self.held = Held.create(site, n_steps)
+        self.held = HeldModes.create(site, n_steps)
         self.near: Near | None = None
         if moves and len(site.batteries):
             self.near = Near.create(site, n_steps)
