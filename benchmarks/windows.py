@@ -17,7 +17,8 @@ from rich.progress import Progress
 from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
-from vppres.model.problem import Form, WindowModel, objective_scale
+from vppres.model.forms import Form, WindowModel
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver

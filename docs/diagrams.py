@@ -164,7 +164,7 @@ ARCHITECTURE = Diagram("One step of a run, and what surrounds it", {
     "control": Node(0, 3, ("Controllers", "vppres.control.mpc.MPCController",
                            "vppres.control.full_horizon.FullHorizonController")),
     "solve": Node(0, 4, ("Window's problem, certified", "vppres.solve.ladder.WindowSolver.solve",
-                         "vppres.model.problem.WindowModel")),
+                         "vppres.model.forms.WindowModel")),
     "decision": Node(1, 3, ("Set-points of the step", "vppres.contract.decision.Decision")),
     "thermal": Node(2, 1, ("Batteries' charge and heat", "vppres.plant.plant.Plant.advance",
                            "vppres.physics.thermal.advance")),

@@ -2,31 +2,54 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
-from vppres.model import constraints, objective
+from vppres.model import constraints, problem
 from vppres.model.beyond_paper.physical import PhysicalParameters
-from vppres.model.problem import Form, WindowModel
+from vppres.model.forms import Form, WindowModel
+from vppres.model.problem import paper_problem
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 from vppres.scenario.scenario import Scenario
 
+LAST_EQUATION = 30
+LABELS = {3: "eq:batt_inverter", 6: "eq:min_pv", 7: "eq:pv_inverter", 16: "eq:full-distflow",
+          17: "eq:full-distflow1", 21: "eq:dist_flow_diff"}
+"""The labels that the paper gives in Sections 3.1 and 3.2, by its equations' numbers."""
 PAGE = Path(__file__).parent.parent / "docs" / "mathematics.md"
+
+
+def tables(heading: str) -> list[list[list[str]]]:
+    """Cells of the tables below a heading of the page, up to the next heading."""
+    text = PAGE.read_text(encoding="utf-8").split(f"{heading}\n", 1)[1]
+    found: list[list[list[str]]] = []
+    inside = False
+    for line in text.splitlines():
+        if line.startswith("#"):
+            break
+        if line.startswith("|"):
+            if not inside:
+                found.append([])
+            cells = re.split(r"(?<!\\)\|", line)[1:-1]
+            found[-1].append([cell.strip() for cell in cells])
+        inside = line.startswith("|")
+    return [rows[2:] for rows in found]
 
 
 def table(heading: str) -> list[list[str]]:
     """Cells of the first table below a heading of the page."""
-    text = PAGE.read_text(encoding="utf-8").split(f"{heading}\n", 1)[1]
-    rows = []
-    for line in text.splitlines():
-        if line.startswith("|"):
-            rows.append([cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]])
-        elif rows:
-            break
-    return rows[2:]
+    return tables(heading)[0]
+
+
+def numbers(cell: str) -> set[int]:
+    """Numbers of the paper's equations in a cell: those that a row states, not its neighbours'."""
+    if cell.startswith(("above", "below", "with")):
+        return set()
+    return {int(number) for number in re.findall(r"\((\d+)\)", cell)}
 
 
 def names(cell: str) -> list[str]:
@@ -44,14 +67,45 @@ def test_every_constraint_has_its_row_and_every_row_its_constraint(
         site: Site, polygon_sides: int) -> None:
     model = WindowModel(site, 2, Form(polygon_sides=polygon_sides))
     rows = table("## Equations")
-    assert sorted(names(row[3])[0] for row in rows) == sorted(model.constraints)
+    assert sorted(names(row[4])[0] for row in rows) == sorted(model.constraints)
+
+
+def test_rows_are_the_papers_problem_in_the_papers_order(site: Site) -> None:
+    listed = [names(row[4])[0] for row in table("## Equations")]
+    assert listed == list(paper_problem(site, 2).subject_to)
 
 
 def test_constraints_are_made_by_the_functions_that_the_page_names(site: Site) -> None:
-    v, p = Variables.create(site, 2, "integer", "integer"), Parameters.create(site, 2)
-    for row in table("## Equations"):
-        function, constraint = names(row[2])[0], names(row[3])[0]
-        assert constraint in getattr(constraints, function)(site, v, p)
+    paper = paper_problem(site, 2)
+    made: list[str] = []
+    rows = table("## Equations")
+    for function in dict.fromkeys(names(row[3])[0] for row in rows):
+        made += getattr(constraints, function)(site, paper.v, paper.p)
+        assert made == [names(row[4])[0] for row in rows][:len(made)], function
+
+
+def test_every_equation_of_section_3_has_its_row() -> None:
+    rows = [row for part in tables("## Equations") for row in part] + table("## Objective")
+    found = [number for row in rows for number in sorted(numbers(row[0]))]
+    assert set(found) == set(range(1, LAST_EQUATION))
+    page = PAGE.read_text(encoding="utf-8")
+    assert f"({LAST_EQUATION}) `objective_function`" in page
+
+
+def test_every_label_of_the_paper_stands_beside_its_equation() -> None:
+    labels: dict[int, str] = {}
+    for row in [row for part in tables("## Equations") for row in part]:
+        listed = re.findall(r"`(eq:[\w-]+)`", row[1])
+        # One label belongs to the last of the equations that a row states, several to each.
+        labels |= dict(zip(sorted(numbers(row[0]))[-len(listed):], listed, strict=True)) \
+            if listed else {}
+    assert labels == LABELS
+
+
+def test_code_names_the_labels_that_the_page_names() -> None:
+    code = Path(str(problem.__file__)).read_text(encoding="utf-8")
+    for number in (3, 6, 7, 21):
+        assert f"{LABELS[number]}\n" in code
 
 
 def test_variables_and_parameters_are_those_of_the_page() -> None:
@@ -62,8 +116,10 @@ def test_variables_and_parameters_are_those_of_the_page() -> None:
 
 
 def test_objective_terms_are_those_of_the_page() -> None:
+    used = inspect.getsource(problem.paper_objective)
     for row in table("## Objective"):
-        assert hasattr(objective, names(row[2])[0])
+        assert f"{names(row[3])[0]}(site, v, p)" in used
+        assert f"# {row[0]}" in used
 
 
 @pytest.mark.parametrize("polygon_sides", [0, 16])

@@ -33,7 +33,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.model.beyond_paper.losses import Sweeps, injections, linearised, lossless
 from vppres.model.data import WindowData
-from vppres.model.problem import Form, WindowModel
+from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network

@@ -33,7 +33,7 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
 from vppres.model.beyond_paper import switching as switching_rules
-from vppres.model.problem import Form, WindowModel
+from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.rules import SwitchingRules

@@ -25,7 +25,7 @@ from tests.support.small_windows import (
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError, NumericalError
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
-from vppres.model.problem import require_dpp
+from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver

@@ -1,22 +1,44 @@
-"""The paper's constraints (Sections 3.1 and 3.2), one function per equation family.
+"""The paper's constraints (Sections 3.1 and 3.2), one function per equation family, in its order.
 
-Every function takes the site, the variables and the parameters of a window and returns named cvxpy
+Numbers in brackets count the paper's equations, and names with ``eq:`` are its labels. Every
+function takes the site, the variables and the parameters of a window and returns named cvxpy
 constraints. All lines of a family are one vectorised constraint: rows are steps, columns are items.
+
+An argument behind these three is what another form of the problem puts in the place of what the
+paper has; without it the equation is the paper's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 Named = dict[str, cp.Constraint]
-Family = Callable[[Site, Variables, Parameters], Named]
+"""Constraints by the names of their equations."""
+
+
+@dataclass(frozen=True, eq=False)
+class AddedDemand:
+    """Demand that the paper has not: cold load of restored customers, losses of lines.
+
+    Parameters
+    ----------
+    P, Q : cvxpy.Expression, shape (W, N)
+        Active and reactive demand at the buses.
+    """
+
+    P: cp.Expression
+    Q: cp.Expression
+
+
+# Battery storage.
 
 
 def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
@@ -29,55 +51,110 @@ def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
 
 
 def battery_soc(site: Site, v: Variables, p: Parameters) -> Named:
-    """SoC recursion with losses, its start, and its limits."""
-    b = site.batteries
-    per_energy = site.dt_h / b.energy_kwh[None, :]
+    """SoC recursion with losses (2), from the measured SoC on."""
+    per_energy = site.dt_h / site.batteries.energy_kwh[None, :]
     gain = cp.multiply(p.eta_ch, v.P_ch) - cp.multiply(p.inv_eta_dch, v.P_dch)
     return {
         "battery_soc_start": v.SoC[0] == p.SoC_0,
         "battery_soc_dynamics": v.SoC[1:] == v.SoC[:-1] + cp.multiply(per_energy, gain),
-        "battery_soc_min": v.SoC[1:] >= b.soc_min[None, :],
+    }
+
+
+def battery_soc_limits(site: Site, v: Variables, p: Parameters,
+                       SoC_min: cp.Expression | None = None) -> Named:
+    """SoC between its limits at the end of every step; what was measured may lie outside.
+
+    ``SoC_min``, (W, B), is a lower limit that changes with the steps.
+    """
+    b = site.batteries
+    lowest = b.soc_min[None, :] if SoC_min is None else SoC_min
+    return {
+        "battery_soc_min": v.SoC[1:] >= lowest,
         "battery_soc_max": v.SoC[1:] <= b.soc_max[None, :],
     }
 
 
+def battery_inverter(site: Site, v: Variables, p: Parameters,
+                     S_max: cp.Expression | None = None) -> Named:
+    """Apparent power of batteries within their inverters' ratings (3), ``eq:batt_inverter``.
+
+    ``S_max``, (W, B), is a rating that changes with the steps.
+    """
+    rating = _each_step(site.batteries.s_max_kva, v.P_batt) if S_max is None else S_max
+    return {"battery_inverter_capacity": _disc(v.P_batt, v.Q_batt, rating)}
+
+
 def circular_charging(site: Site, v: Variables, p: Parameters) -> Named:
-    """Charging comes from import and PV export, never from another battery."""
-    return {"circular_charging":
-            cp.sum(v.P_ch, axis=1) <= v.P_grid + cp.sum(v.P_exp, axis=1)}
+    """Charging comes from import and PV export, never from another battery (4)."""
+    charging = cp.sum(v.P_ch, axis=1)
+    available = v.P_grid + cp.sum(v.P_exp, axis=1)
+    return {"circular_charging": charging <= available}
 
 
-def pv_split(site: Site, v: Variables, p: Parameters) -> Named:
-    """Self-consumption, export and curtailment; self-consumption follows the owner's service."""
+# PV systems.
+
+
+def pv_balance(site: Site, v: Variables, p: Parameters) -> Named:
+    """PV power is used by the owner, exported or curtailed (5)."""
+    return {"pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv}
+
+
+def pv_self_consumption(site: Site, v: Variables, p: Parameters,
+                        added: cp.Expression | None = None) -> Named:
+    """Self-consumption follows the owner's service (6), ``eq:min_pv``.
+
+    ``P_self_max`` holds the equation's min(P_load, P_pv). ``added``, (W, P), is
+    self-consumption of demand that the paper has not.
+    """
     P_self = cp.multiply(p.P_self_max, v.x_served[:, site.owner])
-    if v.cold is not None:
-        P_self = P_self + cp.multiply(v.cold.P_self_cold, v.cold.z[:, site.owner])
-    return {
-        "pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv,
-        "pv_self_consumption": v.P_self == P_self,
-    }
+    if added is not None:
+        P_self = P_self + added
+    return {"pv_self_consumption": v.P_self == P_self}
 
 
-def power_balance(site: Site, v: Variables, p: Parameters) -> Named:
-    """Active and reactive balance at every bus, the slack bus with the grid's supply."""
-    A = site.network.incidence
-    at_bus = site.customer_bus
-    slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
+def pv_inverter(site: Site, v: Variables, p: Parameters) -> Named:
+    """Apparent power of PV systems within their inverters' ratings (7), ``eq:pv_inverter``."""
+    P = v.P_self + v.P_exp
+    return {"pv_inverter_capacity": _disc(P, v.Q_pv, _each_step(site.pv.s_max_kva, P))}
+
+
+# Power balance.
+
+
+def active_balance(site: Site, v: Variables, p: Parameters,
+                   added: AddedDemand | None = None) -> Named:
+    """Active balance at every bus (8), with its injection (9) and its load (10).
+
+    The grid supplies the slack bus, which the paper leaves unsaid.
+    """
     P_inj = v.P_exp @ site.pv_bus.T - v.P_batt @ site.battery_bus.T
-    P_demand, Q_demand = _demand(v, p)
-    P_load = P_demand @ at_bus.T - v.P_self @ site.pv_bus.T
+    P_served = cp.multiply(p.P_load, v.x_served)
+    P_load = P_served @ site.customer_bus.T - v.P_self @ site.pv_bus.T
+    if added is not None:
+        P_load = P_load + added.P
+    P_grid = _at_slack_bus(site, v.P_grid)
+    inflow = v.P_flow @ site.network.incidence.T
+    return {"active_power_balance": P_inj + P_grid + inflow == P_load}
+
+
+def reactive_balance(site: Site, v: Variables, p: Parameters,
+                     added: AddedDemand | None = None) -> Named:
+    """Reactive balance at every bus (11), with its injection (12) and its load (13), (14)."""
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
-    Q_load = Q_demand @ at_bus.T
-    P_grid = cp.reshape(v.P_grid, (v.P_grid.size, 1), order="C") @ slack.T
-    Q_grid = cp.reshape(v.Q_grid, (v.Q_grid.size, 1), order="C") @ slack.T
-    return {
-        "active_power_balance": P_inj + P_grid + v.P_flow @ A.T == P_load,
-        "reactive_power_balance": Q_inj + Q_grid + v.Q_flow @ A.T == Q_load,
-    }
+    Q_served = cp.multiply(p.Q_load, v.x_served)
+    Q_load = Q_served @ site.customer_bus.T
+    if added is not None:
+        Q_load = Q_load + added.Q
+    Q_grid = _at_slack_bus(site, v.Q_grid)
+    inflow = v.Q_flow @ site.network.incidence.T
+    return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
+
+
+# Grid connection and voltages.
 
 
 def grid_connection(site: Site, v: Variables, p: Parameters) -> Named:
-    """Import only, none in an outage; reactive exchange is free while connected."""
+    """No exchange in an outage (15); import only, reactive exchange free while connected."""
     return {
         "grid_active_limit": v.P_grid <= p.P_grid_max,
         "grid_reactive_max": v.Q_grid <= p.Q_grid_max,
@@ -85,143 +162,57 @@ def grid_connection(site: Site, v: Variables, p: Parameters) -> Named:
     }
 
 
-def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
-    """Voltage drop along every line, in the delta form around the last AC point.
+def voltage_limits(site: Site, v: Variables, p: Parameters,
+                   slack: cp.Expression | None = None) -> Named:
+    """Squared voltage between the squared limits, at every bus but the slack bus.
 
-    The deltas telescope over the window, so the last AC point enters as one offset per line:
-    ``u_j = u_i - 2 (r P + x Q) + delta`` with ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``.
+    ``slack``, in pu², is by how much both limits give.
+    """
+    u_min = site.network.v_min_pu**2
+    u_max = site.network.v_max_pu**2
+    if slack is not None:
+        u_min = u_min - slack
+        u_max = u_max + slack
+    return {"voltage_min": v.u[:, 1:] >= u_min, "voltage_max": v.u[:, 1:] <= u_max}
+
+
+# Power flow approximation.
+
+
+def voltage_slack(site: Site, v: Variables, p: Parameters) -> Named:
+    """The grid holds the slack bus at its voltage, 1.0 pu in the paper."""
+    return {"voltage_slack": v.u[:, 0] == site.network.v_slack_pu**2}
+
+
+def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1.0) -> Named:
+    """Voltage drop along every line, (21) ``eq:dist_flow_diff`` around the AC point (22) to (24).
+
+    The deltas (18) to (20) telescope over the window, so the last AC point enters as one offset per
+    line: ``u_j = u_i - 2 (r P + x Q) + delta`` with
+    ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``. ``factor`` multiplies both sides, for
+    solvers that allow the same residual for all rows.
     """
     net = site.network
     r = net.r_pu2_per_kw[None, :]
     x = net.x_pu2_per_kvar[None, :]
     drop = 2 * (cp.multiply(r, v.P_flow) + cp.multiply(x, v.Q_flow))
-    return {
-        "voltage_slack": v.u[:, 0] == net.v_slack_pu**2,
-        "delta_lindistflow": v.u[:, 1:] == v.u[:, net.parent] - drop + p.delta,
-    }
+    u_j = v.u[:, 1:]
+    u_i = v.u[:, net.parent]
+    return {"delta_lindistflow": factor * u_j == factor * (u_i - drop + p.delta)}
 
 
-def voltage_limits(site: Site, v: Variables, p: Parameters) -> Named:
-    """Squared voltage between the squared limits, at every bus but the slack bus."""
-    net = site.network
-    return squared_voltage_within(v, net.v_min_pu**2, net.v_max_pu**2)
+def _at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
+    """The grid's supply of each step, (W,), at the first bus and nowhere else, (W, N)."""
+    slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
+    return cp.reshape(power, (power.size, 1), order="C") @ slack.T
 
 
-def squared_voltage_within(v: Variables, u_min: float | cp.Expression,
-                           u_max: float | cp.Expression) -> Named:
-    """Squared voltage at every bus but the slack bus between bounds (pu²), fixed or variables."""
-    return {"voltage_min": v.u[:, 1:] >= u_min, "voltage_max": v.u[:, 1:] <= u_max}
+def _each_step(rating: Floats, power: cp.Expression) -> cp.Expression:
+    """The same ratings in every step, (W, items)."""
+    return cp.Constant(np.broadcast_to(rating, power.shape))
 
 
-def inverter_discs(site: Site, v: Variables, p: Parameters) -> Named:
-    """Apparent power of batteries and PV systems within their inverters' ratings (cones)."""
-    return battery_disc(site, v, p) | pv_disc(site, v, p)
-
-
-def battery_disc(site: Site, v: Variables, p: Parameters) -> Named:
-    """Battery inverters alone."""
-    return {"battery_inverter_capacity":
-            _disc(v.P_batt, v.Q_batt, site.batteries.s_max_kva)}
-
-
-def pv_disc(site: Site, v: Variables, p: Parameters) -> Named:
-    """PV inverters alone."""
-    return {"pv_inverter_capacity": _disc(v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva)}
-
-
-def inverter_polygons(sides: int, outer: bool = False) -> Family:
-    """The same discs as polygons, for solvers without mixed-integer cones.
-
-    The inscribed polygon with K sides and a vertex on the P axis lies inside the disc and loses at
-    most ``1 - cos(pi / K)`` of the rating: 1.9 % at 16 sides, 0.5 % at 32. The outer polygon, for
-    bounds, is made of tangents, two of them across the P axis, so that it is exact in P alone.
-    """
-
-    def family(site: Site, v: Variables, p: Parameters) -> Named:
-        pairs = {
-            "battery_inverter_capacity":
-                (v.P_batt, v.Q_batt, site.batteries.s_max_kva),
-            "pv_inverter_capacity": (v.P_self + v.P_exp, v.Q_pv, site.pv.s_max_kva),
-        }
-        turn, reach = (0.0, 1.0) if outer else (np.pi / sides, np.cos(np.pi / sides))
-        angle = turn + 2 * np.pi * np.arange(sides) / sides
-        return {name: _polygon(P, Q, S * reach, angle) for name, (P, Q, S) in pairs.items()}
-
-    return family
-
-
-def battery_half_polygon(sides: int) -> Family:
-    """The inscribed polygon of batteries whose modes exclude each other, in ``|P|`` and Q.
-
-    ``|P|`` is then charging plus discharging, so half of the sides say what all of them do.
-    """
-
-    def family(site: Site, v: Variables, p: Parameters) -> Named:
-        angle = np.pi / sides + 2 * np.pi * np.arange(sides) / sides
-        inside = site.batteries.s_max_kva * np.cos(np.pi / sides)
-        return {"battery_inverter_capacity":
-                _polygon(v.P_ch + v.P_dch, v.Q_batt, inside, angle[np.cos(angle) > 1e-9])}
-
-    return family
-
-
-def inverter_active(site: Site, v: Variables, p: Parameters) -> Named:
-    """What the discs imply for active power alone; for relaxations without reactive power."""
-    return {
-        "battery_charge_rating": v.P_ch <= site.batteries.s_max_kva[None, :],
-        "battery_discharge_rating": v.P_dch <= site.batteries.s_max_kva[None, :],
-        "pv_active_rating": v.P_self + v.P_exp <= site.pv.s_max_kva[None, :],
-    }
-
-
-def total_balance(site: Site, v: Variables, p: Parameters) -> Named:
-    """Sum of the active balances over all buses: lossless lines cancel."""
-    load = cp.sum(_demand(v, p)[0], axis=1) - cp.sum(v.P_self, axis=1)
-    return {"total_power_balance": v.P_grid + cp.sum(v.P_exp, axis=1)
-            == load + cp.sum(v.P_batt, axis=1)}
-
-
-def battery_headroom(site: Site, v: Variables, p: Parameters) -> Named:
-    """What exclusivity implies together with the SoC limits; it cuts off no feasible dispatch.
-
-    A battery that charges must have the room, whatever a fractional mode would discharge at the
-    same time; likewise for discharging.
-    """
-    b = site.batteries
-    per_energy = site.dt_h / b.energy_kwh[None, :]
-    stored = cp.multiply(per_energy, cp.multiply(p.eta_ch, v.P_ch))
-    drawn = cp.multiply(per_energy, cp.multiply(p.inv_eta_dch, v.P_dch))
-    return {
-        "battery_room": v.SoC[:-1] + stored <= b.soc_max[None, :],
-        "battery_reserve": v.SoC[:-1] - drawn >= b.soc_min[None, :],
-    }
-
-
-def _demand(v: Variables, p: Parameters) -> tuple[cp.Expression, cp.Expression]:
-    """Active and reactive demand of those served, higher after a restoration, (W, C) each."""
-    P = cp.multiply(p.P_load, v.x_served)
-    Q = cp.multiply(p.Q_load, v.x_served)
-    if v.cold is None:
-        return P, Q
-    return (P + cp.multiply(v.cold.P_cold, v.cold.z), Q + cp.multiply(v.cold.Q_cold, v.cold.z))
-
-
-def _disc(P: cp.Expression, Q: cp.Expression, s_max_kva: np.ndarray) -> cp.Constraint:
+def _disc(P: cp.Expression, Q: cp.Expression, S: cp.Expression) -> cp.Constraint:
     """Second-order cones ``norm(P, Q) <= S``, one for each step and item."""
-    S = np.broadcast_to(s_max_kva, P.shape).ravel(order="F")
     both = cp.vstack([cp.vec(P, order="F"), cp.vec(Q, order="F")])
-    return cp.SOC(cp.Constant(S), both, axis=0)
-
-
-def _polygon(P: cp.Expression, Q: cp.Expression, distance_kva: np.ndarray,
-             angle: np.ndarray) -> cp.Constraint:
-    """Half planes at a distance from the origin, one block of rows for each angle."""
-    rhs = np.broadcast_to(distance_kva, P.shape)
-    return (cp.vstack([np.cos(a) * P + np.sin(a) * Q for a in angle])
-            <= np.vstack([rhs] * len(angle)))
-
-
-NETWORK_FAMILIES: tuple[Family, ...] = (power_balance, delta_lindistflow, voltage_limits)
-LUMPED_NETWORK_FAMILIES: tuple[Family, ...] = (total_balance, inverter_active, battery_headroom)
-DEVICE_FAMILIES: tuple[Family, ...] = (battery_modes, battery_soc, circular_charging, pv_split,
-                                       grid_connection)
+    return cp.SOC(cp.vec(S, order="F"), both, axis=0)

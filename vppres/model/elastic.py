@@ -7,9 +7,10 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 
-from vppres.model.constraints import squared_voltage_within
+from vppres.model.constraints import voltage_limits
 from vppres.model.data import WindowData
-from vppres.model.problem import Form, WindowModel, require_dpp
+from vppres.model.forms import Form, WindowModel
+from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 
@@ -39,11 +40,9 @@ class ElasticModel:
         form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True)
         self.window = WindowModel(site, n_steps, form)
         self.slack = cp.Variable(name="slack", nonneg=True)
-        net = site.network
-        limits = squared_voltage_within(
-            self.window.v, net.v_min_pu**2 - self.slack, net.v_max_pu**2 + self.slack)
-        kept = {**self.window.constraints, **limits}
-        self.problem = cp.Problem(cp.Minimize(self.slack), list(kept.values()))
+        giving = voltage_limits(site, self.window.v, self.window.p, self.slack)
+        named = self.window.constraints | giving
+        self.problem = cp.Problem(cp.Minimize(self.slack), list(named.values()))
         require_dpp(self.problem, f"elastic window of {n_steps} steps")
 
     def fill(self, data: WindowData) -> None:

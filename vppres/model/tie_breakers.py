@@ -7,18 +7,108 @@ too, so that a PV inverter's disc leaves a plain interval for the reactive power
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.moves import Moves
 from vppres.core.arrays import Flags, Floats
 from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.problem import disc_sides, require_dpp
+from vppres.model.forms import NETWORK, added_demand, in_order, with_demand, without
+from vppres.model.numerics import disc_sides, require_dpp
+from vppres.model.polygons import Polygon, battery_half_polygon, pv_polygon
+from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
+
+SHARPER_VOLTAGE = 1e2
+SHARPER_ENERGY = 1e4
+"""Factors on both sides of rows in pu² and in shares of a capacity. An interior-point solver allows
+residuals in proportion to the largest value of the solution, thousands of kW here; what is a
+fraction of one needs smaller units to be met as sharply."""
+
+KEPT = ("circular_charging", "grid_active_limit", "grid_reactive_max", "grid_reactive_min",
+        *NETWORK, "battery_inverter_capacity", "pv_inverter_capacity")
+"""The paper's constraints that are still there when service and modes are held."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldModes:
+    """Modes, cost and curtailment that are held, for a window of W steps.
+
+    Parameters
+    ----------
+    charging : cvxpy.Parameter, shape (W, B)
+        1 where a battery charges, 0 where it discharges.
+    gain : cvxpy.Parameter, shape (W, B)
+        Energy stored for each kWh at the terminals, with the sign of the power.
+    P_min, P_max : cvxpy.Parameter, shape (W, B)
+        Limits of the power in that mode.
+    Q_pv_max : cvxpy.Parameter, shape (W, P)
+        What the PV inverters' discs leave for reactive power.
+    f2, f3 : cvxpy.Parameter
+        Largest cost in GBP and curtailment in kWh.
+    """
+
+    charging: cp.Parameter
+    gain: cp.Parameter
+    P_min: cp.Parameter
+    P_max: cp.Parameter
+    Q_pv_max: cp.Parameter
+    f2: cp.Parameter
+    f3: cp.Parameter
+
+    @classmethod
+    def create(cls, site: Site, W: int) -> HeldModes:
+        """Parameters of a window of W steps."""
+        B = len(site.batteries)
+        P = len(site.pv)
+        return cls(
+            charging=cp.Parameter((W, B), name="charging", nonneg=True),
+            gain=cp.Parameter((W, B), name="gain", nonneg=True),
+            P_min=cp.Parameter((W, B), name="P_min"),
+            P_max=cp.Parameter((W, B), name="P_max"),
+            Q_pv_max=cp.Parameter((W, P), name="Q_pv_max", nonneg=True),
+            f2=cp.Parameter(name="f2_held"),
+            f3=cp.Parameter(name="f3_held"),
+        )
+
+    def fill(self, site: Site, data: WindowData, charging: Flags) -> None:
+        """Write what the modes leave; f2 and f3 are written apart."""
+        P_max = site.batteries.p_max_kw
+        self.charging.value = charging.astype(float)
+        self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
+        self.P_min.value = np.where(charging, 0.0, -P_max)
+        self.P_max.value = np.where(charging, P_max, 0.0)
+        self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Near:
+    """Squared distance ``(factor P_batt - value)**2`` from the previous plan."""
+
+    factor: cp.Parameter
+    value: cp.Parameter
+
+    @classmethod
+    def create(cls, site: Site, W: int) -> Near:
+        """Parameters of a window of W steps."""
+        shape = (W, len(site.batteries))
+        return cls(cp.Parameter(shape, name="near_factor"), cp.Parameter(shape, name="near_value"))
+
+    def moved(self, P_batt: cp.Expression) -> cp.Expression:
+        """The distance of all batteries and steps."""
+        return cp.sum_squares(cp.multiply(self.factor, P_batt) - self.value)
+
+    def fill(self, moves: Moves, p_max_kw: Floats) -> None:
+        """Write the previous plan."""
+        self.factor.value, self.value.value = moves.targets(p_max_kw)
 
 
 class TieBreakerModel:
@@ -43,19 +133,15 @@ class TieBreakerModel:
         self.site = site
         self.n_steps = n_steps
         self.curtailing = curtailing
-        W = n_steps
-        P = len(site.pv)
-        B = len(site.batteries)
-        self.p = Parameters.create(site, W)
-        self.physical = PhysicalParameters.create(site, W) if physical else None
-        self.P_batt = cp.Variable((W, B), name="P_batt")
-        self.gain = cp.Parameter((W, B), name="gain", nonneg=True)
-        self.P_min, self.P_max = (cp.Parameter((W, B), name=n) for n in ("P_min", "P_max"))
-        self.charging = cp.Parameter((W, B), name="charging", nonneg=True)
-        self.Q_pv_max = cp.Parameter((W, P), name="Q_pv_max", nonneg=True)
-        self.near = [cp.Parameter((W, B), name=n) for n in ("near_factor", "near_value") if moves]
-        self.f2_held = cp.Parameter(name="f2_held")
-        self.f3_held = cp.Parameter(name="f3_held")
+        self.p = Parameters.create(site, n_steps)
+        self.physical: PhysicalParameters | None = None
+        if physical:
+            self.physical = PhysicalParameters.create(site, n_steps)
+        self.held = HeldModes.create(site, n_steps)
+        self.near: Near | None = None
+        if moves and len(site.batteries):
+            self.near = Near.create(site, n_steps)
+        self.P_batt = cp.Variable((n_steps, len(site.batteries)), name="P_batt")
         self.v = self._variables()
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
@@ -65,50 +151,71 @@ class TieBreakerModel:
         """The paper's variables, expressions where something is held."""
         free = Variables.create(self.site, self.n_steps, "fixed", "relaxed")
         P_curt = free.P_curt if self.curtailing else cp.Constant(np.zeros(free.P_curt.shape))
-        P_ch = cp.multiply(self.charging, self.P_batt)
-        return Variables(
-            x_served=free.x_served, P_self=self.p.P_self_max,
-            P_exp=self.p.P_pv - self.p.P_self_max - P_curt, P_curt=P_curt, Q_pv=free.Q_pv,
-            P_ch=P_ch, P_dch=P_ch - self.P_batt, delta=self.charging, P_batt=self.P_batt,
-            Q_batt=free.Q_batt,
-            SoC=free.SoC, P_grid=free.P_grid, Q_grid=free.Q_grid, u=free.u, P_flow=free.P_flow,
-            Q_flow=free.Q_flow)
+        P_ch = cp.multiply(self.held.charging, self.P_batt)
+        return replace(
+            free,
+            P_self=self.p.P_self_max,
+            P_exp=self.p.P_pv - self.p.P_self_max - P_curt,
+            P_curt=P_curt,
+            P_ch=P_ch,
+            P_dch=P_ch - self.P_batt,
+            delta=self.held.charging,
+            P_batt=self.P_batt,
+        )
 
-    def _constraints(self) -> families.Named:
-        """The network's families as they are, the devices' with what is held put in."""
+    def _constraints(self) -> Named:
+        """The paper's constraints with what is held put in.
+
+        Battery modes, PV balance and self-consumption hold by the data and are dropped.
+        """
         args = (self.site, self.v, self.p)
-        b = self.site.batteries
-        named: families.Named = {}
-        sides = disc_sides(self.site, self.n_steps)
-        pv_discs = families.inverter_polygons(sides) if sides else families.pv_disc
-        batteries = families.battery_half_polygon(sides) if sides else families.battery_disc
-        for family in (families.circular_charging, families.grid_connection,
-                       *families.NETWORK_FAMILIES):
-            named |= family(*args)
-        named |= batteries(*args)
-        if self.curtailing:
-            named["pv_inverter_capacity"] = pv_discs(*args)["pv_inverter_capacity"]
-            named["pv_export"] = self.v.P_exp >= 0
-        else:
-            named["pv_reactive_limit"] = cp.abs(self.v.Q_pv) <= self.Q_pv_max
-        soc = self.v.SoC
-        step = self.site.dt_h / b.energy_kwh[None, :]
-        energy: families.Named = {
-            "battery_soc_start": soc[0] == self.p.SoC_0,
-            "battery_soc_dynamics":
-                soc[1:] == soc[:-1] + cp.multiply(step, cp.multiply(self.gain, self.P_batt)),
-            "battery_soc_min": b.soc_min[None, :] <= soc[1:],
-            "battery_soc_max": soc[1:] <= b.soc_max[None, :],
+        named = in_order(paper_constraints(*args), KEPT)
+        added = added_demand(self.site, None, self.physical)
+        if added is not None:
+            named = with_demand(named, *args, added)
+        named |= families.delta_lindistflow(*args, factor=SHARPER_VOLTAGE)
+        named = self._with_inverters(named)
+        named |= self._energy()
+        if self.physical is not None:
+            named = self.physical.in_island(named, *args) | self._energy()
+        return named | {
+            "battery_power_min": self.P_batt >= self.held.P_min,
+            "battery_power_max": self.P_batt <= self.held.P_max,
+            "cost_held": terms.f2_cost(*args) <= self.held.f2,
+            "curtailment_held": terms.f3_curtailment(*args) <= self.held.f3,
         }
-        named |= energy
-        if self.physical:
-            named = self.physical.amended(named, self.site, self.v)
-        named["delta_lindistflow"] = _sharper(named["delta_lindistflow"], 1e2)
-        return named | {name: _sharper(named[name], 1e4) for name in energy} | {
-            "battery_power_min": self.P_batt >= self.P_min,
-            "battery_power_max": self.P_batt <= self.P_max,
-            "cost_held": terms.f2_cost(*args) <= self.f2_held,
-            "curtailment_held": terms.f3_curtailment(*args) <= self.f3_held,
+
+    def _with_inverters(self, named: Named) -> Named:
+        """Batteries of one mode need half a polygon; PV power that is data leaves an interval."""
+        args = (self.site, self.v, self.p)
+        rating = None if self.physical is None else self.physical.rating
+        sides = disc_sides(self.site, self.n_steps)
+        if sides:
+            polygon = Polygon.inscribed(sides)
+            named |= battery_half_polygon(self.site, self.v, polygon, rating)
+            named |= pv_polygon(self.site, self.v, polygon)
+        elif rating is not None:
+            named |= families.battery_inverter(*args, rating)
+        if self.curtailing:
+            return named | {"pv_export": self.v.P_exp >= 0}
+        data_leave = {"pv_reactive_limit": cp.abs(self.v.Q_pv) <= self.held.Q_pv_max}
+        return without(named, ["pv_inverter_capacity"]) | data_leave
+
+    def _energy(self) -> Named:
+        """The SoC recursion (2) with one signed power, and its limits, in smaller units."""
+        b = self.site.batteries
+        soc = self.v.SoC
+        per_energy = self.site.dt_h / b.energy_kwh[None, :]
+        change = cp.multiply(per_energy, cp.multiply(self.held.gain, self.P_batt))
+        lowest = b.soc_min[None, :]
+        if self.physical is not None and len(b):
+            lowest = self.physical.SoC_min
+        k = SHARPER_ENERGY
+        return {
+            "battery_soc_start": k * soc[0] == k * self.p.SoC_0,
+            "battery_soc_dynamics": k * soc[1:] == k * (soc[:-1] + change),
+            "battery_soc_min": k * soc[1:] >= k * lowest,
+            "battery_soc_max": k * soc[1:] <= k * b.soc_max[None, :],
         }
 
     def _objective(self) -> cp.Minimize:
@@ -120,47 +227,27 @@ class TieBreakerModel:
         w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
-        moved = 0.0
-        if self.near:
-            factor, value = self.near
-            moved = cp.sum_squares(cp.multiply(factor, self.P_batt) - value)
-        return cp.Minimize(scale * w.lambda_l * terms.f4_flows(*args)
-                           + scale * w.lambda_q * terms.f5_reactive(*args) + moved)
+        total = (scale * w.lambda_l * terms.f4_flows(*args)
+                 + scale * w.lambda_q * terms.f5_reactive(*args))
+        if self.near is not None:
+            total = total + self.near.moved(self.P_batt)
+        return cp.Minimize(total)
 
     def fill(self, data: WindowData, dispatch: Dispatch, charging: Flags,
              f2_held_gbp: float, f3_held_kwh: float) -> None:
         """Write the window's data and what is held of a dispatch."""
-        site = self.site
-        P_max = self.site.batteries.p_max_kw
-        self.p.fill(site, data, dispatch.served)
-        if self.physical:
-            self.physical.fill(site, data)
-        self.charging.value = charging.astype(float)
-        self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
-        self.P_min.value = np.where(charging, 0.0, -P_max)
-        self.P_max.value = np.where(charging, P_max, 0.0)
-        self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
-        self.f2_held.value = f2_held_gbp
-        self.f3_held.value = f3_held_kwh
-        if data.moves is not None:
-            for parameter, value in zip(self.near, data.moves.targets(P_max), strict=True):
-                parameter.value = value
+        self.p.fill(self.site, data, dispatch.served)
+        self.held.fill(self.site, data, charging)
+        self.held.f2.value = f2_held_gbp
+        self.held.f3.value = f3_held_kwh
+        if self.physical is not None:
+            self.physical.fill(self.site, data)
+        if self.near is not None and data.moves is not None:
+            self.near.fill(data.moves, self.site.batteries.p_max_kw)
 
     def dispatch(self, served: Flags) -> Dispatch:
         """The solution of the last solve, exactly in its modes."""
         return self.v.dispatch(self.site, served)
-
-
-def _sharper(constraint: cp.Constraint, factor: float) -> cp.Constraint:
-    """The same constraint in smaller units.
-
-    An interior-point solver allows residuals in proportion to the largest value of the solution,
-    thousands of kW here; what is a fraction of one needs smaller units to be met as sharply.
-    """
-    left, right = constraint.args
-    if isinstance(constraint, cp.constraints.Equality):
-        return factor * left == factor * right
-    return factor * left <= factor * right
 
 
 def charging_modes(dispatch: Dispatch) -> Flags:

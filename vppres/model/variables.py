@@ -10,7 +10,6 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
-from vppres.model.beyond_paper.switching import ColdLoad
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
@@ -39,9 +38,20 @@ class Parameters:
         C = len(site.customers)
         P = len(site.pv)
         B = len(site.batteries)
-        shapes = {"P_load": (W, C), "Q_load": (W, C), "P_pv": (W, P), "P_self_max": (W, P),
-                  "rho_dt": (W,), "P_grid_max": (W,), "Q_grid_max": (W,), "SoC_0": (B,),
-                  "eta_ch": (W, B), "inv_eta_dch": (W, B), "delta": (W, site.network.n_lines)}
+        L = site.network.n_lines
+        shapes = {
+            "P_load": (W, C),
+            "Q_load": (W, C),
+            "P_pv": (W, P),
+            "P_self_max": (W, P),
+            "rho_dt": (W,),
+            "P_grid_max": (W,),
+            "Q_grid_max": (W,),
+            "SoC_0": (B,),
+            "eta_ch": (W, B),
+            "inv_eta_dch": (W, B),
+            "delta": (W, L),
+        }
         signed = ("rho_dt", "delta")
         return cls(**{name: cp.Parameter(shape, name=name, nonneg=name not in signed)
                       for name, shape in shapes.items()})
@@ -57,12 +67,17 @@ class Parameters:
         x = np.ones(data.load_kw.shape) if served is None else np.asarray(served, dtype=float)
         load = data.load_kw * x
         values = {
-            "P_load": load, "Q_load": load * site.customers.q_per_p,
-            "P_pv": data.pv_kw, "P_self_max": data.self_limit_kw(site) * x[:, site.owner],
+            "P_load": load,
+            "Q_load": load * site.customers.q_per_p,
+            "P_pv": data.pv_kw,
+            "P_self_max": data.self_limit_kw(site) * x[:, site.owner],
             "rho_dt": data.price_gbp_per_kwh * site.dt_h,
-            "P_grid_max": data.grid_p_max_kw(site), "Q_grid_max": data.grid_q_max_kvar(site),
-            "SoC_0": data.soc, "eta_ch": np.tile(data.eta_charge, (W, 1)),
-            "inv_eta_dch": np.tile(1.0 / data.eta_discharge, (W, 1)), "delta": data.delta_pu2,
+            "P_grid_max": data.grid_p_max_kw(site),
+            "Q_grid_max": data.grid_q_max_kvar(site),
+            "SoC_0": data.soc,
+            "eta_ch": np.tile(data.eta_charge, (W, 1)),
+            "inv_eta_dch": np.tile(1.0 / data.eta_discharge, (W, 1)),
+            "delta": data.delta_pu2,
         }
         for f in fields(self):
             getattr(self, f.name).value = values[f.name]
@@ -76,7 +91,6 @@ class Variables:
     the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served
     demand.
     :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
-    ``cold`` is None unless restorations add to the demand.
     """
 
     x_served: cp.Expression
@@ -95,11 +109,11 @@ class Variables:
     u: cp.Variable
     P_flow: cp.Variable
     Q_flow: cp.Variable
-    cold: ColdLoad | None = None
 
     @classmethod
-    def create(cls, site: Site, W: int, service: Mode, exclusivity: Mode) -> Variables:
-        """Variables of a window; binaries are boolean only where the form asks for it."""
+    def create(cls, site: Site, W: int, service: Mode = "integer",
+               exclusivity: Mode = "integer") -> Variables:
+        """Variables of a window, the paper's unless binaries are asked for as something else."""
         C = len(site.customers)
         P = len(site.pv)
         B = len(site.batteries)
@@ -116,13 +130,21 @@ class Variables:
         P_dch = nonneg("P_dch", W, B)
         return cls(
             x_served=_service(W, C, service),
-            P_self=nonneg("P_self", W, P), P_exp=nonneg("P_exp", W, P),
-            P_curt=nonneg("P_curt", W, P), Q_pv=free("Q_pv", W, P),
-            P_ch=P_ch, P_dch=P_dch, P_batt=P_ch - P_dch,
+            P_self=nonneg("P_self", W, P),
+            P_exp=nonneg("P_exp", W, P),
+            P_curt=nonneg("P_curt", W, P),
+            Q_pv=free("Q_pv", W, P),
+            P_ch=P_ch,
+            P_dch=P_dch,
             delta=cp.Variable((W, B), name="delta", boolean=exclusivity == "integer"),
-            Q_batt=free("Q_batt", W, B), SoC=free("SoC", W + 1, B),
-            P_grid=nonneg("P_grid", W), Q_grid=free("Q_grid", W), u=nonneg("u", W, N),
-            P_flow=free("P_flow", W, L), Q_flow=free("Q_flow", W, L),
+            P_batt=P_ch - P_dch,  # (1)
+            Q_batt=free("Q_batt", W, B),
+            SoC=free("SoC", W + 1, B),
+            P_grid=nonneg("P_grid", W),
+            Q_grid=free("Q_grid", W),
+            u=nonneg("u", W, N),
+            P_flow=free("P_flow", W, L),
+            Q_flow=free("Q_flow", W, L),
         )
 
     def dispatch(self, site: Site, served: Flags | None = None) -> Dispatch:
@@ -135,16 +157,22 @@ class Variables:
             value = np.reshape(np.asarray(variable.value, dtype=float), variable.shape)
             return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
 
+        b = site.batteries
         return Dispatch(
             served=np.asarray(self.x_served.value) > 0.5 if served is None else served,
-            pv_self_kw=clean(self.P_self, 0.0), pv_export_kw=clean(self.P_exp, 0.0),
-            pv_curtailed_kw=clean(self.P_curt, 0.0), pv_q_kvar=clean(self.Q_pv),
-            charge_kw=clean(self.P_ch, 0.0), discharge_kw=clean(self.P_dch, 0.0),
+            pv_self_kw=clean(self.P_self, 0.0),
+            pv_export_kw=clean(self.P_exp, 0.0),
+            pv_curtailed_kw=clean(self.P_curt, 0.0),
+            pv_q_kvar=clean(self.Q_pv),
+            charge_kw=clean(self.P_ch, 0.0),
+            discharge_kw=clean(self.P_dch, 0.0),
             batt_q_kvar=clean(self.Q_batt),
-            soc=np.clip(clean(self.SoC), site.batteries.soc_min, site.batteries.soc_max),
-            p_grid_kw=clean(self.P_grid, 0.0), q_grid_kvar=clean(self.Q_grid),
+            soc=np.clip(clean(self.SoC), b.soc_min, b.soc_max),
+            p_grid_kw=clean(self.P_grid, 0.0),
+            q_grid_kvar=clean(self.Q_grid),
             v_pu=np.sqrt(clean(self.u, 0.0)),
-            p_flow_kw=clean(self.P_flow), q_flow_kvar=clean(self.Q_flow),
+            p_flow_kw=clean(self.P_flow),
+            q_flow_kvar=clean(self.Q_flow),
         )
 
 

@@ -14,7 +14,8 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
-from vppres.model.problem import Form, WindowModel, disc_sides
+from vppres.model.forms import Form, WindowModel
+from vppres.model.numerics import disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes

@@ -15,10 +15,13 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model import constraints as families
 from vppres.model import objective as terms
+from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.problem import disc_sides, require_dpp
+from vppres.model.forms import SOLVER_ORDER, in_order, with_polygons
+from vppres.model.numerics import disc_sides, require_dpp
+from vppres.model.polygons import Polygon
+from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -83,14 +86,13 @@ class ShadowPriceModel:
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"pricing problem of {n_steps} steps")
 
-    def _constraints(self) -> families.Named:
+    def _constraints(self) -> Named:
         """The paper's families, and what is held."""
         args = (self.site, self.v, self.p)
         v = self.v
-        discs = families.inverter_polygons(self.sides) if self.sides else families.inverter_discs
-        named: families.Named = {}
-        for family in (*families.DEVICE_FAMILIES, discs, *families.NETWORK_FAMILIES):
-            named |= family(*args)
+        named = in_order(paper_constraints(*args), SOLVER_ORDER)
+        if self.sides:
+            named = with_polygons(named, self.site, v, Polygon.inscribed(self.sides))
         return named | {
             "mode_min": v.delta[0] >= self.mode_min,
             "mode_max": v.delta[0] <= self.mode_max,

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from vppres.model.problem import Form, objective_scale
+from vppres.model.forms import Form
+from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, window_model
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic

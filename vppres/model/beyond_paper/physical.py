@@ -1,8 +1,9 @@
 """What physical mode changes in a window's problem: losses, the island's reference, headroom.
 
-The paper's constraints are built first; those that would not hold in an island that batteries hold
-are then stated anew under their names. Every datum is a parameter, so that a problem is compiled
-once.
+The paper's families that would not hold in an island are stated with other limits, under their
+names: losses and ratings are arguments of the families, the rest is here. Every datum is a
+parameter, so that a problem is compiled once. Why the paper's mode has none of these parameters,
+at zero: ``docs/decisions/islands.md``.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.constraints import Named
+from vppres.model.constraints import Named, battery_soc_limits
 from vppres.model.data import Physics, WindowData
 from vppres.model.site import Site
-from vppres.model.variables import Variables
+from vppres.model.variables import Parameters, Variables
 
 _U_ANY = 4.0  # no limit on the grid's squared voltage while the grid holds it
 
@@ -44,8 +45,16 @@ class PhysicalParameters:
         """Parameters of a window of W steps."""
         N = site.network.n_buses
         B = len(site.batteries)
-        shapes = {"P_loss": (W, N), "Q_loss": (W, N), "held": (W, N), "u_root_min": (W,),
-                  "u_root_max": (W,), "P_room": (W, B), "S_room": (W, B), "SoC_min": (W, B)}
+        shapes = {
+            "P_loss": (W, N),
+            "Q_loss": (W, N),
+            "held": (W, N),
+            "u_root_min": (W,),
+            "u_root_max": (W,),
+            "P_room": (W, B),
+            "S_room": (W, B),
+            "SoC_min": (W, B),
+        }
         return cls(**{name: cp.Parameter(shape, name=name, nonneg=True)
                       for name, shape in shapes.items()})
 
@@ -55,7 +64,8 @@ class PhysicalParameters:
         net = site.network
         island = physics.reference > 0
         values = {
-            "P_loss": _at_far_ends(physics.loss_kw), "Q_loss": _at_far_ends(physics.loss_kvar),
+            "P_loss": _at_far_ends(physics.loss_kw),
+            "Q_loss": _at_far_ends(physics.loss_kvar),
             "held": np.eye(net.n_buses)[physics.reference],
             "u_root_min": np.where(island, net.v_min_pu**2, 0.0),
             "u_root_max": np.where(island, net.v_max_pu**2, _U_ANY),
@@ -66,47 +76,35 @@ class PhysicalParameters:
         for f in fields(self):
             getattr(self, f.name).value = values[f.name]
 
-    def amended(self, named: Named, site: Site, v: Variables) -> Named:
-        """The paper's constraints with those restated that losses, island or headroom change."""
-        changed = self._voltages(site, v) if "voltage_slack" in named else {}
-        for name, loss in (("active_power_balance", self.P_loss),
-                           ("reactive_power_balance", self.Q_loss),
-                           ("total_power_balance", cp.sum(self.P_loss, axis=1))):
-            if name in named:
-                supply, demand = named[name].args
-                changed[name] = supply == demand + loss
+    @property
+    def rating(self) -> cp.Parameter | None:
+        """Apparent power that plans may use, (W, B); None where there is no battery."""
+        return self.S_room if self.S_room.shape[1] else None
+
+    def in_island(self, named: Named, site: Site, v: Variables, p: Parameters) -> Named:
+        """The constraints with the voltage held where it is, and batteries less their headroom."""
+        if "voltage_slack" in named:
+            kept = {name: c for name, c in named.items() if name != "voltage_slack"}
+            named = kept | self._voltages(site, v)
         if len(site.batteries):
-            changed |= self._batteries(named, site, v)
-        kept = {name: c for name, c in named.items() if name != "voltage_slack"}
-        return kept | changed
+            named = named | self._headroom(v) | battery_soc_limits(site, v, p, self.SoC_min)
+        return named
 
     def _voltages(self, site: Site, v: Variables) -> Named:
         """The voltage is held at the grid's bus, or at a battery's while the grid is away."""
+        held = cp.sum(cp.multiply(self.held, v.u), axis=1)
         return {
-            "voltage_reference":
-                cp.sum(cp.multiply(self.held, v.u), axis=1) == site.network.v_slack_pu**2,
+            "voltage_reference": held == site.network.v_slack_pu**2,
             "root_voltage_min": v.u[:, 0] >= self.u_root_min,
             "root_voltage_max": v.u[:, 0] <= self.u_root_max,
         }
 
-    def _batteries(self, named: Named, site: Site, v: Variables) -> Named:
-        """Power, apparent power and energy less the headroom."""
-        changed: Named = {
+    def _headroom(self, v: Variables) -> Named:
+        """Active power less the headroom, in both directions."""
+        return {
             "headroom_charge": v.P_batt <= self.P_room,
             "headroom_discharge": -v.P_batt <= self.P_room,
-            "battery_soc_min": v.SoC[1:] >= self.SoC_min,
         }
-        disc = named.get("battery_inverter_capacity")
-        if isinstance(disc, cp.SOC):
-            changed["battery_inverter_capacity"] = cp.SOC(
-                cp.vec(self.S_room, order="F"), disc.args[1], axis=0)
-        elif disc is not None:  # half planes, one block of rows for each angle
-            blocks = disc.args[0].shape[0] // v.P_batt.shape[0]
-            reach = disc.args[1].value / np.tile(site.batteries.s_max_kva,
-                                                 (disc.args[1].shape[0], 1))
-            changed["battery_inverter_capacity"] = (
-                disc.args[0] <= cp.multiply(reach, cp.vstack([self.S_room] * blocks)))
-        return changed
 
 
 def active_room_kw(site: Site, physics: Physics) -> Floats:

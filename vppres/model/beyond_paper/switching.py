@@ -16,14 +16,13 @@ import scipy.sparse as sp
 
 from vppres.contract.switching import RuleSteps, SwitchingData
 from vppres.core.arrays import Floats
+from vppres.model.constraints import AddedDemand, Named
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
-Named = dict[str, cp.Constraint]
-
 
 @dataclass(frozen=True, eq=False)
-class ColdLoad:
+class ColdDemand:
     """Demand that a restoration adds: the variable z, (W, C), and what it is multiplied by."""
 
     z: cp.Variable
@@ -32,13 +31,23 @@ class ColdLoad:
     P_self_cold: cp.Parameter
 
     @classmethod
-    def create(cls, site: Site, W: int) -> ColdLoad:
+    def create(cls, site: Site, W: int) -> ColdDemand:
         """Variable and parameters of a window of W steps."""
         C = len(site.customers)
         P = len(site.pv)
         named = {name: cp.Parameter((W, width), name=name, nonneg=True) for name, width in
                  (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))}
         return cls(cp.Variable((W, C), name="z_cold", nonneg=True), **named)
+
+    def at_buses(self, site: Site) -> AddedDemand:
+        """The added demand at the buses."""
+        at_bus = site.customer_bus.T
+        return AddedDemand(cp.multiply(self.P_cold, self.z) @ at_bus,
+                           cp.multiply(self.Q_cold, self.z) @ at_bus)
+
+    def own(self, site: Site) -> cp.Expression:
+        """The added self-consumption of each PV system, (W, P)."""
+        return cp.multiply(self.P_self_cold, self.z[:, site.owner])
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the added demand, and the added self-consumption of PV owners."""
@@ -69,7 +78,7 @@ class SwitchingModel:
         W, C = x.shape
         self.on = cp.Variable((W, C), name="y_on", nonneg=True)
         self.off = cp.Variable((W, C), name="y_off", nonneg=True)
-        self.cold = ColdLoad.create(site, W) if steps.cold else None
+        self.cold = ColdDemand.create(site, W) if steps.cold else None
         self.x_before = cp.Parameter(C, name="x_before", nonneg=True)
         self.x_min = cp.Parameter((W, C), name="x_min", nonneg=True)
         self.x_max = cp.Parameter((W, C), name="x_max", nonneg=True)
@@ -139,11 +148,11 @@ def cold_load(m: SwitchingModel) -> Named:
     }
 
 
-Family = Callable[[SwitchingModel], Named]
-FAMILIES: tuple[Family, ...] = (switching_actions, minimum_times, past_actions)
+RuleFamily = Callable[[SwitchingModel], Named]
+FAMILIES: tuple[RuleFamily, ...] = (switching_actions, minimum_times, past_actions)
 
 
-def added_demand(model: SwitchingModel | None) -> ColdLoad | None:
+def cold_demand(model: SwitchingModel | None) -> ColdDemand | None:
     """What restorations add to the demand, None where they add nothing."""
     return None if model is None else model.cold
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
-from vppres.model.problem import require_dpp
+from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
 from vppres.solve.fleet.relaxation import AggregateModel
 

@@ -18,9 +18,9 @@ import numpy as np
 from vppres.contract.switching import RuleSteps
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import active_room_kw
-from vppres.model.beyond_paper.switching import SwitchingModel, added_demand
+from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
-from vppres.model.problem import objective_scale, require_dpp
+from vppres.model.numerics import objective_scale, require_dpp
 from vppres.model.site import Site
 
 LEAST_KW = 1e-3
@@ -122,7 +122,7 @@ class AggregateModel:
         if self.room:
             load = load + self.room["loss"]
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
-        cold = added_demand(self.switching)
+        cold = cold_demand(self.switching)
         if cold is not None:
             load = load + cp.sum(cp.multiply(cold.P_cold, cold.z), axis=1)
             own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.model.problem import objective_scale
+from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import cost_gap_gbp
 from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.masters import Master, fleets_of, relaxation_of

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
-from vppres.model.problem import require_dpp
+from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
 
 

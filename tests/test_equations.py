@@ -1,0 +1,367 @@
+"""Every equation on one dispatch whose numbers are worked out by hand.
+
+The feeder is 1 - 2 - 3 with 1 kV, so that an ohm and a kW are a thousandth of a pu² (times two).
+``shop`` is at bus 2 and owns ``deck``, ``home`` is at bus 3 and owns ``roof``. The dispatch obeys
+no equation: what each misses by is the sum of all of its terms, so that a term that is dropped or has
+another sign changes the number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pandas as pd
+import pytest
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.operating_point import OperatingPoint
+from vppres.core.arrays import Floats
+from vppres.model import objective
+from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.constraints import Named
+from vppres.model.data import Physics, WindowData
+from vppres.model.forms import Form, WindowModel, added_demand, with_demand
+from vppres.model.linearise import delta_offset
+from vppres.model.lumped import battery_room, inverter_active, total_balance
+from vppres.model.polygons import Polygon, battery_half_polygon, battery_polygon, pv_polygon
+from vppres.model.problem import PaperProblem, paper_problem
+from vppres.model.site import Site
+from vppres.model.terms import evaluate
+from vppres.model.variables import Variables
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import ObjectiveWeights, Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import Status
+from vppres.solve.solvers import find_solver, run
+
+STEPS = 2
+VALUES: dict[str, list[Any]] = {
+    "x_served": [[1, 0], [1, 1]],  # shop, home
+    "P_self": [[7, 3], [11, 5]],  # roof, deck
+    "P_exp": [[13, 2], [17, 4]],
+    "P_curt": [[1, 6], [9, 8]],
+    "Q_pv": [[21, -12], [-21, 12]],
+    "P_ch": [[10, 0], [0, 6]],  # at bus 2, at bus 3
+    "P_dch": [[0, 4], [12, 1]],
+    "delta": [[1, 0], [0, 1]],
+    "Q_batt": [[24, -3], [5, 12]],
+    "SoC": [[0.5, 0.4], [0.6, 0.3], [0.2, 0.7]],
+    "P_grid": [5, 8],
+    "Q_grid": [-6, 9],
+    "u": [[1.05, 0.98, 0.95], [1.02, 0.99, 1.01]],
+    "P_flow": [[20, 15], [-25, 30]],
+    "Q_flow": [[12, -9], [8, 6]],
+}
+"""Values of the variables; P_batt is [[10, -4], [-12, 5]]."""
+
+MISSED = {
+    # P_ch - P_max delta, P_dch - P_max (1 - delta)
+    "battery_charge_mode": [[10 - 40, 0], [0, 6 - 20]],
+    "battery_discharge_mode": [[0, 4 - 20], [12 - 40, 1]],
+    # 0.5 h; 100 and 50 kWh; efficiencies 0.9 and 0.8, 0.5 and 0.8
+    "battery_soc_start": [0.5 - 0.45, 0.4 - 0.35],
+    "battery_soc_dynamics": [
+        [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
+        [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * (0.8 * 6 - 1 / 0.8)]],
+    "battery_soc_min": [[0.1 - 0.6, 0.2 - 0.3], [0.1 - 0.2, 0.2 - 0.7]],
+    "battery_soc_max": [[0.6 - 0.9, 0.3 - 0.8], [0.2 - 0.9, 0.7 - 0.8]],
+    # (10, 24), (4, 3), (12, 5), (5, 12) have the lengths 26, 5, 13, 13
+    "battery_inverter_capacity": [[26 - 50, 5 - 25], [13 - 50, 13 - 25]],
+    # all charging - import - all export
+    "circular_charging": [10 - 5 - 15, 6 - 8 - 21],
+    "pv_balance": [[7 + 13 + 1 - 100, 3 + 2 + 6 - 20], [11 + 17 + 9 - 30, 5 + 4 + 8 - 50]],
+    # roof belongs to home, who is not served at first: 7 - 0; min(90, 30), min(40, 20), min(80, 50)
+    "pv_self_consumption": [[7, 3 - 20], [11 - 30, 5 - 50]],
+    # (20, 21), (5, 12), (28, 21), (9, 12) have the lengths 29, 13, 35, 15
+    "pv_inverter_capacity": [[29 - 105, 13 - 60], [35 - 105, 15 - 60]],
+    # export - battery + inflow - outflow - (demand - self-consumption), import at the first bus
+    "active_power_balance": [
+        [5 - 20, 2 - 10 + 20 - 15 - (40 - 3), 13 + 4 + 15 - (0 - 7)],
+        [8 + 25, 4 + 12 - 25 - 30 - (80 - 5), 17 - 5 + 30 - (90 - 11)]],
+    # PV + battery + inflow - outflow - demand: 0.75 and 4/3 kvar for each kW
+    "reactive_power_balance": [
+        [-6 - 12, -12 + 24 + 12 + 9 - 30, 21 - 3 - 9 - 0],
+        [9 - 8, 12 + 5 + 8 - 6 - 60, -21 + 12 + 6 - 120]],
+    # no grid, then 100 kW; reactive power up to demand and ratings: 60 + 120 + 75 + 165 kvar
+    "grid_active_limit": [5 - 0, 8 - 100],
+    "grid_reactive_max": [-6 - 0, 9 - 420],
+    "grid_reactive_min": [-0 + 6, -420 - 9],
+    "voltage_min": [[0.81 - 0.98, 0.81 - 0.95], [0.81 - 0.99, 0.81 - 1.01]],
+    "voltage_max": [[0.98 - 1.21, 0.95 - 1.21], [0.99 - 1.21, 1.01 - 1.21]],
+    "voltage_slack": [1.05 - 1.0816, 1.02 - 1.0816],  # 1.04 pu
+    # u_j - u_i + 2 (r P + x Q) - offset
+    "delta_lindistflow": [
+        [0.98 - 1.05 + 0.002 * (0.1 * 20 + 0.2 * 12) - 0.001,
+         0.95 - 0.98 + 0.002 * (0.3 * 15 - 0.4 * 9) - 0.002],
+        [0.99 - 1.02 + 0.002 * (-0.1 * 25 + 0.2 * 8) - 0.003,
+         1.01 - 0.99 + 0.002 * (0.3 * 30 + 0.4 * 6) - 0.004]],
+}
+"""Left-hand side less right-hand side of each equation, of each inequality what is above zero where
+it is violated."""
+EQUALITIES = {"battery_soc_start", "battery_soc_dynamics", "pv_balance", "pv_self_consumption",
+              "active_power_balance", "reactive_power_balance", "voltage_slack",
+              "delta_lindistflow"}
+
+TERMS = {
+    "f1_service": 0.5 * (1.0 + 1.0 + 0.1),
+    "f2_cost": 0.5 * (0.2 * 5 + 0.4 * 8),
+    "f3_curtailment": 0.5 * (1 + 6 + 9 + 8),
+    "f4_flows": 0.1 * (400 + 144 + 625 + 64) + 0.3 * (225 + 81 + 900 + 36),
+    # 21 of 105, 12 of 60, 24 and 5 of 50, 3 and 12 of 25 kvar
+    "f5_reactive": 2 * 0.2**2 + 2 * 0.2**2 + 0.48**2 + 0.1**2 + 0.12**2 + 0.48**2,
+}
+
+
+def scenario() -> Scenario:
+    """The feeder, its devices and their day."""
+    thermal = {name: [1.0, 1.0] for name in (
+        "r_theta_c_per_kw", "c_theta_kwh_per_c", "alpha_charge_per_c2", "alpha_discharge_per_c2",
+        "r_int_ohm", "beta_per_c", "u_batt_v", "t_ref_c", "t_initial_c")}
+    return Scenario(
+        name="hand", title="Two lines",
+        grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 30.0, STEPS),
+        network=Network([1, 2], [2, 3], [0.1, 0.3], [0.2, 0.4], slack_bus=1, base_kv=1.0,
+                        v_slack_pu=1.04, v_min_pu=0.9, v_max_pu=1.1, v_min_ac_pu=0.9,
+                        v_max_ac_pu=1.1),
+        customers=Customers(id=["shop", "home"], bus=[2, 3], tier=["critical", "high"],
+                            weight=[1.0, 0.1], power_factor=[0.8, 0.6]),
+        pv=PVSystems(id=["roof", "deck"], customer=["home", "shop"], p_max_kw=[100.0, 60.0],
+                     s_max_kva=[105.0, 60.0]),
+        batteries=Batteries(
+            id=["b2", "b3"], bus=[2, 3], energy_kwh=[100.0, 50.0], p_max_kw=[40.0, 20.0],
+            s_max_kva=[50.0, 25.0], soc_min=[0.1, 0.2], soc_max=[0.9, 0.8],
+            soc_initial=[0.45, 0.35], eta_charge=[0.9, 0.8], eta_discharge=[0.5, 0.8], **thermal),
+        load_kw=np.array([[40.0, 60.0], [80.0, 90.0]]),
+        pv_kw=np.array([[100.0, 20.0], [30.0, 50.0]]),
+        price_gbp_per_kwh=np.array([0.2, 0.4]), temperature_c=np.array([25.0, 25.0]),
+        grid_limit_kw=np.array([0.0, 100.0]),
+        objective=ObjectiveWeights(0.1, 0.01, 0.001, 1.0))
+
+
+@pytest.fixture
+def site() -> Site:
+    return Site.of(scenario())
+
+
+@pytest.fixture
+def data() -> WindowData:
+    day = scenario()
+    b = day.batteries
+    return WindowData(day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw,
+                      b.soc_initial, b.eta_charge, b.eta_discharge,
+                      np.array([[0.001, 0.002], [0.003, 0.004]]))
+
+
+@pytest.fixture
+def paper(site: Site, data: WindowData) -> PaperProblem:
+    """The paper's problem with the dispatch as the variables' values."""
+    problem = paper_problem(site, STEPS)
+    problem.p.fill(site, data)
+    put(problem.v)
+    return problem
+
+
+def put(v: Variables) -> None:
+    """Write the dispatch."""
+    for name, value in VALUES.items():
+        getattr(v, name).value = np.array(value, dtype=float)
+
+
+def missed(constraint: cp.Constraint) -> Floats:
+    """By how much a constraint is missed."""
+    if isinstance(constraint, cp.SOC):
+        radius, point = (arg.value for arg in constraint.args)
+        return np.reshape(np.hypot(*point) - radius, (STEPS, -1), order="F")
+    return np.asarray(constraint.expr.value)
+
+
+def assert_missed(named: Named, expected: dict[str, Any]) -> None:
+    """The constraints are those, and miss by what is expected."""
+    assert set(named) == set(expected)
+    for name, constraint in named.items():
+        assert missed(constraint) == pytest.approx(np.array(expected[name]), abs=1e-12), name
+
+
+# The paper's problem.
+
+
+def test_every_equation_of_the_paper_is_the_sum_of_its_terms(paper: PaperProblem) -> None:
+    assert_missed(paper.subject_to, MISSED)
+
+
+def test_equations_are_equations_and_limits_are_limits(paper: PaperProblem) -> None:
+    equal = {name for name, constraint in paper.subject_to.items()
+             if isinstance(constraint, cp.constraints.Equality)}
+    assert equal == EQUALITIES
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_every_term_of_the_objective(site: Site, paper: PaperProblem, name: str) -> None:
+    term = getattr(objective, name)(site, paper.v, paper.p)
+    assert term.value == pytest.approx(TERMS[name], rel=1e-12)
+
+
+def test_objective_is_what_the_paper_weighs(paper: PaperProblem) -> None:
+    f1, f2, f3, f4, f5 = TERMS.values()
+    assert paper.F.value == pytest.approx(f1 - 0.1 * f2 - 0.01 * f3 - 0.001 * f4 - f5, rel=1e-12)
+
+
+def test_terms_of_arrays_are_those_of_the_problem(
+        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    terms = evaluate(site, data, paper.v.dispatch(site))
+    assert [terms.f1, terms.f2, terms.f3, terms.f4, terms.f5] == pytest.approx(
+        list(TERMS.values()), rel=1e-12)
+    assert terms.total(site.weights) == pytest.approx(paper.F.value, rel=1e-12)
+
+
+def test_signs_of_the_variables_are_the_papers(paper: PaperProblem) -> None:
+    never_negative = {name for name in VALUES if getattr(paper.v, name).is_nonneg()}
+    assert never_negative == {"x_served", "P_self", "P_exp", "P_curt", "P_ch", "P_dch", "delta",
+                              "P_grid", "u"}
+    assert {v.name() for v in paper.problem.variables() if v.attributes["boolean"]} == {
+        "x_served", "delta"}
+
+
+@pytest.mark.parametrize(("centre", "expected"), [
+    ("lossless", [0.81 - 1.0 + 0.002 * (0.1 * 20 + 0.2 * 3),
+                  0.64 - 0.81 + 0.002 * (0.3 * 15 - 0.4 * 9)]),
+    ("literal", [0.81 - 1.0 + 0.002 * (0.1 * 22 + 0.2 * 5),
+                 0.64 - 0.81 + 0.002 * (0.3 * 16 - 0.4 * 8)]),
+    ("none", [0.0, 0.0]),
+])
+def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[float]) -> None:
+    # Buses 2 and 3 take 5 and 15 kW, and 12 and -9 kvar: 20 and 15 kW flow without losses.
+    point = OperatingPoint(
+        v_pu=np.array([1.0, 0.9, 0.8]), p_flow_kw=np.array([22.0, 16.0]),
+        q_flow_kvar=np.array([5.0, -8.0]), p_injection_kw=np.array([0.0, -5.0, -15.0]),
+        q_injection_kvar=np.array([0.0, -12.0, 9.0]))
+    assert delta_offset(site.network, point, centre) == pytest.approx(expected, abs=1e-15)
+
+
+def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
+    """One optimum, found at once by SCIP and level by level by the package."""
+    site = Site.of(replace(tiny, objective=ObjectiveWeights(1e-3, 0.1, 1e-9, 1e-9)))
+    b = site.batteries
+    data = WindowData(tiny.load_kw[2:4], tiny.pv_kw[2:4], tiny.price_gbp_per_kwh[2:4],
+                      tiny.grid_limit_kw[2:4], b.soc_initial, b.eta_charge, b.eta_discharge,
+                      np.zeros((2, site.network.n_lines)))
+    whole = paper_problem(site, 2)
+    whole.p.fill(site, data)
+    outcome = run(whole.problem, find_solver("scip"), gap_abs=1e-6, time_s=60.0)
+    assert outcome.status == Status.OPTIMAL
+    assert WindowSolver(site).solve(data).objective == pytest.approx(outcome.value, abs=2e-6)
+
+
+# Forms derived from it.
+
+
+def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> None:
+    args = (site, paper.v, paper.p)
+    named = total_balance(*args) | inverter_active(site, paper.v) | battery_room(*args)
+    assert_missed(named, {
+        # import + export - (demand - self-consumption) - battery power
+        "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
+        "battery_charge_rating": [[10 - 50, 0 - 25], [0 - 50, 6 - 25]],
+        "battery_discharge_rating": [[0 - 50, 4 - 25], [12 - 50, 1 - 25]],
+        "pv_active_rating": [[20 - 105, 5 - 60], [28 - 105, 9 - 60]],
+        "battery_room": [[0.5 + 0.005 * 9 - 0.9, 0.4 - 0.8], [0.6 - 0.9, 0.3 + 0.01 * 4.8 - 0.8]],
+        "battery_reserve": [[0.1 - 0.5, 0.2 - (0.4 - 0.01 * 5)],
+                            [0.1 - (0.6 - 0.005 * 24), 0.2 - (0.3 - 0.01 * 1.25)]],
+    })
+
+
+def test_sides_of_polygons(site: Site, paper: PaperProblem) -> None:
+    root = np.sqrt(0.5)
+    # Inscribed: P + Q, Q - P, -P - Q, P - Q, all over the root of two, less the rating over it.
+    P = np.array([[10, -4], [-12, 5]])
+    Q = np.array([[24, -3], [5, 12]])
+    S = np.array([50, 25])
+    inside = battery_polygon(site, paper.v, Polygon.inscribed(4))["battery_inverter_capacity"]
+    assert missed(inside) == pytest.approx(
+        root * np.vstack([P + Q - S, Q - P - S, -P - Q - S, P - Q - S]), abs=1e-12)
+    # Around: P, Q, -P and -Q less the rating, of PV with its own power and export.
+    P, Q, S = np.array([[20, 5], [28, 9]]), np.array(VALUES["Q_pv"]), np.array([105, 60])
+    outside = pv_polygon(site, paper.v, Polygon.around(4))["pv_inverter_capacity"]
+    assert missed(outside) == pytest.approx(np.vstack([P - S, Q - S, -P - S, -Q - S]), abs=1e-12)
+    # Half: charging plus discharging for P, the first and the last side.
+    P, Q, S = np.array([[10, 4], [12, 7]]), np.array(VALUES["Q_batt"]), np.array([50, 25])
+    half = battery_half_polygon(site, paper.v, Polygon.inscribed(4))["battery_inverter_capacity"]
+    assert missed(half) == pytest.approx(root * np.vstack([P + Q - S, P - Q - S]), abs=1e-12)
+
+
+def physics() -> Physics:
+    """Losses in both steps; in the second, an island that the battery at bus 3 holds."""
+    return Physics(loss_kw=np.array([[1.0, 2.0], [3.0, 4.0]]),
+                   loss_kvar=np.array([[0.5, 1.5], [2.5, 3.5]]), reference=np.array([0, 2]),
+                   headroom_kw=np.array([[0.0, 0.0], [0.0, 6.0]]),
+                   soc_reserve=np.array([[0.0, 0.0], [0.0, 0.05]]))
+
+
+CHANGED = {
+    # the loss of a line where it ends
+    "active_power_balance": np.array(MISSED["active_power_balance"]) - [[0, 1, 2], [0, 3, 4]],
+    "reactive_power_balance":
+        np.array(MISSED["reactive_power_balance"]) - [[0, 0.5, 1.5], [0, 2.5, 3.5]],
+    "voltage_reference": [1.05 - 1.0816, 1.01 - 1.0816],
+    "root_voltage_min": [0 - 1.05, 0.81 - 1.02],
+    "root_voltage_max": [1.05 - 4, 1.02 - 1.21],  # no limit at 4 pu² while the grid is there
+    "headroom_charge": [[10 - 40, -4 - 20], [-12 - 40, 5 - 14]],
+    "headroom_discharge": [[-10 - 40, 4 - 20], [12 - 40, -5 - 14]],
+    "battery_inverter_capacity": [[26 - 50, 5 - 25], [13 - 50, 13 - 19]],
+    "battery_soc_min": [[0.1 - 0.6, 0.2 - 0.3], [0.1 - 0.2, 0.25 - 0.7]],
+}
+
+
+def test_physical_mode_has_losses_a_reference_and_headroom(site: Site, data: WindowData) -> None:
+    model = WindowModel(site, STEPS, Form(physical=True))
+    model.fill(replace(data, physics=physics()))
+    put(model.v)
+    expected = {**MISSED, **CHANGED}
+    del expected["voltage_slack"]
+    # The grid supplies the reactive losses of the second step too.
+    expected["grid_reactive_max"] = [-6, 9 - 420 - 6]
+    expected["grid_reactive_min"] = [6, -420 - 6 - 9]
+    assert_missed(model.constraints, expected)
+
+
+def test_losses_add_up_where_there_is_no_network(site: Site, data: WindowData) -> None:
+    model = WindowModel(site, STEPS, Form(network=False, physical=True))
+    model.fill(replace(data, physics=physics()))
+    put(model.v)
+    assert missed(model.constraints["total_power_balance"]) == pytest.approx([-16 - 3, -118 - 7])
+
+
+def test_headroom_shrinks_polygons(site: Site, data: WindowData) -> None:
+    model = WindowModel(site, STEPS, Form(polygon_sides=4, outer=True, physical=True))
+    model.fill(replace(data, physics=physics()))
+    put(model.v)
+    sides = missed(model.constraints["battery_inverter_capacity"])
+    assert sides[:2] == pytest.approx(np.array([[10 - 50, -4 - 25], [-12 - 50, 5 - 19]]))
+
+
+def test_demand_that_the_paper_has_not_is_added_once(site: Site) -> None:
+    assert added_demand(site, None, None) is None
+    physical = PhysicalParameters.create(site, STEPS)
+    paper = paper_problem(site, STEPS)
+    added = added_demand(site, None, physical)
+    assert added is not None
+    named = with_demand(paper.subject_to, site, paper.v, paper.p, added)
+    assert list(named) == list(paper.subject_to)
+
+
+def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProblem) -> None:
+    dispatch: Dispatch = paper.v.dispatch(site)
+    columns = {"served": "x_served", "pv_self_kw": "P_self", "pv_export_kw": "P_exp",
+               "pv_curtailed_kw": "P_curt", "pv_q_kvar": "Q_pv", "charge_kw": "P_ch",
+               "discharge_kw": "P_dch", "batt_q_kvar": "Q_batt", "soc": "SoC",
+               "p_grid_kw": "P_grid", "q_grid_kvar": "Q_grid", "p_flow_kw": "P_flow",
+               "q_flow_kvar": "Q_flow"}
+    for name, variable in columns.items():
+        assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
+            np.array(VALUES[variable], float)), name
+    assert dispatch.v_pu**2 == pytest.approx(np.array(VALUES["u"]))
