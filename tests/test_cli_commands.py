@@ -497,7 +497,7 @@ def test_every_option_of_run_is_a_parameter() -> None:
               "thermal": "euler", "mode": "physical", "centre": "literal", "pv-check": "literal",
               "seed": 3, "max-actions": 4, "cold-load-factor": 1.5}
     day, options = small_scenario(), RunOptions()
-    for name in sweep_parameters.OPTION_FIELDS:
+    for name in sweep_parameters.OPTION_OF:
         value = values.get(name, 0.5)
         same, options = changed(find_parameter(name, day), value, day, options)
         assert same is day
@@ -549,8 +549,8 @@ def test_values_may_have_spaces() -> None:
 
 
 def test_figure_orders_numbers_and_leaves_a_gap() -> None:
-    outcomes = [sweep.Outcome(value, "", None if value == 1.0 else {"resilience": value / 10}, None)
-                for value in (2.0, 1.0, 0.0)]
+    summaries = {2.0: {"resilience": 0.2}, 1.0: None, 0.0: {"resilience": 0.0}}
+    outcomes = [sweep.SweepRow(value, "", summary, None) for value, summary in summaries.items()]
     figure = sweep_figure("horizon", outcomes, ("critical",))
     x, y = figure.axes[1].lines[0].get_data()
     assert list(x) == [0.0, 1.0, 2.0]
@@ -558,7 +558,7 @@ def test_figure_orders_numbers_and_leaves_a_gap() -> None:
 
 
 def test_figure_names_words_on_its_axis() -> None:
-    outcomes = [sweep.Outcome(value, "", {"resilience": 0.5}, None) for value in ("mpc", "full")]
+    outcomes = [sweep.SweepRow(value, "", {"resilience": 0.5}, None) for value in ("mpc", "full")]
     axis = sweep_figure("controller", outcomes, ("critical",)).axes[-1]
     assert [label.get_text() for label in axis.get_xticklabels()] == ["mpc", "full"]
     assert axis.lines[0].get_linestyle() == "None"  # there is nothing between two words

@@ -32,7 +32,7 @@ from vppres.cli.tables import (
 from vppres.core.errors import InputError, Problem, VppresError
 
 if TYPE_CHECKING:
-    from vppres.studies.sweep import Outcome
+    from vppres.studies.sweep import SweepRow
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 RESULTS = Path("results")
@@ -309,7 +309,7 @@ def _print_json(record: object) -> None:
     typer.echo(json.dumps(record, indent=2, allow_nan=False))
 
 
-def _report_failures(name: str, outcomes: Sequence[Outcome]) -> None:
+def _report_failures(name: str, outcomes: Sequence[SweepRow]) -> None:
     """Say on stderr which runs failed and end with status 1, if any did."""
     failed = [outcome for outcome in outcomes if outcome.error is not None]
     for outcome in failed:

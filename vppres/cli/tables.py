@@ -14,7 +14,7 @@ from vppres.core.errors import Problem
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
     from vppres.studies.compare import ComparedFigure
-    from vppres.studies.sweep import Outcome
+    from vppres.studies.sweep import SweepRow
 
 # Key of the summary, words, format, unit; in the order of the printed table.
 FIGURES = (
@@ -94,7 +94,7 @@ def comparison_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -
     return table
 
 
-def sweep_table(name: str, outcomes: Sequence[Outcome]) -> Table:
+def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
     """The figures of each run that are most asked for; failures are reported after it."""
     from vppres.studies.sweep_parameters import value_text
 

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from operator import attrgetter
 from typing import Any
 
-import numpy as np
-
 from vppres.contract.forecast import ForecastErrors
-from vppres.contract.operating_point import CENTRES, Centre
+from vppres.contract.operating_point import Centre
 from vppres.control.baselines import ReserveRule
-from vppres.control.converged import DEFAULT_HEADROOM, DEFAULT_PASSES
-from vppres.control.full_horizon import PV_CHECKS, PVCheck
-from vppres.core.errors import InputError, Problem
+from vppres.control.full_horizon import PVCheck
+from vppres.core.errors import InputError
 from vppres.physics.thermal import ThermalScheme
+from vppres.scenario.option_table import OPTIONS, default_of
 from vppres.scenario.rules import SwitchingRules
-from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.result import SolveLimits
 
-CONTROLLERS = ("mpc", "full-horizon", "perfect", "idle", "reserve")
 PERFECT = "perfect"
-MODES = ("paper", "physical")
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a day is run.
+    """How a day is run; defaults and checks are those of :mod:`vppres.scenario.option_table`.
 
     Parameters
     ----------
@@ -65,45 +62,67 @@ class RunOptions:
         Whether the guard serves the first tier in every step that can serve it.
     reserve : ReserveRule
         When and how far the controller ``reserve`` charges.
+
+    Raises
+    ------
+    InputError
+        With every option that is unknown or out of its range.
     """
 
-    controller: str = "mpc"
-    horizon_h: float = 5.0
-    solver: str = "highs"
-    method: str = "decomposed"
+    controller: str = default_of("controller")
+    horizon_h: float = default_of("horizon_h")
+    solver: str = default_of("solver")
+    method: str = default_of("method")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
-    thermal: ThermalScheme = "off"
-    seed: int = 0
+    thermal: ThermalScheme = default_of("thermal")
+    seed: int = default_of("seed")
     limits: SolveLimits = field(default_factory=SolveLimits)
-    polygon_sides: int = POLYGON_SIDES
-    centre: Centre = "lossless"
-    pv_check: PVCheck = "absorbing"
-    mode: str = "paper"
-    headroom: float = DEFAULT_HEADROOM
-    passes: int = DEFAULT_PASSES
+    polygon_sides: int = default_of("polygon_sides")
+    centre: Centre = default_of("centre")
+    pv_check: PVCheck = default_of("pv_check")
+    mode: str = default_of("mode")
+    headroom: float = default_of("headroom")
+    passes: int = default_of("passes")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
-    guard: bool = True
-    protect_critical: bool = False
+    guard: bool = default_of("guard")
+    protect_critical: bool = default_of("protect_critical")
     reserve: ReserveRule = field(default_factory=ReserveRule)
 
     def __post_init__(self) -> None:
-        choices: dict[str, tuple[str, ...]] = {"controller": CONTROLLERS, "centre": CENTRES,
-                                               "pv_check": PV_CHECKS, "mode": MODES}
-        problems = [Problem("options", "is not known", f"Use one of: {', '.join(allowed)}.",
-                            field=name, value=getattr(self, name))
-                    for name, allowed in choices.items() if getattr(self, name) not in allowed]
-        if not (np.isfinite(self.horizon_h) and self.horizon_h >= 0):
-            problems.append(Problem("options", "must be zero or positive", "Give hours.",
-                                    field="horizon_h", value=self.horizon_h))
-        if not 0 <= self.headroom < 1:
-            problems.append(Problem("options", "must be a share from 0 to below 1",
-                                    "Give a share of the inverter's rating, for example 0.1.",
-                                    field="headroom", value=self.headroom))
-        if self.passes < 0:
-            problems.append(Problem("options", "must not be negative", "Give a whole number from "
-                                    "zero.", field="passes", value=self.passes))
+        problems = [problem for option in OPTIONS
+                    for problem in option.problems(attrgetter(option.field)(self))]
         if problems:
             raise InputError(problems)
+
+    def having(self, values: Mapping[str, Any]) -> RunOptions:
+        """The options with other values, by the fields of the table of options.
+
+        Parameters
+        ----------
+        values : mapping
+            Field to value; ``group.field`` for one of a group.
+
+        Raises
+        ------
+        InputError
+            If a value is out of its range.
+
+        Examples
+        --------
+        >>> RunOptions().having({"horizon_h": 2.0, "errors.pv_bias": 0.1}).errors.pv_bias
+        0.1
+        """
+        new: dict[str, Any] = {}
+        groups: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            group, _, inner = path.rpartition(".")
+            if group:
+                groups.setdefault(group, {})[inner] = value
+            else:
+                new[path] = value
+        for group, inside in groups.items():
+            new[group] = replace(getattr(self, group), **inside)
+        return replace(self, **new)
 
     def as_record(self) -> dict[str, Any]:
         """The options as JSON can hold them."""

@@ -6,19 +6,18 @@ documentation page and the JSON Schema are all derived from it.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, cast
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Le
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
 
 from vppres.scenario.network import Network
-from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights
+from vppres.scenario.option_table import Option, section_options
+from vppres.scenario.scenario import ObjectiveWeights
 
 Unit = dict[str, Any]
-ControllerKind = Literal["mpc", "full-horizon"]
-ModeName = Literal["paper", "physical"]
 
 KW: Unit = {"unit": "kW"}
 KVA: Unit = {"unit": "kVA"}
@@ -216,47 +215,43 @@ class OutageSection(Section):
     end: AwareDatetime = Field(description="end of the outage, with time zone")
 
 
-class ControllerSection(Section):
-    """What a run uses when its options do not say otherwise."""
-
-    kind: ControllerKind = Field(
-        default=cast(ControllerKind, ControllerDefaults.kind), description="controller")
-    horizon_h: float = Field(
-        default=ControllerDefaults.horizon_h, ge=0, le=24 * MAX_GRID_DAYS,
-        description="look-ahead of the controller; 0 is one step",
-        json_schema_extra={"unit": "h"})
-    mode: ModeName = Field(
-        default=cast(ModeName, ControllerDefaults.mode),
-        description="way of islands: the paper's, or held by batteries")
+def _option_section(title: str, section: str, words: str) -> type[Section]:
+    """The model of a section whose keys are options of a run, made from their table."""
+    fields: dict[str, Any] = {key: (_option_type(option), _option_field(option))
+                              for key, option in section_options(section).items()}
+    return create_model(title, __base__=Section, __doc__=words, __module__=__name__, **fields)
 
 
-class SwitchingSection(Section):
-    """Rules on switching customers; a run without options of its own uses them."""
+def _option_type(option: Option) -> Any:
+    """Type of an option's key; a default of None says that the key may be absent."""
+    kind: Any = Literal[option.choices] if option.choices else option.kind
+    return kind if option.default is not None else kind | None
 
-    min_served_h: float = Field(
-        default=SwitchingRules.min_served_h, ge=0, description="shortest time served after a "
-        "restoration", json_schema_extra={"unit": "h"})
-    min_unserved_h: float = Field(
-        default=SwitchingRules.min_unserved_h, ge=0, description="shortest time switched off",
-        json_schema_extra={"unit": "h"})
-    price_per_action: float = Field(
-        default=SwitchingRules.price_per_action, ge=0, description="price of switching a customer "
-        "off or on", json_schema_extra={"unit": "weighted customer hours"})
-    max_actions_per_customer: int | None = Field(
-        default=None, ge=0, description="most actions of a customer in a day (no such key: no "
-        "limit)")
-    stay_restored: bool = Field(
-        default=SwitchingRules.stay_restored, description="whether a restored customer is never "
-        "switched off again")
-    cold_load_factor: float = Field(
-        default=SwitchingRules.cold_load_factor, ge=1, description="demand after a restoration as "
-        "a multiple of the usual one")
-    cold_load_h: float = Field(
-        default=SwitchingRules.cold_load_h, ge=0, description="how long that lasts, at least one "
-        "step", json_schema_extra={"unit": "h"})
-    move_weight: float = Field(
-        default=SwitchingRules.move_weight, ge=0, description="line losses that moving a battery "
-        "by its rated power away from the previous plan is worth", json_schema_extra=KW)
+
+def _option_field(option: Option) -> Any:
+    """Default, bounds, unit and meaning of an option's key."""
+    meaning = f"{option.meaning}: {option.words}" if option.words else option.meaning
+    absent = f" (no such key: {option.unset})" if option.unset else ""
+    bounds: dict[str, Any] = {}
+    if option.range is not None:
+        bounds["gt" if option.range.open_least else "ge"] = option.range.least
+        bounds["lt" if option.range.open_most else "le"] = min(option.range.most, option.file_most)
+    bounds = {name: bound for name, bound in bounds.items() if bound < inf}
+    return Field(default=option.default, description=meaning + absent,
+                 json_schema_extra={"unit": option.unit} if option.unit else None, **bounds)
+
+
+# A type checker sees the sections that the table of options makes as sections without keys.
+if TYPE_CHECKING:
+    ControllerSection = Section
+    SwitchingSection = Section
+else:
+    ControllerSection = _option_section(
+        "ControllerSection", "controller",
+        "What a run uses when its options do not say otherwise.")
+    SwitchingSection = _option_section(
+        "SwitchingSection", "switching",
+        "Rules on switching customers; a run without options of its own uses them.")
 
 
 class FilesSection(Section):

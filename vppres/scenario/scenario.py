@@ -12,6 +12,7 @@ from vppres.core.arrays import Flags, Floats, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
+from vppres.scenario.option_table import default_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.timegrid import TimeGrid
 
@@ -42,9 +43,9 @@ class ObjectiveWeights:
 class ControllerDefaults:
     """What ``vppres run`` uses when an option is not given."""
 
-    kind: str = "mpc"
-    horizon_h: float = 5.0
-    mode: str = "paper"
+    kind: str = default_of("controller")
+    horizon_h: float = default_of("horizon_h")
+    mode: str = default_of("mode")
 
 
 @dataclass(frozen=True, eq=False)

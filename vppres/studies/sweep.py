@@ -36,7 +36,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SweepRow:
     """What became of a case.
 
     Parameters
@@ -57,7 +57,7 @@ class Outcome:
     error: str | None
 
 
-Finish = Callable[[Sequence[Outcome], Path], None]
+Finish = Callable[[Sequence[SweepRow], Path], None]
 
 
 def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
@@ -77,7 +77,7 @@ def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
 
 
 def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
-              progress: Progress | None = None, finish: Finish | None = None) -> list[Outcome]:
+              progress: Progress | None = None, finish: Finish | None = None) -> list[SweepRow]:
     """Run all cases and write their folders into one, which is whole or absent.
 
     Parameters
@@ -95,7 +95,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
 
     Returns
     -------
-    list of Outcome
+    list of SweepRow
         In the order of the cases. A run that has no answer does not end the others.
     """
     with atomic_folder(folder) as aside:
@@ -108,17 +108,17 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
     return outcomes
 
 
-def run_case(position: int, case: Case, folder: Path) -> tuple[int, Outcome]:
+def run_case(position: int, case: Case, folder: Path) -> tuple[int, SweepRow]:
     """Run one case and write its run folder below ``folder``."""
     try:
         summary = write_run(run_day(case.scenario, case.options), folder / case.folder,
                             interactive=False)  # many reports: leave out 5 MB of scripts each
     except (SolveError, VerificationError) as error:
-        return position, Outcome(case.value, case.folder, None, str(error))
-    return position, Outcome(case.value, case.folder, summary, None)
+        return position, SweepRow(case.value, case.folder, None, str(error))
+    return position, SweepRow(case.value, case.folder, summary, None)
 
 
-def outcome_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+def outcome_table(outcomes: Sequence[SweepRow]) -> pd.DataFrame:
     """One row per value: value, folder, error, and the key figures; empty where not defined."""
     rows = []
     for outcome in outcomes:
@@ -129,7 +129,7 @@ def outcome_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def outcome_records(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
     """The outcomes as JSON can hold them."""
     return {"runs": [{"value": o.value, "folder": o.folder, "error": o.error,
                       "summary": o.summary} for o in outcomes]}
@@ -140,8 +140,8 @@ _PREFIXES = ("served_share.", "solve_s.")
 
 
 def _outcomes(cases: Sequence[Case], folder: Path, jobs: int,
-              progress: Progress | None) -> list[Outcome]:
-    found: dict[int, Outcome] = {}
+              progress: Progress | None) -> list[SweepRow]:
+    found: dict[int, SweepRow] = {}
     # One thread each: solvers and linear algebra would only fight for the cores.
     with joblib.parallel_config("loky", inner_max_num_threads=1):
         parallel = joblib.Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",

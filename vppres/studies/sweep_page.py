@@ -15,7 +15,7 @@ from vppres.report.key_figures import KEY_FIGURES, number
 from vppres.report.pages import embedded, page
 from vppres.report.plots import BLUE, TIER_STYLES, draw_grid, save_figure
 from vppres.scenario.scenario import Scenario
-from vppres.studies.sweep import Outcome, outcome_table
+from vppres.studies.sweep import SweepRow, outcome_table
 from vppres.studies.sweep_parameters import Value, value_text
 
 PAGE_FILE = "sweep.html"
@@ -30,7 +30,7 @@ _PANELS = (("resilience", "Resilience"), ("cost_gbp", "Cost of import (GBP)"),
 _ON_PAGE = ("cost_gbp", "import_kwh", "pv_curtailed_kwh", "v_min_ac_pu", "corrections", "gap_max")
 
 
-def write_sweep_page(parameter: str, scenario: Scenario, outcomes: Sequence[Outcome],
+def write_sweep_page(parameter: str, scenario: Scenario, outcomes: Sequence[SweepRow],
                      folder: Path) -> None:
     """Write the page, and the figure as PNG and SVG, into an existing folder."""
     figure = sweep_figure(parameter, outcomes, scenario.tiers)
@@ -42,7 +42,7 @@ def write_sweep_page(parameter: str, scenario: Scenario, outcomes: Sequence[Outc
     atomic_write_text(folder / PAGE_FILE, text)
 
 
-def sweep_figure(parameter: str, outcomes: Sequence[Outcome], tiers: Sequence[str]) -> Figure:
+def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[str]) -> Figure:
     """Key figures over the parameter, one panel each; failed runs leave a gap."""
     ordered = _by_value(outcomes)
     table = outcome_table(ordered)
@@ -67,7 +67,7 @@ def sweep_figure(parameter: str, outcomes: Sequence[Outcome], tiers: Sequence[st
     return figure
 
 
-def _by_value(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def _by_value(outcomes: Sequence[SweepRow]) -> list[SweepRow]:
     """Numbers in their order, so that a line runs from left to right; words as given."""
     return sorted(outcomes, key=lambda o: 0.0 if isinstance(o.value, str) else o.value)
 
@@ -103,7 +103,7 @@ def _columns(scenario: Scenario) -> list[tuple[str, str, str]]:
             ("solve_s.total", "Time for decisions (s)", ".2f")]
 
 
-def _row(outcome: Outcome, scenario: Scenario) -> dict[str, Any]:
+def _row(outcome: SweepRow, scenario: Scenario) -> dict[str, Any]:
     figures = outcome_table([outcome]).iloc[0]
     return {"value": value_text(outcome.value), "folder": outcome.folder, "error": outcome.error,
             "texts": [number(figures.get(key), form) for key, _, form in _columns(scenario)]}

@@ -19,40 +19,15 @@ from vppres.io.messages import did_you_mean
 from vppres.io.scenario_folder import read_scenario
 from vppres.io.scenario_writer import write_scenario
 from vppres.scenario.assets import Batteries, PVSystems
+from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
 Value = float | int | str
 ChangeScenario = Callable[[Scenario, float], Scenario]
 
-# Options of `vppres run`, and some that only the API has: field of RunOptions, and its type.
-OPTION_FIELDS: dict[str, tuple[str, type]] = {
-    "controller": ("controller", str),
-    "horizon": ("horizon_h", float),
-    "solver": ("solver", str),
-    "method": ("method", str),
-    "load-bias": ("errors.load_bias", float),
-    "load-error": ("errors.load_alpha_per_h", float),
-    "pv-bias": ("errors.pv_bias", float),
-    "pv-error": ("errors.pv_alpha_per_h", float),
-    "thermal": ("thermal", str),
-    "mode": ("mode", str),
-    "seed": ("seed", int),
-    "time-limit": ("limits.time_s", float),
-    "gap": ("limits.gap_rel", float),
-    "min-served-h": ("switching.min_served_h", float),
-    "min-unserved-h": ("switching.min_unserved_h", float),
-    "switching-price": ("switching.price_per_action", float),
-    "max-actions": ("switching.max_actions_per_customer", int),
-    "cold-load-factor": ("switching.cold_load_factor", float),
-    "cold-load-h": ("switching.cold_load_h", float),
-    "move-weight": ("switching.move_weight", float),
-    "reserve-soc": ("reserve.soc", float),
-    "notice": ("reserve.notice_h", float),
-    "centre": ("centre", str),
-    "pv-check": ("pv_check", str),
-}
-THERMAL = ("off", "exact", "euler")
-_POSITIVE = ("time-limit", "gap")
+OPTION_OF = {option.name: option for option in OPTIONS if option.sweep}
+"""Options that a sweep varies: those of `vppres run`, and some that only Python has."""
+
 _KINDS: dict[type, str] = {float: "a finite number", int: "a whole number"}
 _MAX_POINTS = 1000
 _DIGITS = 12  # of a point of a range: 0.3, not 0.30000000000000004
@@ -86,14 +61,14 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
         If there is none.
     """
     option = name.replace("_", "-")
-    if option in OPTION_FIELDS:
-        field, kind = OPTION_FIELDS[option]
-        return Parameter(option, kind, partial(_change_option, option, field))
+    if option in OPTION_OF:
+        row = OPTION_OF[option]
+        return Parameter(option, row.kind, partial(_change_option, row))
     changes = scenario_changes(scenario)
     if name in changes:
         change = changes[name]
         return Parameter(name, float, lambda day, options, value: (change(day, value), options))
-    known = [*OPTION_FIELDS, *changes]
+    known = [*OPTION_OF, *changes]
     raise InputError(Problem("sweep", "is not a parameter", did_you_mean(
         name, known, f"Use one of: {', '.join(known)}."), field="--param", value=name))
 
@@ -232,19 +207,10 @@ def _read(kind: type, text: str) -> Value | None:
     return value if np.isfinite(value) else None
 
 
-def _change_option(name: str, field: str, scenario: Scenario, options: RunOptions,
+def _change_option(option: Option, scenario: Scenario, options: RunOptions,
                    value: Value) -> tuple[Scenario, RunOptions]:
     """Replace a field of the options, or of a group in them."""
-    if name in _POSITIVE and float(value) <= 0:
-        raise InputError(Problem("options", "must be positive", "Give a number above 0.",
-                                 field=name, value=value))
-    if name == "thermal" and value not in THERMAL:
-        raise InputError(Problem("options", "is not known", f"Use one of: {', '.join(THERMAL)}.",
-                                 field=name, value=value))
-    group, _, inner = field.rpartition(".")
-    inside = replace(getattr(options, group), **{inner: value}) if group else value
-    new: dict[str, Any] = {group or field: inside}
-    return scenario, replace(options, **new)
+    return scenario, options.having({option.field: value})
 
 
 def _with_outage_hours(day: Scenario, hours: float) -> Scenario:
