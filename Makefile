@@ -1,7 +1,8 @@
 # Run `make` alone for the list of targets.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv test lint types docs pytest reproduce studies bench scenario lock clean
+.PHONY: help venv test quick checks lint types docs pytest durations mutants reproduce studies \
+  bench scenario lock clean
 
 VENV ?= .venv
 JOBS ?= 2
@@ -21,6 +22,11 @@ INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
+# Several processes import the same files: one compiles, the others read what it wrote.
+export PYTHONDONTWRITEBYTECODE =
+
+# Each process takes a contiguous part, so that what the tests of a file share is made only once.
+PYTEST = $(BIN)/pytest -n $(JOBS) --dist worksteal
 
 help:  ## print this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 18
@@ -34,7 +40,14 @@ $(STAMP): requirements.lock pyproject.toml
 	$(INSTALL) --no-deps --no-build-isolation -e .
 	touch $@
 
-test: lint types docs pytest  ## lint, types, documentation, doctests and tests
+# Types and documentation take a core each, and the tests both: pytest's last line comes last.
+test: $(STAMP)  ## lint, types, documentation, doctests and tests
+	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types docs
+	@$(MAKE) --no-print-directory pytest
+
+quick: $(STAMP)  ## lint, types, layers and the quick tests, within a minute
+	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types
+	$(PYTEST) --quick
 
 lint: $(STAMP)  ## style of all Python files (ruff)
 	$(BIN)/ruff check .
@@ -46,7 +59,17 @@ docs: $(STAMP)  ## build the documentation into docs/_build; warnings are errors
 	$(BIN)/sphinx-build -q -b html -W --keep-going -n docs docs/_build/html
 
 pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
-	$(BIN)/pytest -n $(JOBS)
+	$(PYTEST)
+
+durations: $(STAMP)  ## measure all tests: what `make quick` takes follows from tests/durations.csv
+	$(PYTEST) --measure
+	$(PYTEST) --measure --quick
+
+MUTANTS ?= *
+mutants: $(STAMP)  ## change the code and see tests fail; MUTANTS='vppres.plant.*' for one room
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "mutmut>=3.8"
+	$(BIN)/mutmut run --max-children $(JOBS) "$(MUTANTS)"
+	$(BIN)/mutmut export-cicd-stats
 
 reproduce: $(STAMP)  ## run all experiments of the paper and write results/report.html
 	$(BIN)/python -m experiments --results results
@@ -70,5 +93,5 @@ lock: $(STAMP)  ## write requirements.lock anew, keeping pins that still fit (fe
 	  --custom-compile-command 'make lock' --output-file requirements.lock
 
 clean:  ## remove what the other targets built, the environment and results excepted
-	rm -rf build dist docs/_build docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist mutants docs/_build docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print | xargs rm -rf

@@ -5,16 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
+from tests.support.durations import Durations
 from tests.support.tiny_day import tiny_scenario
 from vppres.io import write_scenario
+from vppres.report.plots import FIGURES, RUN_FIGURES
 from vppres.scenario.scenario import Scenario
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """How many random mutations of a scenario folder are read (tests/test_bad_input.py)."""
-    parser.addoption("--fuzz", type=int, default=1000, metavar="N",
-                     help="random mutations of a valid scenario folder (default: 1000)")
+    """Options of these tests: the size of one, and which of them run."""
+    parser.addoption("--fuzz", type=int, default=300, metavar="N",
+                     help="random mutations of a valid scenario folder (default: 300)")
+    parser.addoption("--quick", action="store_true",
+                     help="of every test function the cases that fit into a second, as measured")
+    parser.addoption("--measure", action="store_true",
+                     help="write the durations that --quick goes by: tests/durations.csv")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure tests, and choose them by what was measured."""
+    config.pluginmanager.register(
+        Durations(config.getoption("measure"), config.getoption("quick")), "durations-of-tests")
 
 
 @pytest.fixture
@@ -29,3 +42,11 @@ def tiny_folder(tiny: Scenario, tmp_path: Path) -> Path:
     folder = tmp_path / "tiny"
     write_scenario(tiny, folder)
     return folder
+
+
+@pytest.fixture
+def plain_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty figures in run folders and pages, where what they show is not what is tested."""
+    for figures in (FIGURES, RUN_FIGURES):
+        for name in figures:
+            monkeypatch.setitem(figures, name, lambda _: Figure(figsize=(1.0, 1.0)))

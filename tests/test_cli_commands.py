@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 from tests.support.command_line import call
 from tests.support.made_up_runs import small_run, small_scenario
@@ -24,7 +23,7 @@ from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots import FIGURES, RUN_FIGURES
+from vppres.report.plots import FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies import sweep, sweep_parameters
@@ -75,12 +74,9 @@ def without_solving(scenario: Scenario, options: RunOptions) -> Trajectory:
 
 
 @pytest.fixture
-def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plain_figures: None) -> Path:
     """The small day as a scenario folder, and runs of it that are not solved."""
     monkeypatch.setattr(sweep, "run_day", without_solving)
-    for figures in (FIGURES, RUN_FIGURES):  # what they show is not what is tested here
-        for name in figures:
-            monkeypatch.setitem(figures, name, lambda _: Figure(figsize=(1.0, 1.0)))
     folder = tmp_path / "small"
     write_scenario(small_scenario(), folder)
     return folder
@@ -169,6 +165,7 @@ def test_validate_is_quick_and_loads_neither_solver_nor_power_flow() -> None:
 # JSON of run and scenarios
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
     result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -194,6 +191,7 @@ def test_report_is_drawn_again(two_runs: list[Path]) -> None:
     assert file.read_text(encoding="utf-8") == old
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_report_keeps_recorded_figures_and_adds_missing_ones(two_runs: list[Path],
                                                              tmp_path: Path) -> None:
     summary_file = two_runs[0] / "summary.json"
@@ -210,6 +208,7 @@ def test_report_keeps_recorded_figures_and_adds_missing_ones(two_runs: list[Path
     assert OUTWARD.findall(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) == []
 
 
+@pytest.mark.usefixtures("plain_figures")
 @pytest.mark.parametrize(("spoiled", "message"), [
     (lambda run: shutil.rmtree(run), "there is no such folder. Give a folder written by a run."),
     (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
@@ -227,12 +226,14 @@ def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> 
     assert message in result.stderr
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_report_of_a_file(two_runs: list[Path]) -> None:
     file = two_runs[0] / "summary.json"
     assert call("report", file).stderr == (
         f"{file}: is not a folder. Give a folder written by a run.\n")
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> None:
     (tmp_path / "letter").write_text("keep", encoding="utf-8")
     result = call("report", two_runs[0], "--out", tmp_path / "letter" / "report.html")
@@ -244,6 +245,7 @@ def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> No
 # compare
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_compare_by_hand(two_runs: list[Path], tmp_path: Path) -> None:
     result = call("compare", *two_runs, "--out", tmp_path / "both.html", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -279,6 +281,7 @@ def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path
     assert "The runs differ in their scenario." not in text
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     shutil.copytree(two_runs[0], tmp_path / "copy")
     call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
@@ -287,6 +290,7 @@ def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     assert "None: every customer was as long without supply in each run." in text
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_compare_says_that_scenarios_differ(two_runs: list[Path], tmp_path: Path) -> None:
     day = small_scenario()
     write_run(small_run(replace(day, load_kw=day.load_kw * 2)), tmp_path / "double")
@@ -302,6 +306,7 @@ def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path],
         str(two_runs[0]), str(other), "more"]
 
 
+@pytest.mark.usefixtures("plain_figures")
 @pytest.mark.parametrize(("choose", "message"), [
     (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
     (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
@@ -318,6 +323,7 @@ def test_runs_that_cannot_be_compared(two_runs: list[Path], choose: Any, message
     assert result.stderr == message.format(a=two_runs[0], b=two_runs[1])
 
 
+@pytest.mark.usefixtures("plain_figures")
 def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
     write_run(small_run(small_scenario(step_minutes=15.0)), tmp_path / "quarters")
     result = call("compare", two_runs[0], tmp_path / "quarters", "--out", tmp_path / "x.html")

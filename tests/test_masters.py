@@ -180,6 +180,7 @@ def test_counts_are_rounded_down_where_time_runs_out(
     assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
 
 
+@pytest.mark.monolith
 def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenario) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data = day_window(heavy, 17, 3, 0.3)

@@ -106,6 +106,7 @@ def physical_answers(seed: int, stressed: bool) -> tuple[Window, list[WindowSolu
                   for method in ("decomposed", "monolithic")]
 
 
+@pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), WINDOWS)
 def test_decomposed_equals_monolithic_with_losses_and_headroom(seed: int, stressed: bool) -> None:
     case, answers = physical_answers(seed, stressed)

@@ -207,6 +207,7 @@ def test_nobody_has_a_duty_in_the_dark() -> None:
 # Methods against each other and against the checker.
 
 
+@pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), RANDOM)
 def test_decomposed_equals_monolithic_with_rules(seed: int, stressed: bool) -> None:
     case = random_window(seed, stressed)

@@ -32,7 +32,7 @@ from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 BOUND_TOLERANCE = 1e-6
-RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(100)]
+RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(50)]
 CONE_WINDOWS = [(seed, True) for seed in range(11, 22)]
 WRONGLY_INFEASIBLE = (10, True)
 """A window that SCIP calls infeasible, although each of its four steps alone is feasible for it."""
@@ -345,6 +345,7 @@ def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowS
         assert answer.bound >= best - BOUND_TOLERANCE
 
 
+@pytest.mark.monolith
 @pytest.mark.parametrize(("t0", "steps", "soc"), PACKAGED_WINDOWS)
 def test_solvers_and_methods_agree_on_the_packaged_day(
         packaged: Scenario, packaged_solvers: dict[tuple[str, str], WindowSolver], t0: int,
@@ -353,6 +354,7 @@ def test_solvers_and_methods_agree_on_the_packaged_day(
     assert_agree(packaged, data, [s.solve(data) for s in packaged_solvers.values()])
 
 
+@pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), RANDOM_WINDOWS)
 def test_decomposed_equals_monolithic(seed: int, stressed: bool) -> None:
     case, answer = random_answer(seed, stressed, "decomposed", "highs")
@@ -360,6 +362,7 @@ def test_decomposed_equals_monolithic(seed: int, stressed: bool) -> None:
     assert_agree(*case, [answer, other])
 
 
+@pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), CONE_WINDOWS)
 def test_decomposed_equals_the_problem_with_cones(seed: int, stressed: bool) -> None:
     case, answer = random_answer(seed, stressed, "decomposed", "highs")
