@@ -1,39 +1,46 @@
 """An OpenDSS circuit as a pandapower net: its balanced positive-sequence equivalent.
 
-OpenDSS itself reads the file and builds the circuit; this module only asks it for the elements.
+The script is checked and written anew (:mod:`vppres.feeders.dss_text`). OpenDSS builds the circuit
+in a process of its own (:mod:`vppres.feeders.dss_engine`), in an empty folder that is thrown away,
+and only numbers and names come back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import opendssdirect as dss
-import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
+from vppres.feeders import dss_text
 from vppres.scenario.network import BusId
 
-# Classes that carry no power in steady state, or only shape it over time.
-PASSIVE = {"vsource", "line", "transformer", "load", "generator", "pvsystem", "storage",
-           "capacitor", "regcontrol", "capcontrol", "energymeter", "monitor", "fuse", "relay",
-           "recloser", "swtcontrol", "invcontrol", "storagecontroller", "sensor"}
-LEFT_OUT = {"capacitor": "Capacitors are left out", "storage": "Batteries of the source are left "
-            "out", "regcontrol": "Regulators are taken at their nominal ratio"}
-THREE_PHASES = 3
 A_PER_KA = 1000.0
-DEFAULT_AMPS = 400.0
-SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
+TIME_LIMIT_S = 10.0
+"""For OpenDSS to build a circuit; the published feeders take less than one."""
+
+START_LIMIT_S = 60.0
+"""For the process to load its libraries, which a busy machine does slowly."""
 
 Contents = tuple[Any, dict[int, BusId], tuple[str, ...]]
 
 
-def read_opendss(path: Path) -> Contents:
+def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
     """Read a circuit.
+
+    Parameters
+    ----------
+    path : Path
+        The master file; what it redirects to lies in its folder.
+    time_limit_s : float, optional
+        For OpenDSS to build the circuit.
 
     Returns
     -------
@@ -47,149 +54,97 @@ def read_opendss(path: Path) -> Contents:
     Raises
     ------
     InputError
-        If OpenDSS refuses the file, or an element has no balanced equivalent here.
+        If a line is not one that a network needs, OpenDSS refuses the file or takes too long, or
+        an element has no balanced equivalent here.
     """
+    script = dss_text.read_script(path)
+    found = _engine([command.text for command in script.commands], path.name, time_limit_s)
+    if found["problems"]:
+        raise InputError([_located(problem, script, path.name) for problem in found["problems"]])
+    net, ids = _build(found)
+    return net, ids, (*script.notes, *found["notes"])
+
+
+def _engine(commands: list[str], name: str, time_limit_s: float) -> dict[str, Any]:
+    """What OpenDSS makes of the commands, from its own process."""
+    job = json.dumps({"commands": commands, "limit_s": time_limit_s})
+    engine = Path(__file__).with_name("dss_engine.py")
+    too_long = InputError(Problem(name, f"OpenDSS does not finish within {time_limit_s:g} s",
+                                  "Give the feeder alone, with sizes that equipment has."))
+    with tempfile.TemporaryDirectory(prefix="vppres-dss-") as folder:
+        try:
+            # -I: neither variables nor files of the user say what is loaded.
+            done = subprocess.run([sys.executable, "-I", str(engine)], input=job, text=True,
+                                  encoding="utf-8", cwd=folder, env=_environment(folder),
+                                  capture_output=True, check=False,
+                                  timeout=START_LIMIT_S + time_limit_s)
+        except subprocess.TimeoutExpired:
+            raise too_long from None
+    if done.returncode == -_alarm():
+        raise too_long
     try:
-        _compile(path)
-        problems = [p for name in _elements() if (p := _problem(path.name, name))]
-        problems = problems or _check_levels(path.name)
-        if problems:
-            raise InputError(problems)
-        net, ids = _build()
-        return net, ids, tuple(_notes())
-    finally:
-        dss.Text.Command("clear")
-
-
-def _compile(path: Path) -> None:
-    """Let OpenDSS read the file, without its changing the working directory."""
-    dss.Basic.AllowChangeDir(False)
-    dss.Basic.AllowForms(False)
-    try:
-        dss.Text.Command("clear")
-        dss.Text.Command(f'redirect "{path.absolute()}"')
-        dss.Text.Command("makebuslist")
-        dss.Text.Command("calcvoltagebases")
-    except Exception as error:  # the engine's own class has no public name
-        raise InputError(Problem(path.name, f"OpenDSS refuses the file ({str(error).strip()})",
-                                 "Correct the file until OpenDSS solves it.")) from None
-
-
-def _elements() -> list[str]:
-    """Enabled elements, as ``class.name`` in lower case."""
-    found = []
-    for name in dss.Circuit.AllElementNames():
-        dss.Circuit.SetActiveElement(name)
-        if dss.CktElement.Enabled():
-            found.append(name.lower())
+        found = json.loads(done.stdout)
+    except ValueError:
+        raise InputError(Problem(
+            name, f"OpenDSS ended without an answer (status {done.returncode})",
+            "Look for sizes that no equipment has, such as a line of a million phases.")) from None
+    assert isinstance(found, dict)
     return found
 
 
-def _of(kind: str) -> Iterator[str]:
-    """Names of the enabled elements of a class; each is active while it is yielded."""
-    for element in _elements():
-        if element.startswith(f"{kind}."):
-            dss.Circuit.SetActiveElement(element)
-            yield element.partition(".")[2]
+def _environment(folder: str) -> dict[str, str]:
+    """Variables of the process: nothing of the user's, no program to find, one thread."""
+    return {"HOME": folder, "TMPDIR": folder, "PATH": "", "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1", "DSS_CAPI_ALLOW_DOSCMD": "0",
+            "DSS_CAPI_ALLOW_CHANGE_DIR": "0", "DSS_CAPI_ALLOW_EDITOR": "0"}
 
 
-def _problem(file: str, element: str) -> Problem | None:
-    """Why an element has no equivalent here; None if it has."""
-    kind, _, name = element.partition(".")
-    if kind not in PASSIVE:
-        return Problem(file, f"{element} is not supported",
-                       "Disable it, or replace it by lines, transformers, loads and generators.")
-    if kind == "vsource" and element != "vsource.source":
-        return Problem(file, f"{element} is a second source",
-                       "Keep the circuit's own source and disable the others.")
-    if kind == "transformer":
-        dss.Transformers.Name(name)
-        if dss.Transformers.NumWindings() != 2:
-            return Problem(file, f"{element} has {dss.Transformers.NumWindings()} windings",
-                           "Replace it by a transformer with two windings.")
-    return None
+def _alarm() -> int:
+    """Number of the signal by which the process's own clock ends it; 0 where there is none."""
+    import signal
+
+    return int(getattr(signal, "SIGALRM", 0))
 
 
-def _check_levels(file: str) -> list[Problem]:
-    """Ratings that do not fit their bus: without ``voltagebases`` OpenDSS guesses the levels."""
-    problems = []
-    for element, bus, rated_kv, tolerance in list(_ratings()):
-        base_kv = _base_kv(bus)
-        # The rating of a single phase may be that between line and neutral.
-        if min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3))) > tolerance * rated_kv:
-            problems.append(Problem(
-                file, f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
-                f"{base_kv:.4g} kV", "Name the levels with 'set voltagebases=[...]'."))
-    return problems
+def _located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:
+    """A problem of the engine, at the file and row of its command if it has one."""
+    at = problem["command"]
+    if at is None:
+        return Problem(name, problem["message"], problem["cure"])
+    command = script.commands[at]
+    return Problem(command.file, problem["message"], problem["cure"], row=command.row)
 
 
-def _ratings() -> Iterator[tuple[str, str, float, float]]:
-    """Element, bus, rated voltage in kV, and by which share the bus may differ."""
-    for name in _of("vsource"):
-        bus = _buses()[0]
-        dss.Vsources.Name(name)
-        yield f"vsource.{name}", bus, dss.Vsources.BasekV(), SOURCE_TOLERANCE
-    for name in list(_of("transformer")):
-        dss.Circuit.SetActiveElement(f"transformer.{name}")
-        buses = _buses()
-        for winding, bus in enumerate(buses, start=1):
-            dss.Transformers.Name(name)
-            dss.Transformers.Wdg(winding)
-            yield f"transformer.{name}", bus, dss.Transformers.kV(), WINDING_TOLERANCE
-
-
-def _base_kv(bus: str) -> float:
-    """Nominal line-to-line voltage of a bus."""
-    dss.Circuit.SetActiveBus(bus)
-    return float(dss.Bus.kVBase() * np.sqrt(3))
-
-
-def _build() -> tuple[Any, dict[int, BusId]]:
-    """The pandapower net of the active circuit, and its buses' names."""
+def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
+    """The pandapower net of the circuit, and its buses' names."""
     import pandapower as pp
 
-    names = dss.Circuit.AllBusNames()
-    net = pp.create_empty_network(name=dss.Circuit.Name())
-    pp.create_buses(net, len(names), vn_kv=[_base_kv(bus) for bus in names], name=names)
+    names = [bus["name"] for bus in found["buses"]]
+    net = pp.create_empty_network(name=found["name"])
+    pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
-    for source in _of("vsource"):
-        bus = at[_buses()[0]]
-        dss.Vsources.Name(source)
-        pp.create_ext_grid(net, bus, vm_pu=dss.Vsources.PU(), name=source)
-    for name in _of("line"):
-        _add_line(net, name, at)
-    for name in _of("transformer"):
-        _add_transformer(net, name, at)
-    _add_powers(net, at)
+    for source in found["sources"]:
+        pp.create_ext_grid(net, at[source["bus"]], vm_pu=source["v_pu"], name=source["name"])
+    for line in found["lines"]:
+        _add_line(net, line, at)
+    for transformer in found["transformers"]:
+        _add_transformer(net, transformer, at)
+    _add_powers(net, found["powers"], at)
     # Scenario folders read buses as whole numbers where all of them are.
     whole = all(name.isdecimal() and str(int(name)) == name for name in names)
     return net, {i: int(name) if whole else name for i, name in enumerate(names)}
 
 
-def _buses() -> list[str]:
-    """Buses of the active element, without their phases."""
-    return [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
-
-
-def _closed() -> bool:
-    """Whether no terminal of the active element is open."""
-    return not any(dss.CktElement.IsOpen(end, 0)
-                   for end in range(1, dss.CktElement.NumTerminals() + 1))
-
-
-def _add_line(net: Any, name: str, at: dict[str, int]) -> None:
+def _add_line(net: Any, line: dict[str, Any], at: dict[str, int]) -> None:
     """A line with its positive-sequence impedance."""
     import pandapower as pp
 
-    (start, end) = _buses()
-    closed = _closed()
-    dss.Lines.Name(name)
     pp.create_line_from_parameters(
-        net, at[start], at[end], length_km=dss.Lines.Length(),
-        max_i_ka=dss.Lines.NormAmps() / A_PER_KA,
-        r_ohm_per_km=_positive_sequence(dss.Lines.RMatrix(), dss.Lines.Phases()),
-        x_ohm_per_km=_positive_sequence(dss.Lines.XMatrix(), dss.Lines.Phases()),
-        c_nf_per_km=0.0, name=name, in_service=closed)
+        net, at[line["start"]], at[line["end"]], length_km=line["length"],
+        max_i_ka=line["amps"] / A_PER_KA,
+        r_ohm_per_km=_positive_sequence(line["r"], line["phases"]),
+        x_ohm_per_km=_positive_sequence(line["x"], line["phases"]),
+        c_nf_per_km=0.0, name=line["name"], in_service=line["closed"])
 
 
 def _positive_sequence(matrix: list[float], n_phases: int) -> float:
@@ -204,66 +159,29 @@ def _positive_sequence(matrix: list[float], n_phases: int) -> float:
     return float(own - mutual)
 
 
-def _add_transformer(net: Any, name: str, at: dict[str, int]) -> None:
+def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) -> None:
     """A transformer at the nominal ratio of its buses; units of a bank are parallel ones."""
     import pandapower as pp
 
-    (start, end) = _buses()
-    closed = _closed()
-    dss.Transformers.Name(name)
-    percent = []
-    for winding in (1, 2):
-        dss.Transformers.Wdg(winding)
-        percent.append(dss.Transformers.R())
-    rating_kva = dss.Transformers.kVA()
-    x_percent = dss.Transformers.Xhl()
-    high, low = sorted((at[start], at[end]), key=lambda bus: -net.bus.at[bus, "vn_kv"])
+    ends = (at[transformer["start"]], at[transformer["end"]])
+    high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
+    r_percent = transformer["r_percent"]
     pp.create_transformer_from_parameters(
-        net, high, low, sn_mva=float(kw_to_mw(rating_kva)), vn_hv_kv=net.bus.at[high, "vn_kv"],
-        vn_lv_kv=net.bus.at[low, "vn_kv"], vkr_percent=sum(percent),
-        vk_percent=float(np.hypot(sum(percent), x_percent)), pfe_kw=0.0, i0_percent=0.0,
-        name=name, in_service=closed)
+        net, high, low, sn_mva=float(kw_to_mw(transformer["kva"])),
+        vn_hv_kv=net.bus.at[high, "vn_kv"], vn_lv_kv=net.bus.at[low, "vn_kv"],
+        vkr_percent=r_percent, vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
+        pfe_kw=0.0, i0_percent=0.0, name=transformer["name"], in_service=transformer["closed"])
 
 
-def _add_powers(net: Any, at: dict[str, int]) -> None:
+def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> None:
     """Loads and generators, all phases of a bus together."""
     import pandapower as pp
 
-    for kind, create in (("load", pp.create_load), ("generator", pp.create_sgen),
-                         ("pvsystem", pp.create_sgen)):
-        for name in _of(kind):
-            bus = at[_buses()[0]]
-            p_kw, q_kvar = _power(kind, name)
-            extra = {"type": "PV" if kind == "pvsystem" else kind} if kind != "load" else {}
-            create(net, bus, p_mw=float(kw_to_mw(p_kw)), q_mvar=float(kw_to_mw(q_kvar)), name=name,
-                   **extra)
-
-
-def _power(kind: str, name: str) -> tuple[float, float]:
-    """Nominal active and reactive power of an element; PV at its peak and without reactive."""
-    if kind == "pvsystem":
-        dss.PVsystems.Name(name)
-        return float(dss.PVsystems.Pmpp()), 0.0
-    table = dss.Loads if kind == "load" else dss.Generators
-    table.Name(name)
-    return float(table.kW()), float(table.kvar())
-
-
-def _notes() -> Iterator[str]:
-    """What the balanced equivalent leaves out."""
-    yield ("The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
-           "of single phases count as spread over three. Voltages of single phases, line charging, "
-           "off-nominal ratios, the source's impedance and voltage-dependent loads are left out.")
-    phases = pd.Series({name: dss.CktElement.NumPhases() for name in _of("line")}, dtype=float)
-    few = phases.index[phases < THREE_PHASES]
-    if len(few):
-        yield (f"{len(few)} of {len(phases)} lines have fewer than three phases; the equivalent "
-               "understates their voltage drop and losses.")
-    unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
-    if unrated:
-        yield (f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
-               "OpenDSS also gives to lines without a rating.")
-    for kind, words in LEFT_OUT.items():
-        names = list(_of(kind))
-        if names:
-            yield f"{words}: {', '.join(names)}."
+    for power in powers:
+        values = {"p_mw": float(kw_to_mw(power["p_kw"])),
+                  "q_mvar": float(kw_to_mw(power["q_kvar"]))}
+        if power["kind"] == "load":
+            pp.create_load(net, at[power["bus"]], name=power["name"], **values)
+        else:
+            kind = "PV" if power["kind"] == "pvsystem" else power["kind"]
+            pp.create_sgen(net, at[power["bus"]], name=power["name"], type=kind, **values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -101,9 +101,12 @@ def _library(module: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(Problem(
-            "network", f"needs the library {module}, which is not installed",
-            f"Install it with: pip install 'vppres[{extra}]'")) from None
+        raise _missing(module, extra) from None
+
+
+def _missing(module: str, extra: str) -> InputError:
+    return InputError(Problem("network", f"needs the library {module}, which is not installed",
+                              f"Install it with: pip install 'vppres[{extra}]'"))
 
 
 def _pandapower(path: Path) -> _Net:
@@ -135,7 +138,9 @@ def _matpower(path: Path) -> _Net:
 
 
 def _opendss(path: Path) -> _Net:
-    _library("opendssdirect", "opendss")
+    # OpenDSS is loaded in a process of its own, never in this one.
+    if importlib.util.find_spec("opendssdirect") is None:
+        raise _missing("opendssdirect", "opendss")
     from vppres.feeders.opendss import read_opendss
 
     return _Net(*read_opendss(path))

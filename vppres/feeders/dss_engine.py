@@ -1,0 +1,241 @@
+"""OpenDSS in a process of its own: checked commands in, tables of numbers and names out.
+
+Run by its path, without the package around it: it reads JSON from its input, writes JSON to its
+output, and ends. It has no file to write to, and a clock that ends it even inside the engine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import opendssdirect as dss
+
+# Classes that carry no power in steady state, or only shape it over time.
+PASSIVE = {"vsource", "line", "transformer", "load", "generator", "pvsystem", "storage",
+           "capacitor", "regcontrol", "swtcontrol"}
+LEFT_OUT = {"capacitor": "Capacitors are left out", "storage": "Batteries of the source are left "
+            "out", "regcontrol": "Regulators are taken at their nominal ratio"}
+THREE_PHASES = 3
+DEFAULT_AMPS = 400.0
+SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
+MEMORY_BYTES = 4 * 2**30
+CURE = "Correct the file until OpenDSS solves it."
+
+Problems = list[dict[str, Any]]
+Table = list[dict[str, Any]]
+
+
+def main() -> None:
+    """Read a job from the input, answer it on the output."""
+    # OpenDSS writes to the output too; the answer has it alone.
+    out = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    job = json.load(sys.stdin)
+    _confine(float(job["limit_s"]))
+    answer = _answer(job["commands"])
+    with os.fdopen(out, "w", encoding="utf-8") as stream:
+        json.dump(answer, stream)
+
+
+def _confine(limit_s: float) -> None:
+    """No file to write, no more than so much memory and time; where the system has such limits."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    signal.setitimer(signal.ITIMER_REAL, limit_s)  # its signal ends the process, in C code too
+
+
+def _answer(commands: list[str]) -> dict[str, Any]:
+    """The circuit of the commands as tables, or what is wrong with it."""
+    dss.Basic.AllowChangeDir(False)
+    dss.Basic.AllowForms(False)
+    dss.Basic.AllowEditor(False)
+    dss.Basic.AllowDOScmd(False)
+    dss.Text.Command("clear")
+    done = 0
+    try:
+        for command in (*commands, "makebuslist", "calcvoltagebases"):
+            dss.Text.Command(command)
+            done += 1
+    except Exception as error:  # the engine's own class has no public name
+        return {"problems": [{"message": f"OpenDSS refuses the file ({str(error).strip()})",
+                              "cure": CURE, "command": done if done < len(commands) else None}]}
+    problems = [p for name in _elements() if (p := _problem(name))] or _check_levels()
+    return {"problems": problems} if problems else _tables()
+
+
+def _elements() -> list[str]:
+    """Enabled elements, as ``class.name`` in lower case."""
+    found = []
+    for name in dss.Circuit.AllElementNames():
+        dss.Circuit.SetActiveElement(name)
+        if dss.CktElement.Enabled():
+            found.append(name.lower())
+    return found
+
+
+def _of(kind: str) -> Iterator[str]:
+    """Names of the enabled elements of a class; each is active while it is yielded."""
+    for element in _elements():
+        if element.startswith(f"{kind}."):
+            dss.Circuit.SetActiveElement(element)
+            yield element.partition(".")[2]
+
+
+def _wrong(message: str, cure: str) -> dict[str, Any]:
+    return {"message": message, "cure": cure, "command": None}
+
+
+def _problem(element: str) -> dict[str, Any] | None:
+    """Why an element has no equivalent here; None if it has."""
+    kind, _, name = element.partition(".")
+    if kind not in PASSIVE:
+        return _wrong(f"{element} is not supported", "Disable it, or replace it by lines, "
+                      "transformers, loads and generators.")
+    if kind == "vsource" and element != "vsource.source":
+        return _wrong(f"{element} is a second source",
+                      "Keep the circuit's own source and disable the others.")
+    if kind == "transformer":
+        dss.Transformers.Name(name)
+        if dss.Transformers.NumWindings() != 2:
+            return _wrong(f"{element} has {dss.Transformers.NumWindings()} windings",
+                          "Replace it by a transformer with two windings.")
+    return None
+
+
+def _check_levels() -> Problems:
+    """Ratings that do not fit their bus: without ``voltagebases`` OpenDSS guesses the levels."""
+    problems = []
+    for element, bus, rated_kv, tolerance in list(_ratings()):
+        base_kv = _base_kv(bus)
+        # The rating of a single phase may be that between line and neutral.
+        if min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3))) > tolerance * rated_kv:
+            problems.append(_wrong(
+                f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
+                f"{base_kv:.4g} kV", "Name the levels with 'set voltagebases=[...]'."))
+    return problems
+
+
+def _ratings() -> Iterator[tuple[str, str, float, float]]:
+    """Element, bus, rated voltage in kV, and by which share the bus may differ."""
+    for name in _of("vsource"):
+        bus = _buses()[0]
+        dss.Vsources.Name(name)
+        yield f"vsource.{name}", bus, dss.Vsources.BasekV(), SOURCE_TOLERANCE
+    for name in list(_of("transformer")):
+        dss.Circuit.SetActiveElement(f"transformer.{name}")
+        buses = _buses()
+        for winding, bus in enumerate(buses, start=1):
+            dss.Transformers.Name(name)
+            dss.Transformers.Wdg(winding)
+            yield f"transformer.{name}", bus, dss.Transformers.kV(), WINDING_TOLERANCE
+
+
+def _base_kv(bus: str) -> float:
+    """Nominal line-to-line voltage of a bus."""
+    dss.Circuit.SetActiveBus(bus)
+    return float(dss.Bus.kVBase() * np.sqrt(3))
+
+
+def _buses() -> list[str]:
+    """Buses of the active element, without their phases."""
+    return [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
+
+
+def _closed() -> bool:
+    """Whether no terminal of the active element is open."""
+    return not any(dss.CktElement.IsOpen(end, 0)
+                   for end in range(1, dss.CktElement.NumTerminals() + 1))
+
+
+def _tables() -> dict[str, Any]:
+    """What the reader makes a pandapower net of."""
+    return {
+        "problems": [], "name": dss.Circuit.Name(),
+        "buses": [{"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()],
+        "sources": list(_sources()), "lines": list(_lines()),
+        "transformers": list(_transformers()), "powers": list(_powers()), "notes": list(_notes())}
+
+
+def _sources() -> Iterator[dict[str, Any]]:
+    for name in _of("vsource"):
+        bus = _buses()[0]
+        dss.Vsources.Name(name)
+        yield {"name": name, "bus": bus, "v_pu": dss.Vsources.PU()}
+
+
+def _lines() -> Iterator[dict[str, Any]]:
+    """Lines, with their impedance matrices per unit of length."""
+    for name in _of("line"):
+        (start, end) = _buses()
+        closed = _closed()
+        dss.Lines.Name(name)
+        yield {"name": name, "start": start, "end": end, "closed": closed,
+               "length": dss.Lines.Length(), "amps": dss.Lines.NormAmps(),
+               "phases": dss.Lines.Phases(), "r": [float(r) for r in dss.Lines.RMatrix()],
+               "x": [float(x) for x in dss.Lines.XMatrix()]}
+
+
+def _transformers() -> Iterator[dict[str, Any]]:
+    for name in _of("transformer"):
+        (start, end) = _buses()
+        closed = _closed()
+        dss.Transformers.Name(name)
+        percent = []
+        for winding in (1, 2):
+            dss.Transformers.Wdg(winding)
+            percent.append(dss.Transformers.R())
+        yield {"name": name, "start": start, "end": end, "closed": closed,
+               "r_percent": sum(percent), "kva": dss.Transformers.kVA(),
+               "x_percent": dss.Transformers.Xhl()}
+
+
+def _powers() -> Iterator[dict[str, Any]]:
+    """Loads and generators: nominal powers; PV at its peak and without reactive power."""
+    for kind in ("load", "generator", "pvsystem"):
+        for name in _of(kind):
+            bus = _buses()[0]
+            if kind == "pvsystem":
+                dss.PVsystems.Name(name)
+                p_kw = float(dss.PVsystems.Pmpp())
+                q_kvar = 0.0
+            else:
+                table = dss.Loads if kind == "load" else dss.Generators
+                table.Name(name)
+                p_kw = float(table.kW())
+                q_kvar = float(table.kvar())
+            yield {"kind": kind, "name": name, "bus": bus, "p_kw": p_kw, "q_kvar": q_kvar}
+
+
+def _notes() -> Iterator[str]:
+    """What the balanced equivalent leaves out."""
+    yield ("The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
+           "of single phases count as spread over three. Voltages of single phases, line charging, "
+           "off-nominal ratios, the source's impedance and voltage-dependent loads are left out.")
+    phases = [dss.CktElement.NumPhases() for _ in _of("line")]
+    few = sum(count < THREE_PHASES for count in phases)
+    if few:
+        yield (f"{few} of {len(phases)} lines have fewer than three phases; the equivalent "
+               "understates their voltage drop and losses.")
+    unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
+    if unrated:
+        yield (f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
+               "OpenDSS also gives to lines without a rating.")
+    for kind, words in LEFT_OUT.items():
+        names = list(_of(kind))
+        if names:
+            yield f"{words}: {', '.join(names)}."
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Files of strangers: how much of one is read, and what is never opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vppres.core.errors import InputError, Problem
+
+LARGEST_BYTES = 50 * 2**20
+"""A pandapower net of 10,000 buses has some 10 MB."""
+
+MOST_PROBLEMS = 20
+
+
+def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes:
+    """The content of a regular file of limited size.
+
+    Raises
+    ------
+    InputError
+        If it is a device, a pipe or a folder, or larger; never more than the limit is read.
+    """
+    name = shown or path.name
+    if not path.is_file():  # of a pipe or a device nobody knows the end
+        raise InputError(Problem(name, "is not a regular file", "Give a file."))
+    with path.open("rb") as file:
+        content = file.read(limit + 1)
+    if len(content) > limit:
+        raise InputError(Problem(name, f"has more than {limit / 2**20:.3g} MB, or its folder has",
+                                 "Give the feeder alone, without time series."))
+    return content
+
+
+def read_text(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> str:
+    """The same as text; what is no UTF-8 is replaced, and refused where it matters."""
+    return read_bytes(path, limit, shown).decode("utf-8-sig", errors="replace")
