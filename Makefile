@@ -74,8 +74,11 @@ mutants: $(STAMP)  ## change the code and see tests fail; MUTANTS='vppres.plant.
 reproduce: $(STAMP)  ## run all experiments of the paper and write results/report.html
 	$(BIN)/python -m experiments --results results
 
-studies: $(STAMP)  ## 500 days of faults, 50 beside the baselines, 200 islands: results/studies
+studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 beside the baselines, 200 islands: results/studies
 	$(BIN)/python -m experiments.campaign --results results/studies
+	$(BIN)/python -m experiments.quiet_days --results results/studies
+	$(BIN)/python -m experiments.alarms --results results/studies
+	$(BIN)/python -m experiments.garbage --results results/studies
 	$(BIN)/python -m experiments.baselines --results results/studies
 	$(BIN)/python -m experiments.islands --out results/studies/islands
 

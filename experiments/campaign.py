@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
@@ -78,6 +79,8 @@ class DayOutcome:
         Those of them in which the one-step problem serves more critical customers.
     process_s : float
         Processor time of the day, the judging left out.
+    alarms : dict
+        Alarms of frozen readings, by quantity.
     """
 
     seed: int
@@ -93,6 +96,7 @@ class DayOutcome:
     judged: int
     violations: list[str]
     process_s: float
+    alarms: dict[str, Alarms]
 
 
 def run_one(seed: int) -> DayOutcome:
@@ -115,7 +119,8 @@ def run_one(seed: int) -> DayOutcome:
         estimated=sum(record.steps["estimated"] != "" for record in records),
         ac_failures=sum(record.steps["ac_failed"] != "" for record in records),
         unnamed=sum(_unnamed(record) for record in records),
-        judged=len(to_judge), violations=judge(drawn, to_judge), process_s=process_s)
+        judged=len(to_judge), violations=judge(drawn, to_judge), process_s=process_s,
+        alarms=counted(drawn.scenario, faults, records))
 
 
 def _play(drawn: RandomDay, faults: FaultPlan,
@@ -209,6 +214,8 @@ def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:
         markdown_table(("", ""), summary), "## Fallbacks by kind",
         markdown_table(("kind", "steps", "days", "share of steps"), by_kind),
         "## Days with faults", markdown_table(("fault", "days"), fault_days),
+        "## Alarms of frozen readings",
+        markdown_table(HEADINGS, alarm_rows(outcome.alarms for outcome in outcomes)),
         "## Days that ended early, and critical customers shed without need", bad,
         "Each step that shed a critical customer is solved again afterwards, alone, from what was "
         f"known in it, with the first tier above everything else ({', '.join(JUDGE)}). "

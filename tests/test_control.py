@@ -11,10 +11,12 @@ import pandas as pd
 import pytest
 
 import vppres
+from experiments.garbage import beyond_limits, run_one
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.contract.forecast import ForecastErrors
-from vppres.core.errors import LimitError
+from vppres.core.errors import LimitError, SolveError, VerificationError
 from vppres.scenario.rules import SwitchingRules
+from vppres.solve.result import SolveLimits
 
 SOC = {"big": 0.5, "small": 0.5}
 
@@ -104,19 +106,20 @@ def test_forecast_is_a_table_by_time(tiny: Scenario) -> None:
 
 def test_state_of_charge_beyond_the_limits_counts_as_the_limit(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=0))
-    outside = controller.step(Measurement(controller.times[3], {"big": 0.0, "small": 1.0}))
+    outside = controller.step(Measurement(controller.times[3], {"big": 0.11, "small": 0.89}))
+    assert outside.solve["estimated"] == ""
     at_limit = controller.step(Measurement(controller.times[3], {"big": 0.15, "small": 0.85}))
     assert outside.batteries["soc_end"].to_numpy() == pytest.approx(
         at_limit.batteries["soc_end"].to_numpy(), abs=1e-7)
 
 
 def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
-    controller = Controller.of(tiny)
+    controller = Controller.of(tiny, RunOptions(guard=False))
     wrong = Measurement(
         pd.Timestamp("2022-07-19T10:30Z"), soc={"bgi": 0.5, "small": 15.0},
         load_kw={"shop": -1.0}, pv_kw=pd.DataFrame({"roof": [np.nan]}, index=controller.times[:1]),
         grid_limit_kw=pd.Series([5.0], index=[pd.Timestamp("2022-07-20T10:00Z")]),
-        price_gbp_per_kwh=float("inf"), eta_charge={"big": 0.0})
+        price_gbp_per_kwh=float("inf"), eta_charge={"big": 0.0}, online={"small": False})
     with pytest.raises(InputError) as caught:
         controller.step(wrong)
     steps = ("The scenario's steps begin at 2022-07-19T10:00:00+00:00 and last 60 min; "
@@ -133,9 +136,11 @@ def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
         "measurement, soc = bgi: is not in the scenario. Did you mean big?",
         "measurement, soc of small = 15.0: must lie between 0 and 1. "
         "Give a share, for example 0.5.",
+        "measurement, eta_charge of big = 0.0: must lie between 0.1 and 1. "
+        "Give a share, for example 0.95.",
         "measurement, soc of big: is missing. Give the state of charge of every battery.",
-        "measurement, eta_charge of big = 0.0: must lie between 0 and 1. "
-        "Give a share, for example 0.5.",
+        "measurement, online of small = False: needs a guard, which plans without the battery. "
+        "Leave RunOptions.guard as it is.",
     ]
     with pytest.raises(InputError, match="is not the beginning of a step"):
         controller.window(pd.Timestamp("2022-07-19T10:30Z"))
@@ -224,3 +229,239 @@ def test_set_points_say_when_they_are_a_fallback(
     assert second.solve["fallback"] == second.solve["status"] == "previous_plan"
     assert "the solver ran out of time" in second.solve["fallback_reason"]
     assert "the solver ran out of time" in second._repr_html_()
+
+
+# The door.
+
+
+def refused(controller: Controller, **given: Any) -> list[str]:
+    """What is said of a measurement of the first step."""
+    measured = Measurement(**{"time": controller.times[0], "soc": SOC, **given})
+    with pytest.raises(InputError) as caught:
+        controller.step(measured)
+    return str(caught.value).splitlines()
+
+
+LEAVE = "Give a number; leave out what was not measured, or give NaN."
+WRITE = "Write it with an offset, for example 2022-07-19T12:00:00Z."
+
+
+@pytest.mark.parametrize(("given", "text"), [
+    ({"load_kw": {"shop": "40"}}, f"load_kw of shop = 40: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": [40.0]}}, f"load_kw of shop = [40.0]: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": pd.NA}}, f"load_kw of shop = <NA>: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": None}}, f"load_kw of shop = None: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": {"homes": 1.0}}},
+     f"load_kw of shop = {{'homes': 1.0}}: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": True}}, f"load_kw of shop = True: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": 10**400}}, f"load_kw of shop = 1{'0' * 59}...: is not a number. {LEAVE}"),
+    ({"load_kw": {"shop": np.inf}},
+     "load_kw of shop = inf: must be a number not below 0. Correct the measurement."),
+    ({"load_kw": {"shop": 1e300}}, "load_kw of shop = 1e+300: is more than any feeder has: check "
+     "the unit. Correct the measurement."),
+    ({"load_kw": {"\x1b": 1.0}}, "load_kw = '\\x1b': is not in the scenario. Correct the "
+     "identifier. Known: hospital, shop, homes."),
+    ({"load_kw": 40.0}, "load_kw = float 40.0: is not a mapping, a Series or a DataFrame by time. "
+     "Give values by identifier, for example {'a': 1}."),
+    ({"load_kw": pd.Series([1.0, 2.0], index=["shop", "shop"])},
+     "load_kw = shop: is given more than once. Give each identifier once."),
+    ({"pv_kw": pd.DataFrame([[1.0, 2.0]], columns=["roof", "roof"],
+                            index=[pd.Timestamp("2022-07-19T10:00Z")])},
+     "pv_kw = roof: is given more than once. Give each identifier once."),
+    ({"pv_kw": pd.DataFrame({"roof": [1.0]}, index=["2022-07-19T10:00"])},
+     f"pv_kw = 2022-07-19T10:00: has no time zone. {WRITE}"),
+    ({"pv_kw": pd.DataFrame({"roof": [1.0, np.nan]},
+                            index=pd.to_datetime(["2022-07-19T10:00Z", "2022-07-19T11:00Z"]))},
+     "pv_kw of roof = nan: must be a number not below 0. Correct the measurement."),
+    ({"grid_limit_kw": pd.Series([1.0, 2.0], index=["2022-07-19T10:00Z"] * 2)},
+     "grid_limit_kw = 2022-07-19 10:00:00+00:00: is given more than once. Give each time once."),
+    ({"price_gbp_per_kwh": [0.3]}, f"price_gbp_per_kwh = [0.3]: is not a number. {LEAVE}"),
+    ({"soc": {"big": 0.5, "small": "half"}}, f"soc of small = half: is not a number. {LEAVE}"),
+    ({"soc": [0.5, 0.5]}, "soc = list [0.5, 0.5]: is not a mapping or a Series. Give values by "
+     "identifier, for example {'a': 1}."),
+    ({"online": {"big": 1}}, "online of big = 1: is neither true nor false. Give True or False."),
+    ({"battery_kw": {"big": 40e3}}, "battery_kw of big = 40000.0: is beyond the inverter's rating "
+     "of 60 kVA. Give the power in kW."),
+    ({"import_kw": "much"}, f"import_kw = much: is not a number. {LEAVE}"),
+    ({"time": "2022-07-19T10:00"}, f"time = 2022-07-19T10:00: has no time zone. {WRITE}"),
+    ({"time": "now"}, f"time = now: is not a date and time. {WRITE}"),
+    ({"time": pd.NaT}, f"time = NaT: is not a date and time. {WRITE}"),
+])
+def test_each_mistake_names_quantity_value_and_cure(tiny: Scenario, given: dict[str, Any],
+                                                    text: str) -> None:
+    assert refused(Controller.of(tiny), **given) == [f"measurement, {text}"]
+
+
+def test_many_mistakes_of_a_kind_are_counted(tiny: Scenario) -> None:
+    lines = refused(Controller.of(tiny), load_kw={f"x{i}": 1.0 for i in range(5000)})
+    assert len(lines) == 21
+    assert lines[-1] == "measurement, load_kw: has 4980 more problems. Cure those above first."
+
+
+class Liar(dict[str, float]):
+    """A mapping that raises what it likes."""
+
+    def items(self) -> Any:
+        raise LookupError("not today")
+
+
+def test_what_cannot_be_read_is_an_input_error(tiny: Scenario) -> None:
+    controller = Controller.of(tiny)
+    assert refused(controller, load_kw=Liar()) == [
+        "measurement: cannot be read: LookupError, not today. Give plain dictionaries, numbers, "
+        "Series and DataFrames."]
+    with pytest.raises(InputError, match="observation = 5: is not a Measurement"):
+        controller.step(5)  # type: ignore[arg-type]
+
+
+def test_time_may_be_text_and_never_goes_back(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    assert list(controller.window("2022-07-19T13:00:00+01:00")) == [controller.times[2]]
+    decision = controller.step(Measurement("2022-07-19T13:00:00+01:00", SOC))
+    assert decision.time == controller.times[2]
+    assert refused(controller, time=controller.times[1]) == [
+        "measurement, time = 2022-07-19 11:00:00+00:00: lies before the step that was decided "
+        "last, 2022-07-19T12:00:00+00:00. Decide steps in their order; to begin again, make "
+        "another Controller."]
+
+
+@pytest.mark.parametrize(("given", "text"), [
+    ({"gap_rel": 0.0}, "gap_rel = 0.0: must be a finite number above 0. Give a share"),
+    ({"gap_abs": float("nan")}, "gap_abs = nan: must be a finite number above 0. Give weighted"),
+    ({"time_s": float("inf")}, "time_s = inf: must be a finite number above 0. Give seconds"),
+    ({"time_s": "long"}, "time_s = long: must be a finite number above 0. Give seconds"),
+    ({"time_s": True}, "time_s = True: must be a finite number above 0. Give seconds"),
+])
+def test_limits_of_a_solve_are_checked(given: dict[str, Any], text: str) -> None:
+    with pytest.raises(InputError, match=f"^limits, {text}"):
+        SolveLimits(**given)
+
+
+# What the guard promises is there live.
+
+
+def test_missing_readings_are_estimated(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=2.0))
+    first = controller.step(Measurement(controller.times[0], SOC))
+    left = dict(first.batteries["soc_end"])
+    second = controller.step(Measurement(controller.times[1], load_kw={"shop": -3.0},
+                                         pv_kw={"roof": float("nan")}))
+    known = Controller.of(tiny, RunOptions(horizon_h=2.0))
+    known.step(Measurement(known.times[0], SOC))
+    told = known.step(Measurement(known.times[1], left))
+    assert second.solve["estimated"] == (
+        f"soc big {left['big']:.4f} (missing); soc small {left['small']:.4f} (missing); "
+        "load shop 41.00 kW (missing); pv roof 28.00 kW (missing)")
+    assert second.customers.equals(told.customers)
+    assert second.batteries.to_numpy() == pytest.approx(told.batteries.to_numpy(), abs=1e-5)
+
+
+def test_state_of_charge_far_outside_is_reckoned(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    first = controller.step(Measurement(controller.times[3], SOC))
+    left = first.batteries["soc_end"]["big"]
+    second = controller.step(Measurement(controller.times[4], {"big": 0.95, "small": 0.5}))
+    assert second.solve["estimated"] == f"soc big {left:.4f} (missing)"
+
+
+def test_set_points_are_held_over_steps_that_were_left_out(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    first = controller.step(Measurement(controller.times[3], SOC))
+    change = first.batteries["soc_end"]["big"] - 0.5
+    later = controller.step(Measurement(controller.times[5], {"small": 0.5}))
+    assert change < -0.1
+    assert later.solve["estimated"] == f"soc big {max(0.5 + 2 * change, 0.15):.4f} (missing)"
+
+
+def test_silent_battery_and_one_that_reports_to_be_out(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=0))
+    first = controller.step(Measurement(controller.times[3], SOC))
+    assert first.batteries["p_kw"]["big"] < -1.0
+    silent = controller.step(Measurement(controller.times[4], SOC, battery_kw={
+        "big": 0.0, "small": first.batteries["p_kw"]["small"]}))
+    assert silent.solve["estimated"] == "battery big is out"
+    assert silent.batteries["p_kw"]["big"] == silent.batteries["q_kvar"]["big"] == 0.0
+    told = Controller.of(tiny, RunOptions(horizon_h=0)).step(
+        Measurement(controller.times[4], SOC, online={"small": False}))
+    assert told.solve["estimated"] == "battery small is out"
+    assert told.batteries["p_kw"]["small"] == 0.0
+
+
+def test_frozen_demand_shows_in_the_import(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=1.0))
+    frozen = {"hospital": 60.0, "shop": 40.0, "homes": 50.0}
+    rise_kw = np.array([0.0, 30.0, 35.0])  # what customers really take beyond the readings
+    words = []
+    soc: dict[str, float] = SOC
+    came: dict[str, Any] = {}
+    for t in range(3):
+        decision = controller.step(Measurement(controller.times[t], soc, load_kw=frozen, **came))
+        words.append(decision.solve["estimated"])
+        soc = dict(decision.batteries["soc_end"])
+        came = {"battery_kw": dict(decision.batteries["p_kw"]),
+                "import_kw": decision.import_kw + rise_kw[t]}
+    assert words == ["", "", "load of all 3, 153.0 kW (frozen)"]
+
+
+# A step that fails or is decided again.
+
+
+@pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
+def test_step_that_fails_leaves_the_controller_as_it_was(
+        tiny: Scenario, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rules = SwitchingRules(min_unserved_h=2.0)
+    options = RunOptions(controller=kind, horizon_h=2.0, switching=rules)
+    plain = followed(tiny, options)
+    controller = Controller.of(tiny, options)
+    soc = dict(zip(tiny.batteries.id, tiny.batteries.soc_initial, strict=True))
+    for time, expected in zip(controller.times, plain, strict=True):
+        for error, raised in ((VerificationError("no solution"), VerificationError),
+                              (ZeroDivisionError("oh"), SolveError),
+                              (KeyboardInterrupt(), KeyboardInterrupt)):
+            with monkeypatch.context() as patch:
+                def fails(*_: object, error: BaseException = error) -> None:
+                    raise error
+
+                patch.setattr("vppres.day.simulate.Day.settle", fails)
+                with pytest.raises(raised):
+                    controller.step(Measurement(time, {"big": 0.4, "small": 0.4}))
+        with pytest.raises(InputError):
+            controller.step(Measurement(time, {"bgi": 0.4}))
+        decision = controller.step(Measurement(time, soc))
+        soc = dict(decision.batteries["soc_end"])
+        for name in ("customers", "batteries", "pv", "buses"):
+            assert getattr(decision, name).equals(getattr(expected, name)), name
+
+
+def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None:
+    rules = SwitchingRules(min_unserved_h=2.0, max_actions_per_customer=2)
+    options = RunOptions(horizon_h=1.0, switching=rules)
+    plain = followed(tiny, options)
+    controller = Controller.of(tiny, options)
+    soc = dict(zip(tiny.batteries.id, tiny.batteries.soc_initial, strict=True))
+    for time, expected in zip(controller.times, plain, strict=True):
+        controller.step(Measurement(time, soc, load_kw={"shop": 500.0}, grid_limit_kw=0.0))
+        decision = controller.step(Measurement(time, soc))
+        soc = dict(decision.batteries["soc_end"])
+        assert decision.customers.equals(expected.customers)
+        assert decision.batteries.equals(expected.batteries)
+
+
+# Garbage.
+
+
+def test_garbage_is_refused_by_name_or_answered_within_ratings() -> None:
+    outcomes = [run_one(seed, 30) for seed in range(10)]
+    assert [text for outcome in outcomes for text in outcome.wrong] == []
+    assert sum(outcome.answered for outcome in outcomes) > 60
+    assert sum(outcome.refused for outcome in outcomes) > 60
+
+
+def test_set_points_beyond_a_limit_are_seen(tiny: Scenario) -> None:
+    done = Controller.of(tiny, RunOptions(horizon_h=0)).step(Measurement(tiny.grid.times[3], SOC))
+    assert beyond_limits(tiny, done) == []
+    done.batteries.loc["big", ["p_kw", "q_kvar", "soc_end"]] = [51.0, 40.0, 0.9]
+    done.pv.loc["roof", ["p_kw", "q_kvar"]] = [np.nan, 0.0]
+    assert beyond_limits(tiny, done) == [
+        "battery rating by 1", f"battery disc by {np.hypot(51, 40) - 60:g}",
+        "state of charge by 0.05", "pv disc by nan", "pv sign by nan"]

@@ -2,8 +2,8 @@
 
 The feeder is 1 - 2 - 3 with 1 kV, so that an ohm and a kW are a thousandth of a pu² (times two).
 ``shop`` is at bus 2 and owns ``deck``, ``home`` is at bus 3 and owns ``roof``. The dispatch obeys
-no equation: what each misses by is the sum of all of its terms, so that a term that is dropped or has
-another sign changes the number.
+no equation: what each misses by is the sum of all of its terms, so that a term that is dropped or
+has another sign changes the number.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.quiet_days import difference, run_one
 from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
@@ -18,7 +19,9 @@ from tests.support.set_points import decision
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
+from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.check import violations
+from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.guard.relax import least_slack
 from vppres.control.mpc import MPCController
@@ -34,6 +37,7 @@ from vppres.model.site import Site
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
@@ -516,3 +520,119 @@ def test_reported_trip_takes_the_battery_out_of_the_plan(tiny: Scenario) -> None
         r.batteries["charge_kw"][0] == r.batteries["discharge_kw"][0] == 0.0 for r in records[3:]
     )
     assert any(r.batteries["discharge_kw"][1] > 1.0 for r in records[3:])
+
+
+# Days without faults.
+
+
+def test_guard_changes_no_decision_of_a_day_without_faults() -> None:
+    outcomes = [run_one(seed) for seed in range(1000, 1040)]
+    assert [f"day {o.seed}, {text}" for o in outcomes for text in o.changed] == []
+    assert sum(outcome.steps for outcome in outcomes) > 150
+    assert {outcome.values for outcome in outcomes} == {"moving", "repeated", "constant"}
+
+
+def test_constant_demand_under_noisy_forecasts_is_believed(tiny: Scenario) -> None:
+    still = replace(
+        tiny, load_kw=np.tile(tiny.load_kw[0], (6, 1)), pv_kw=np.tile(tiny.pv_kw[0], (6, 1))
+    )
+    run = run_day(still, RunOptions(horizon_h=2.0, errors=ForecastErrors(0.3, 0.3, -0.3, 0.3)))
+    assert set(run.steps["estimated"]) == {""}
+    assert set(run.steps["fallback"]) == {"none"}
+
+
+def test_a_changed_decision_is_seen(tiny: Scenario) -> None:
+    plain = decision(tiny)
+    assert difference(plain, plain) == ""
+    moved = replace(plain.dispatch, charge_kw=plain.dispatch.charge_kw + 1e-12)
+    assert difference(replace(plain, dispatch=moved), plain) == "charge_kw"
+    named = replace(plain, fallback_reason="late", estimated="soc")
+    assert difference(named, plain) == "late; soc"
+
+
+def test_state_of_charge_in_whole_per_cent_is_believed(tiny: Scenario) -> None:
+    def rounded(seen: Observation) -> Observation:
+        return replace(seen, soc=np.round(seen.soc, 2))
+
+    quarters = replace(tiny, grid=TimeGrid(tiny.grid.start, 2.0, 6))
+    day = seen_day(quarters, rounded, OPTIONS)
+    assert [r.steps["estimated"] for r in day.recorder.records] == [""] * 6
+
+
+def frozen_load(day: Scenario, first: int, last: int) -> Callable[[Observation], Observation]:
+    """Demand is read as it was in one step until another."""
+
+    def frozen(seen: Observation) -> Observation:
+        rows = np.array(seen.forecast.load_kw)
+        if first <= seen.t0 <= last:
+            rows[0] = day.load_kw[first]
+        return replace(seen, forecast=replace(seen.forecast, load_kw=rows))
+
+    return frozen
+
+
+def test_frozen_load_is_believed_again_once_it_moves(tiny: Scenario) -> None:
+    falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
+    day = seen_day(falling, frozen_load(falling, 1, 4), OPTIONS)
+    words = [r.steps["estimated"] for r in day.recorder.records]
+    # Step 2 reads what is no longer true, and steps 3 and 4 know by the import of the step before.
+    assert [bool(text) for text in words] == [False, False, False, True, True, False]
+
+
+def test_frozen_load_is_believed_again_once_it_is_true(tiny: Scenario) -> None:
+    load = np.tile(tiny.load_kw[0], (6, 1))
+    load[2:4] *= 0.6
+    dip = replace(tiny, load_kw=load, grid_limit_kw=np.full(6, np.inf))
+    words = [
+        r.steps["estimated"]
+        for r in seen_day(dip, frozen_load(dip, 0, 5), OPTIONS).recorder.records
+    ]
+    # The forecast of step 4 says what is read.
+    assert [bool(text) for text in words] == [False, False, False, True, False, False]
+
+
+def test_frozen_load_is_kept_where_the_forecast_is_further_off(tiny: Scenario) -> None:
+    falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.7, 6)[:, None])
+    wild = replace(OPTIONS, errors=ForecastErrors(load_bias=0.9))
+    words = [
+        r.steps["estimated"]
+        for r in seen_day(falling, frozen_load(falling, 0, 5), wild).recorder.records
+    ]
+    assert words[2:] == [f"load of all 3, {falling.load_kw[0].sum():.1f} kW (frozen, kept)"] * 4
+
+
+def test_without_a_measured_import_nothing_is_frozen(tiny: Scenario) -> None:
+    falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
+    frozen = frozen_load(falling, 0, 5)
+    for blind in ("import_kw", "battery_kw", "one battery"):
+
+        def veiled(seen: Observation, blind: str = blind) -> Observation:
+            if blind == "one battery":
+                partly = None if seen.battery_kw is None else seen.battery_kw * [np.nan, 1.0]
+                return replace(frozen(seen), battery_kw=partly)
+            return replace(frozen(seen), **{blind: None})
+
+        words = [r.steps["estimated"] for r in seen_day(falling, veiled, OPTIONS).recorder.records]
+        assert words == [""] * 6
+
+
+def test_frozen_soc_without_measured_power_is_no_alarm(tiny: Scenario) -> None:
+    def still(seen: Observation) -> Observation:
+        return replace(seen, soc=tiny.batteries.soc_initial, battery_kw=None)
+
+    words = [r.steps["estimated"] for r in seen_day(tiny, still, OPTIONS).recorder.records]
+    assert words == [""] * 6
+
+
+def test_batteries_of_a_feeder_that_is_off_are_not_silent(tiny: Scenario) -> None:
+    estimator = Estimator(Site.of(tiny))
+    estimator.commanded(decision(tiny, battery_kw=[20.0, -20.0]))
+    day = Day(tiny, OPTIONS)
+    seen = day.observe(make_controller(tiny, OPTIONS), 1)
+    idle = replace(seen, battery_kw=np.zeros(2))
+    flows = np.zeros(3)
+    off = OperatingPoint(np.ones(4), flows, flows, np.zeros(4), np.zeros(4))
+    on = replace(off, p_injection_kw=np.array([0.0, -5.0, 0.0, 0.0]))
+    assert estimator.known(idle).online.all()  # dark: no operating point
+    assert estimator.known(replace(idle, operating_point=off)).online.all()
+    assert not estimator.known(replace(idle, operating_point=on)).online.any()
