@@ -20,7 +20,6 @@ from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.guard.check import violations
 from vppres.control.guard.guard import GuardedController, GuardOptions
-from vppres.control.guard.relax import least_slack
 from vppres.control.mpc import MPCController
 from vppres.control.rules import best_subset, carry, rule_dispatch
 from vppres.control.step_state import StepState
@@ -36,6 +35,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
+from vppres.solve.slack import least_slack
 
 TIERS = ("critical", "high", "low")
 SEEDS = st.integers(0, 10_000)

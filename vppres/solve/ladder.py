@@ -21,6 +21,7 @@ from vppres.solve.network.decide import InNetwork, is_large
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.search import GRACE_S, Candidate, Search
+from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver, run, run_conic
 
 METHODS = ("decomposed", "monolithic")
@@ -69,6 +70,11 @@ class WindowSolver:
         """Fixed data."""
         return self.cache.site
 
+    @property
+    def compilations(self) -> int:
+        """Problems compiled for the site so far."""
+        return self.cache.compilations
+
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window.
 
@@ -103,6 +109,16 @@ class WindowSolver:
         search = Search(self.limits, self.limits.absolute(whole))
         self._recover(data, served, search, network=True)
         return self._finish(data, search) if search.answered else None
+
+    def least_slack(self, data: WindowData) -> float:
+        """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
+
+        Raises
+        ------
+        SolveError
+            If not even free voltages leave one.
+        """
+        return least_slack(self.site, data, self.limits.time_s)
 
     def _decomposed(self, data: WindowData, whole: float, search: Search) -> None:
         """Relaxations of growing size, each with its bound, until bound and dispatch meet.
