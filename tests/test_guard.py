@@ -23,7 +23,6 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.check import violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
-from vppres.control.guard.relax import least_slack
 from vppres.control.mpc import MPCController
 from vppres.control.rules import best_subset, carry, rule_dispatch
 from vppres.control.step_state import StepState
@@ -40,6 +39,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
+from vppres.solve.slack import least_slack
 
 TIERS = ("critical", "high", "low")
 SEEDS = st.integers(0, 10_000)

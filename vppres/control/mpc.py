@@ -63,7 +63,7 @@ class MPCController:
             now_kw = plan.charge_kw[0] - plan.discharge_kw[0]
             moved_kw = float(np.abs(now_kw - before.planned_kw[0]).sum())
         self._last = observation.t0, plan
-        info = solve_info(solution, self.solver.cache.compilations, relaxed)
+        info = solve_info(solution, self.solver.compilations, relaxed)
         return Decision(plan, 0, replace(info, moved_kw=moved_kw))
 
     def _before(self, observation: Observation) -> Moves | None:

@@ -103,5 +103,9 @@ class LimitError(SolveError):
     """Time ran out before the first feasible dispatch."""
 
 
+class SolverLostError(SolveError):
+    """The process that was solving a window died, ran out of memory or passed its deadline."""
+
+
 class VerificationError(VppresError):
     """The AC power flow has no solution or was not found, or contradicts the dispatch."""

@@ -251,23 +251,33 @@ class FaultySolver(WindowSolver):
         self.spec = solver.spec
         self.sides = solver.sides
         self.cache = solver.cache
+        self._solver = solver
         self._injector = injector
+
+    @property
+    def compilations(self) -> int:
+        """Those of the solver that works."""
+        return self._solver.compilations
 
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window, or fail at it."""
         fault = self._injector.solver_fault()
         _fail(fault)
-        solution = super().solve(data)
+        solution = self._solver.solve(data)
         return solution if fault is None else _garbled(solution, fault, self.site)
 
     def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
         """Dispatch of a served set, or a failure."""
         fault = self._injector.solver_fault()
         _fail(fault)
-        solution = super().solve_served(data, served)
+        solution = self._solver.solve_served(data, served)
         if fault is None or solution is None:
             return solution
         return _garbled(solution, fault, self.site)
+
+    def least_slack(self, data: WindowData) -> float:
+        """Least slack of the voltage limits; no fault befalls it."""
+        return self._solver.least_slack(data)
 
 
 def _fail(fault: SolverFault | None) -> None:

@@ -20,6 +20,7 @@ from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.rungs import all_terms, everyone_served, service_then_cost
 from vppres.solve.network.decide import enter_network
 from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
 from vppres.solve.whole import with_binaries, without_binaries
@@ -67,6 +68,11 @@ class WindowSolver:
         """Fixed data."""
         return self.cache.site
 
+    @property
+    def compilations(self) -> int:
+        """Problems compiled for the site so far."""
+        return self.cache.compilations
+
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window.
 
@@ -100,6 +106,16 @@ class WindowSolver:
         task = self._task(data)
         keep_dispatch_in_network(task, served)
         return task.solution() if task.certificate.answered else None
+
+    def least_slack(self, data: WindowData) -> float:
+        """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
+
+        Raises
+        ------
+        SolveError
+            If not even free voltages leave one.
+        """
+        return least_slack(self.site, data, self.limits.time_s)
 
     def _task(self, data: WindowData) -> WindowTask:
         """A window whose time begins now."""

@@ -7,18 +7,16 @@ from dataclasses import replace
 from functools import partial
 
 from vppres.model.data import WindowData
-from vppres.model.elastic import ElasticModel, widened, with_limits
+from vppres.model.elastic import widened, with_limits
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
-from vppres.solve.solvers import run_conic
 
 SolverOf = Callable[[Site], WindowSolver]
 # Solution, the voltage limits it holds, and what was given up in words.
 Answer = tuple[WindowSolution, tuple[float, float], str]
 
-ELASTIC_TIME_S = 20.0
 SLACK_MARGIN_PU2 = 1e-4
 """Added to the least slack, which interior points find within their tolerance."""
 
@@ -41,21 +39,6 @@ def relaxed_answers(site: Site, data: WindowData,
     yield "service", partial(_step_alone, site, data, solver_of)
 
 
-def least_slack(site: Site, data: WindowData) -> float:
-    """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
-
-    Raises
-    ------
-    SolveError
-        If not even free voltages leave one.
-    """
-    model = ElasticModel(site, data.n_steps)
-    model.fill(data)
-    outcome = run_conic(model.problem, ELASTIC_TIME_S)
-    outcome.require_answer(f"The window of {data.n_steps} steps without voltage limits")
-    return max(outcome.value, 0.0)
-
-
 def _with_ac_limits(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
     """The window with the limits that the AC voltages must hold in place of the tighter ones."""
     net = site.network
@@ -65,7 +48,7 @@ def _with_ac_limits(site: Site, data: WindowData, solver_of: SolverOf) -> Answer
 
 def _elastic(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
     """The window with limits as wide as they have to be."""
-    slack = least_slack(site, data) + SLACK_MARGIN_PU2
+    slack = solver_of(site).least_slack(data) + SLACK_MARGIN_PU2
     return _solved(widened(site.network, slack), site, data, solver_of)
 
 

@@ -1,0 +1,495 @@
+"""Windows solved in a process of their own, which is killed and replaced when it is late.
+
+A solver is compiled code: it may crash, or wait for ever where no time limit of its own reaches.
+In a process of its own that costs a window its answer, and the controller nothing. The process is a
+fresh interpreter (``spawn``; HiGHS is never run in threads), is kept warm between windows and
+shared by all solvers of a thread. POSIX systems only: ``docs/operation.md``.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vppres.core.arrays import Flags
+from vppres.core.errors import InputError, Problem, SolverLostError
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.solve.dispatch import POLYGON_SIDES
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task
+
+SUPPORTED = os.name == "posix"
+"""Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
+
+GRACE_S = 1.0
+GRACE_S_PER_BUS = 1.5e-3
+"""What an answer may take beyond the window's time limit.
+
+A solver looks at its clock between iterations, and what it found is still put into the network and
+sent: half a second on 33 buses, two on 1,000. The rest is for a machine that is busy.
+"""
+
+COMPILE_S = 2.0
+COMPILE_S_PER_ENTRY = 2e-3
+"""What a process may take longer over its first window of a kind, which it compiles.
+
+An entry is a bus in a step. Compiling took 0.2 s for 33 buses and 6 steps, and 3 s for 1,021.
+"""
+
+START_S = 60.0
+"""Time for a process to load the libraries: 3.5 s of a processor that others may want too."""
+
+REPLAY_S = 5.0
+"""Largest time limit of the window with which a process that replaces another warms up."""
+
+MEMORY_SHARE = 0.5
+"""Share of the memory there is that a solver may allocate: the controller has to live as well."""
+
+SITES_KEPT = 3
+"""Sites of which a process keeps compiled problems, as ``shared_cache`` does."""
+
+LOG_READ = 2000
+"""How much of what a process wrote goes into the note of its error, in bytes."""
+
+_SOON_S = 1e-3
+_REAP_S = 1.0
+
+
+class Worker:
+    """A solver's process, started at once and loading while the caller goes on.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        What it may allocate.
+    last : (Task, object), optional
+        Task and kind with which it compiles problems before the first task.
+
+    Raises
+    ------
+    SolverLostError
+        If the process cannot be started.
+    """
+
+    def __init__(self, memory_bytes: int, last: tuple[Task, object] | None = None) -> None:
+        self.memory_bytes = memory_bytes
+        self.last: tuple[Task, object] | None = None
+        self._warm: OrderedDict[str, set[object]] = OrderedDict()
+        self._start_s = START_S
+        if last is not None:
+            self._start_s += 2.0 * REPLAY_S
+            self.done(*last)
+        self._begin = time.monotonic()
+        self._ready = False
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
+        ours, theirs = socket.socketpair()
+        self._channel = Channel(ours)
+        try:
+            with theirs, tempfile.TemporaryFile() as start:
+                replay = None if last is None else _replay(last[0])
+                pickle.dump(Start(memory_bytes, replay), start, protocol=5)
+                start.seek(0)
+                self.process = _spawned(theirs, start, self._log)
+        except (OSError, ValueError) as error:
+            self._channel.close()
+            self._log.close()
+            raise SolverLostError(
+                f"The solver's process could not be started: {error}. Solve in the controller's "
+                "own process, RunOptions(isolate=False) or --no-isolate.") from error
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self.process.poll() is None
+
+    def knows(self, task: Task, kind: object) -> bool:
+        """Whether the process has done a task of that kind, and so compiled its problems."""
+        return kind in self._warm.get(task.key, ())
+
+    def compiled(self, key: str) -> bool:
+        """Whether the process has compiled any problems of a setup."""
+        return key in self._warm
+
+    def done(self, task: Task, kind: object) -> None:
+        """Remember a task that was done."""
+        self.last = task, kind
+        kinds = self._warm.pop(task.key, set())
+        self._warm[task.key] = kinds | {kind}
+        while len(self._warm) > SITES_KEPT:
+            self._warm.popitem(last=False)
+
+    def ask(self, task: Task, within_s: float) -> Reply:
+        """Do a task.
+
+        Parameters
+        ----------
+        task : Task
+            With its setup, which is sent only where the process lacks it.
+        within_s : float
+            Time until the reply, once the process is ready, in s.
+
+        Raises
+        ------
+        SolverLostError
+            If there is no reply in time; the process is to be ended then.
+        """
+        if not self._ready:
+            self._hear(self._begin + self._start_s, "start", self._start_s)
+            self._ready = True
+        due = time.monotonic() + within_s
+        reply = self._exchange(replace(task, setup=None), due, within_s)
+        return self._exchange(task, due, within_s) if reply.unknown else reply
+
+    def _exchange(self, task: Task, due: float, within_s: float) -> Reply:
+        """Send and hear."""
+        try:
+            self._channel.send(task, max(due - time.monotonic(), _SOON_S))
+        except TimeoutError:
+            raise _late("answer", within_s) from None
+        except OSError:
+            raise self._dead() from None
+        return self._hear(due, "answer", within_s)
+
+    def _hear(self, due: float, verb: str, within_s: float) -> Reply:
+        """The next reply."""
+        try:
+            reply: Reply = pickle.loads(self._channel.receive(due - time.monotonic()))
+        except TimeoutError:
+            raise _late(verb, within_s) from None
+        except (EOFError, OSError):
+            raise self._dead() from None
+        except Exception as error:
+            raise SolverLostError("The solver's process sent what cannot be read: "
+                                  f"{type(error).__name__}: {error}.") from error
+        return reply
+
+    def _dead(self) -> SolverLostError:
+        """The error of a process that has ended by itself."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_REAP_S)  # its socket closes a moment before it is gone
+        log = self._last_words()
+        error = SolverLostError(f"The solver's process {self._end_in_words(log)}.")
+        if log:
+            error.add_note(f"Its last words:\n{log}")
+        return error
+
+    def _end_in_words(self, log: str) -> str:
+        """How the process ended."""
+        status = self.process.returncode
+        # C++ and Rust say so and abort.
+        refused = "bad_alloc" in log or "memory allocation of" in log
+        if status == OUT_OF_MEMORY or (status == -signal.SIGABRT and refused):
+            return f"ran out of memory, {self.memory_bytes / 1e9:.1f} GB"
+        if status is None:
+            return "closed its socket"
+        if status == -signal.SIGKILL:
+            return "was killed by signal 9 (SIGKILL), as the system does where memory runs out"
+        if status < 0:
+            return f"died of signal {-status} ({_signal_name(-status)})"
+        return f"ended with status {status}"
+
+    def _last_words(self) -> str:
+        """End of what it wrote to standard output and error."""
+        self._log.seek(0, os.SEEK_END)
+        self._log.seek(max(self._log.tell() - LOG_READ, 0))
+        return self._log.read().decode(errors="replace").strip()
+
+    def end(self) -> None:
+        """Kill the process and leave nothing of it."""
+        self.process.kill()
+        self._channel.close()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_REAP_S)
+        self._log.close()
+
+    def forget(self) -> None:
+        """Let go of a process that another process started, after a fork."""
+        self._channel.close()
+        self._log.close()
+        self.process.returncode = 0
+
+
+def _replay(task: Task) -> Task:
+    """The task with a time limit that ends a search soon: it is there for its problems."""
+    setup = task.setup
+    assert setup is not None
+    limits = replace(setup.limits, time_s=min(setup.limits.time_s, REPLAY_S))
+    cut = replace(setup, limits=limits)
+    return replace(task, key=cut.key, setup=cut)
+
+
+def _late(verb: str, within_s: float) -> SolverLostError:
+    """The error of a process that has passed its deadline."""
+    return SolverLostError(f"The solver's process did not {verb} within {within_s:.1f} s and was "
+                           "killed.")
+
+
+def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[bytes]:
+    """A fresh interpreter that finds the modules that this one finds.
+
+    ``-P`` keeps the working folder, which may hold anything, out of its path.
+    """
+    if not sys.executable:
+        raise ValueError("this Python does not know its own executable")
+    path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    bound = "bound" if threading.current_thread() is threading.main_thread() else "free"
+    command = [sys.executable, "-P", "-X", "faulthandler", "-m", "vppres.solve.worker",
+               str(theirs.fileno()), str(os.getpid()), bound]
+    return subprocess.Popen(command, stdin=start, stdout=log, stderr=log,
+                            pass_fds=[theirs.fileno()], env={**os.environ, "PYTHONPATH": path})
+
+
+def _signal_name(number: int) -> str:
+    """As ``kill -l`` calls it."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"
+
+
+class Workers:
+    """Processes that wait for tasks; a thread that finds none idle starts another.
+
+    Parameters
+    ----------
+    memory_bytes : int, optional
+        What each may allocate; half of what there is if not given.
+    """
+
+    def __init__(self, memory_bytes: int | None = None) -> None:
+        self.memory_bytes = memory_bytes or memory_limit_bytes()
+        self._idle: list[Worker] = []
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Start a process if none is idle, so that it loads while the caller goes on."""
+        self._put(self._taken(""))
+
+    def ask(self, task: Task, kind: object, within_s: Callable[[bool], float]) -> Reply:
+        """Do a task in an idle process.
+
+        Parameters
+        ----------
+        task : Task
+            With its setup.
+        kind : object
+            Tasks of one kind and setup need the same problems.
+        within_s : callable
+            Time for the reply in s, given whether the process has done a task of that kind.
+
+        Raises
+        ------
+        SolverLostError
+            If the process died or was late. Another one is started at once: it warms up while the
+            caller falls back.
+        """
+        worker = self._taken(task.key)
+        try:
+            reply = worker.ask(task, within_s(worker.knows(task, kind)))
+        except SolverLostError:
+            worker.end()
+            self._replace(worker)
+            raise
+        except BaseException:
+            worker.end()  # a later task must not get the answer to this one
+            raise
+        if reply.error is None:
+            worker.done(task, kind)
+        self._put(worker)
+        return reply
+
+    def close(self) -> None:
+        """End the processes that are idle; the next task starts another."""
+        with self._lock:
+            idle = self._idle
+            self._idle = []
+        for worker in idle:
+            worker.end()
+
+    def forget(self) -> None:
+        """Let go of processes that another process started, after a fork."""
+        for worker in self._idle:
+            worker.forget()
+        self._idle = []
+        self._lock = threading.Lock()
+
+    def _taken(self, key: str) -> Worker:
+        """An idle process, if possible one that has the setup's problems; or a new one."""
+        with self._lock:
+            dead = [worker for worker in self._idle if not worker.alive]
+            self._idle = [worker for worker in self._idle if worker.alive]
+            found = next((w for w in self._idle if w.compiled(key)), None)
+            if found is None and self._idle:
+                found = self._idle[-1]
+            if found is not None:
+                self._idle.remove(found)
+        for worker in dead:
+            worker.end()
+        return found or Worker(self.memory_bytes)
+
+    def _put(self, worker: Worker) -> None:
+        """Let others have a process."""
+        with self._lock:
+            self._idle.append(worker)
+
+    def _replace(self, lost: Worker) -> None:
+        """Start another process in the place of one, if that can be done."""
+        with suppress(SolverLostError):  # the next task tries again and says why
+            self._put(Worker(self.memory_bytes, lost.last))
+
+
+def memory_limit_bytes() -> int:
+    """Half of this machine's memory, or of its control group's where that is less."""
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with suppress(OSError, ValueError):  # "max" where the group has no limit
+        there = min(there, int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return int(MEMORY_SHARE * there)
+
+
+_workers: Workers | None = None
+_workers_lock = threading.Lock()
+
+
+def shared_workers() -> Workers:
+    """The processes that all isolated solvers of this process share."""
+    global _workers
+    with _workers_lock:
+        if _workers is None:
+            _workers = Workers()
+        return _workers
+
+
+def close_workers() -> None:
+    """End the processes that solve for this one; the next window starts another.
+
+    They end by themselves with this process, and need some 200 MB each until then.
+    """
+    if _workers is not None:
+        _workers.close()
+
+
+def _forget_workers() -> None:
+    """In a fork: its parent goes on talking to the processes."""
+    global _workers, _workers_lock
+    if _workers is not None:
+        _workers.forget()
+    _workers = None
+    _workers_lock = threading.Lock()
+
+
+atexit.register(close_workers)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_workers)
+
+
+class IsolatedSolver(WindowSolver):
+    """A solver of windows whose answers come from another process, bit for bit the same.
+
+    Parameters
+    ----------
+    site, method, solver, limits, polygon_sides
+        As for :class:`vppres.solve.ladder.WindowSolver`.
+    factory : callable, optional
+        Makes the solver in the other process; a class or function of a module.
+    workers : Workers, optional
+        Where the processes come from; those that all of this process share if not given.
+
+    Raises
+    ------
+    InputError
+        If method or solver are unknown, or this system has no isolation.
+    SolverLostError
+        If no process can be started.
+    """
+
+    def __init__(self, site: Site, method: str = "decomposed", solver: str = "highs",
+                 limits: SolveLimits | None = None, polygon_sides: int = POLYGON_SIDES,
+                 factory: Callable[..., WindowSolver] = WindowSolver,
+                 workers: Workers | None = None) -> None:
+        if not SUPPORTED:
+            raise InputError(Problem(
+                "options", "is not available on this system", "Leave it out, or use Linux or "
+                "macOS.", field="isolate", value=True))
+        super().__init__(site, method, solver, limits, polygon_sides)
+        self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
+        self._workers = workers
+        self._compilations = 0
+        self._from().start()
+
+    @property
+    def compilations(self) -> int:
+        """Problems that the process has compiled for the site."""
+        return self._compilations
+
+    def solve(self, data: WindowData) -> WindowSolution:
+        """Solve a window in the other process.
+
+        Raises
+        ------
+        SolveError
+            As in this process; and ``SolverLostError`` if the process died or was late.
+        """
+        solution: WindowSolution = self._ask("solve", data)
+        return solution
+
+    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
+        """Cheapest dispatch of a served set in the network, None if it has none."""
+        solution: WindowSolution | None = self._ask("solve_served", data, served)
+        return solution
+
+    def least_slack(self, data: WindowData) -> float:
+        """Least slack of the squared voltage limits that leaves a feasible relaxation."""
+        slack: float = self._ask("least_slack", data)
+        return slack
+
+    def deadline_s(self, data: WindowData, compiled: bool = True) -> float:
+        """Time after which the process is killed, in s.
+
+        Parameters
+        ----------
+        data : WindowData
+            The window.
+        compiled : bool
+            Whether the process has solved a window of that kind before.
+        """
+        buses = self.site.network.n_buses
+        seconds = self.limits.time_s + GRACE_S + GRACE_S_PER_BUS * buses
+        if compiled:
+            return seconds
+        return seconds + COMPILE_S + COMPILE_S_PER_ENTRY * buses * data.n_steps
+
+    def _ask(self, method: str, data: WindowData, *args: Any) -> Any:
+        """Call a method of the solver in the other process."""
+        task = Task(self._setup.key, method, (data, *args), self._setup)
+        reply = self._from().ask(task, _kind(method, data),
+                                 lambda compiled: self.deadline_s(data, compiled))
+        if reply.error is not None:
+            raise reply.error
+        self._compilations = reply.compilations
+        return reply.value
+
+    def _from(self) -> Workers:
+        """Where the processes come from; others after a fork."""
+        return self._workers or shared_workers()
+
+
+def _kind(method: str, data: WindowData) -> tuple[object, ...]:
+    """What of a task decides on the problems that it needs."""
+    rules = None if data.switching is None else data.switching.steps
+    return method, data.n_steps, data.physical, rules, data.moves is not None

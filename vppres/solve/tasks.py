@@ -1,0 +1,167 @@
+"""What a controller and a solver's process say to each other, and how it crosses the socket."""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from vppres.model.site import Site
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits
+
+OUT_OF_MEMORY = 77
+"""Status with which a solver's process ends when memory runs out: no other end has it."""
+
+_LENGTH = struct.Struct("!Q")
+_CHUNK = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a solver is made of.
+
+    Parameters
+    ----------
+    factory : callable
+        Makes the solver of the fields that follow; a class or function of a module, so that its
+        name is all that crosses the socket.
+    site : Site
+        Fixed data.
+    method, solver : str
+        Names of the method and in the table of solvers.
+    limits : SolveLimits
+        Gaps and time limit of a window.
+    polygon_sides : int
+        Sides of an inverter's polygon.
+    """
+
+    factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
+    site: Site
+    method: str
+    solver: str
+    limits: SolveLimits
+    polygon_sides: int
+
+    @cached_property
+    def key(self) -> str:
+        """Setups of equal content have equal solvers."""
+        return (f"{self.factory!r} {self.site.key} {self.method} {self.solver} {self.limits} "
+                f"{self.polygon_sides}")
+
+    def make(self) -> WindowSolver:
+        """The solver."""
+        return self.factory(self.site, self.method, self.solver, self.limits, self.polygon_sides)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A method of a solver to be called.
+
+    Parameters
+    ----------
+    key : str
+        Of the solver's setup.
+    method : str
+        Name of the method.
+    args : tuple
+        What it is called with.
+    setup : Setup, optional
+        Of a solver that the process may not have yet; sites are sent once.
+    """
+
+    key: str
+    method: str
+    args: tuple[Any, ...]
+    setup: Setup | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """What came of a task: a value or an error; neither where the process lacks the setup."""
+
+    value: Any = None
+    error: Exception | None = None
+    compilations: int = 0
+    unknown: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What a process begins with.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        What it may allocate.
+    replay : Task, optional
+        A task whose answer nobody waits for: it compiles the problems that will be needed.
+    """
+
+    memory_bytes: int
+    replay: Task | None = None
+
+
+class Channel:
+    """One end of a socket that carries Python objects, each within a deadline.
+
+    Parameters
+    ----------
+    end : socket
+        Connected.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+
+    def send(self, message: object, within_s: float | None = None) -> None:
+        """Send an object.
+
+        Raises
+        ------
+        TimeoutError
+            If the other end has not taken it in time.
+        OSError
+            If there is no other end.
+        """
+        body = pickle.dumps(message, protocol=5)
+        self._end.settimeout(within_s)
+        self._end.sendall(_LENGTH.pack(len(body)) + body)
+
+    def receive(self, within_s: float | None = None) -> bytes:
+        """An object as it was pickled.
+
+        Raises
+        ------
+        TimeoutError
+            If it has not come in time.
+        EOFError
+            If there is no other end.
+        OSError
+            If the other end broke off.
+        """
+        due = None if within_s is None else time.monotonic() + within_s
+        (length,) = _LENGTH.unpack(self._exactly(_LENGTH.size, due))
+        return bytes(self._exactly(length, due))
+
+    def _exactly(self, count: int, due: float | None) -> bytearray:
+        """That many bytes."""
+        found = bytearray()
+        while len(found) < count:
+            if due is not None:
+                # Zero would mean "do not wait" and raise another error.
+                self._end.settimeout(max(due - time.monotonic(), 1e-3))
+            part = self._end.recv(min(count - len(found), _CHUNK))
+            if not part:
+                raise EOFError
+            found += part
+        return found
+
+    def close(self) -> None:
+        """Give the socket back."""
+        self._end.close()

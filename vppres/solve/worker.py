@@ -1,0 +1,150 @@
+"""The process that solves windows for another: ``python -m vppres.solve.worker``.
+
+It is started by :mod:`vppres.solve.isolated` and is of no use by itself. Its first object comes
+through standard input, tasks and replies go through the socket that it inherits. It ends with the
+process that started it, however that one ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import pickle
+import queue
+import resource
+import signal
+import socket
+import sys
+import threading
+import traceback
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from vppres.core.errors import SolveError
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Start, Task
+
+SOLVERS_KEPT = 8
+"""Solvers of the last setups: whole fleet, parts of it, wider voltages, the first tier."""
+
+_PR_SET_PDEATHSIG = 1
+_FIRST_VICTIM = "500"
+"""Added to what the kernel counts against a process when memory runs out (-1000 to 1000)."""
+
+
+@dataclass
+class Solvers:
+    """Solvers by the keys of their setups; the oldest gives way."""
+
+    kept: OrderedDict[str, WindowSolver] = field(default_factory=OrderedDict)
+
+    def of(self, task: Task) -> WindowSolver | None:
+        """The solver of a task, None if it has to bring its setup."""
+        solver = self.kept.pop(task.key, None)
+        if solver is None and task.setup is not None:
+            solver = task.setup.make()
+        if solver is not None:
+            self.kept[task.key] = solver
+        while len(self.kept) > SOLVERS_KEPT:
+            self.kept.popitem(last=False)
+        return solver
+
+    def reply(self, task: Task) -> Reply:
+        """Do a task."""
+        try:
+            solver = self.of(task)
+            if solver is None:
+                return Reply(unknown=True)
+            value = getattr(solver, task.method)(*task.args)
+            return Reply(value, compilations=solver.compilations)
+        except MemoryError:
+            raise
+        except Exception as error:
+            error.add_note(f"In the solver's process:\n{traceback.format_exc()}")
+            return Reply(error=_portable(error))
+
+
+def serve(fd: int, parent: int, bound: bool) -> None:
+    """Do tasks until the other end of the socket is closed.
+
+    Parameters
+    ----------
+    fd : int
+        Number of the socket.
+    parent : int
+        Process that started this one.
+    bound : bool
+        Whether that was its main thread, so that the kernel may be asked to end this process
+        with it: the kernel goes by the thread.
+    """
+    _prepare(parent, bound)
+    channel = Channel(socket.socket(fileno=fd))
+    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(channel, inbox), daemon=True).start()
+    try:
+        start: Start = pickle.load(sys.stdin.buffer)
+        _limit_memory(start.memory_bytes)
+        solvers = Solvers()
+        if start.replay is not None:
+            solvers.reply(start.replay)
+        channel.send(Reply())
+        while True:
+            channel.send(solvers.reply(pickle.loads(inbox.get())))
+    except MemoryError:
+        os._exit(OUT_OF_MEMORY)
+    except OSError:
+        os._exit(0)  # nobody is there to be told
+
+
+def _read(channel: Channel, inbox: queue.SimpleQueue[bytes]) -> None:
+    """Take in tasks while others are being done, so that the end of the socket is always seen."""
+    try:
+        while True:
+            inbox.put(channel.receive())
+    except MemoryError:
+        os._exit(OUT_OF_MEMORY)
+    except (EOFError, OSError):
+        os._exit(0)
+
+
+def _prepare(parent: int, bound: bool) -> None:
+    """Leave Ctrl-C to the parent, and see that this process neither outlives it nor fills a disk.
+
+    A thread of this process sees the parent's end too, but not while a solver holds the
+    interpreter's lock.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text(_FIRST_VICTIM, encoding="ascii")
+        if bound:
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def _limit_memory(memory_bytes: int) -> None:
+    """Let allocations beyond a limit fail; what the libraries have taken already is not counted."""
+    if sys.platform == "linux":
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        limit = pages * os.sysconf("SC_PAGE_SIZE") + memory_bytes
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        if most != resource.RLIM_INFINITY:
+            limit = min(limit, most)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+
+
+def _portable(error: Exception) -> Exception:
+    """The error, or its name and text where it cannot cross the socket."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return SolveError(f"{type(error).__name__}: {error}")
+    return error
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "bound")
