@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 
@@ -68,3 +69,46 @@ class Deadline(Stopwatch):
     def within(self, time_s: float) -> Deadline:
         """The deadline of whoever may take at most so many seconds of what is left."""
         return Deadline(min(self.left_s, time_s))
+
+
+class Patience(Deadline):
+    """A deadline that comes earlier where neither an answer nor its bound improve any more.
+
+    Waiting as long again as the last improvement took finds what comes at a steady pace; a search
+    that has not moved for that long seldom moves in a multiple of it.
+
+    Parameters
+    ----------
+    end : Deadline
+        The end in any case.
+    least_s : float
+        Seconds without improvement that are always waited for.
+
+    Examples
+    --------
+    >>> patience = Patience(Deadline(60.0), least_s=20.0)
+    >>> patience.saw(best=1.0, bound=2.0)
+    >>> patience.left_s < 20.1 < patience.end.left_s
+    True
+    """
+
+    def __init__(self, end: Deadline, least_s: float) -> None:
+        super().__init__(end.left_s)
+        self.end = end
+        self._least_s = least_s
+        self._best = -math.inf
+        self._bound = math.inf
+        self._improved_s = 0.0
+
+    def saw(self, best: float, bound: float) -> None:
+        """Tell how far a search for the largest value is."""
+        if best > self._best or bound < self._bound:
+            self._improved_s = self.spent_s
+        self._best = max(self._best, best)
+        self._bound = min(self._bound, bound)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until the end or until patience is over, whichever comes first."""
+        over_s = self._improved_s + max(self._least_s, self._improved_s)
+        return min(self.end.left_s, over_s - self.spent_s)

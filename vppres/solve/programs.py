@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cvxpy as cp
 import highspy
@@ -11,13 +12,16 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import Deadline, Patience
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import COMPILER, LEAST_S
 
 DIRECT = "highs"
 """Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear
 solve starts where the last one ended, which no common interface offers."""
+
+WHOLE_TOLERANCE = 1e-6
+"""By how much a bound may exceed a whole number and still be worth no more than it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +127,21 @@ class ProgramSolution:
         return cls(_status(solver.getModelStatus(), info.primal_solution_status), value, bound,
                    np.asarray(solution.col_value), np.asarray(solution.row_dual))
 
+    @classmethod
+    def of_search(cls, solver: highspy.Highs, patience: Patience) -> ProgramSolution:
+        """Run a search for a smallest whole number as long as it improves."""
+
+        def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
+            """HiGHS asks between nodes whether to go on."""
+            # Its bound is worth the whole number above it.
+            bound = np.ceil(now.mip_dual_bound - WHOLE_TOLERANCE)
+            patience.saw(best=-now.mip_primal_bound, bound=-bound)
+            answer.user_interrupt = patience.passed
+
+        solver.setCallback(ask, None)
+        solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
+        return cls.of(solver, patience.end)
+
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
@@ -156,7 +175,9 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     ends = {highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
             highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
             highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED}
+    feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
-        feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
+    if status == highspy.HighsModelStatus.kInterrupt:
+        return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)
