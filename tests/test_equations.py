@@ -19,7 +19,7 @@ import pytest
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
 from vppres.core.arrays import Floats
-from vppres.model import objective
+from vppres.model import formulas, objective
 from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.constraints import Named
 from vppres.model.data import Physics, WindowData
@@ -365,3 +365,47 @@ def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProble
         assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
             np.array(VALUES[variable], float)), name
     assert dispatch.v_pu**2 == pytest.approx(np.array(VALUES["u"]))
+
+
+# The same formulas on arrays.
+
+
+def test_state_of_charge_of_arrays_is_that_of_the_problem(site: Site) -> None:
+    b = site.batteries
+    charge, discharge = np.array(VALUES["P_ch"], float), np.array(VALUES["P_dch"], float)
+    stored_kw = formulas.cell_kw(charge, discharge, b.eta_charge, b.eta_discharge)
+    assert stored_kw == pytest.approx(np.array([[9.0, -5.0], [-24.0, 4.8 - 1.25]]))
+    soc = np.array(VALUES["SoC"])
+    missing = soc[1:] - formulas.soc_after(soc[:-1], stored_kw, b, 0.5)
+    assert missing == pytest.approx(np.array(MISSED["battery_soc_dynamics"]))
+
+
+def test_power_that_fills_and_empties_a_battery(site: Site) -> None:
+    b = site.batteries
+    soc = np.array([0.5, 0.1])
+    # 40 kWh of room and 35 kWh in half an hour at 0.9 and 0.8
+    full = formulas.charge_to_kw(b.soc_max, soc, b.eta_charge, b, 0.5)
+    assert full == pytest.approx([40.0 / 0.9 / 0.5, 35.0 / 0.8 / 0.5])
+    # 40 kWh above the lower limit at 0.5, and nothing
+    empty = formulas.discharge_to_kw(b.soc_min, soc, b.eta_discharge, b, 0.5)
+    assert empty == pytest.approx([40.0 * 0.5 / 0.5, 0.0])
+    assert formulas.charge_to_kw(np.array(0.4), soc, b.eta_charge, b, 0.5)[0] == 0.0
+
+
+def test_injections_flows_and_voltages_of_arrays(site: Site) -> None:
+    net = site.network
+    given: dict[formulas.Devices, Floats] = {
+        "pv": np.array([20.0, 5.0]), "batteries": np.array([-10.0, 4.0]),
+        "customers": np.array([-40.0, -60.0])}
+    p_kw = formulas.bus_injections(site, given)
+    assert p_kw.tolist() == [0.0, 5.0 - 10.0 - 40.0, 20.0 + 4.0 - 60.0]
+    flows = formulas.lossless_flows(net, np.array([p_kw, -p_kw]))
+    assert flows.tolist() == [[81.0, 36.0], [-81.0, -36.0]]
+    p = np.array([20.0, 15.0])
+    q = np.array([12.0, -9.0])
+    assert formulas.voltage_drop_pu2(net, p, q) == pytest.approx([0.0088, 0.0018])
+    offset = formulas.voltage_offset_pu2(net, np.array([[1.05, 0.98, 0.95]]), p, q)
+    u = np.array(MISSED["delta_lindistflow"])[0] + [0.001, 0.002]  # without the offset
+    assert offset == pytest.approx(u[None, :])
+    along = formulas.squared_voltages(net, p, q, np.array([0.001, 0.002]))
+    assert along == pytest.approx([1.0816, 1.0816 - 0.0078, 1.0816 - 0.0078 + 0.0002])

@@ -20,6 +20,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
+from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale, require_dpp
 from vppres.model.site import Site
 
@@ -235,16 +236,16 @@ class AggregateModel:
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
         b = self.site.batteries
-        dt = self.site.dt_h
+        dt_h = self.site.dt_h
         limit = b.active_max_kw
         least = b.soc_min
         if data.physics is not None:
             limit = active_room_kw(self.site, data.physics)[0]
             least = least + data.physics.soc_reserve[0]
-        room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
-        held_kwh = np.maximum(data.soc - least, 0.0) * b.energy_kwh
-        charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
-        discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
+        until_full = charge_to_kw(b.soc_max, data.soc, data.eta_charge, b, dt_h)
+        until_empty = discharge_to_kw(least, data.soc, data.eta_discharge, b, dt_h)
+        charge = np.minimum(limit, until_full)
+        discharge = np.minimum(limit, until_empty)
         # A ratio of next to nothing says nothing, and is no number a solver can work with.
         both = (charge > LEAST_KW) & (discharge > LEAST_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
