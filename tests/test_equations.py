@@ -18,8 +18,9 @@ import pytest
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
+from vppres.control.guard.partial_fleet import site_with
 from vppres.core.arrays import Floats
-from vppres.model import objective
+from vppres.model import formulas, objective
 from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.constraints import Named
 from vppres.model.data import Physics, WindowData
@@ -30,6 +31,7 @@ from vppres.model.polygons import Polygon, battery_half_polygon, battery_polygon
 from vppres.model.problem import PaperProblem, paper_problem
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
+from vppres.model.tie_breakers import TieBreakerModel
 from vppres.model.variables import Variables
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
@@ -365,3 +367,105 @@ def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProble
         assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
             np.array(VALUES[variable], float)), name
     assert dispatch.v_pu**2 == pytest.approx(np.array(VALUES["u"]))
+
+
+def tie_breakers(site: Site, data: WindowData, paper: PaperProblem,
+                 curtailing: bool) -> TieBreakerModel:
+    """The last level with the dispatch's service and these modes held: b2, b3 in each step."""
+    model = TieBreakerModel(site, STEPS, curtailing)
+    modes = np.array([[True, False], [False, True]])
+    model.fill(data, paper.v.dispatch(site), modes, f2_held_gbp=1.0, f3_held_kwh=10.0)
+    model.P_batt.value = np.array([[10.0, -4.0], [-12.0, 5.0]])
+    for name in ("Q_pv", "Q_batt", "SoC", "P_grid", "Q_grid", "u", "P_flow", "Q_flow"):
+        getattr(model.v, name).value = np.array(VALUES[name], dtype=float)
+    if curtailing:
+        model.v.P_curt.value = np.array(VALUES["P_curt"], dtype=float)
+    return model
+
+
+def test_tie_breakers_hold_modes_cost_and_curtailment(
+        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    model = tie_breakers(site, data, paper, curtailing=True)
+    drop = np.array(MISSED["delta_lindistflow"])
+    soc = {name: 1e4 * np.array(MISSED[name]) for name in (
+        "battery_soc_start", "battery_soc_min", "battery_soc_max")}
+    expected = {
+        **soc,
+        "battery_soc_dynamics": 1e4 * np.array([
+            [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
+            [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * 0.8 * 5]]),
+        "delta_lindistflow": 1e2 * drop,
+        "battery_power_min": [[0 - 10, -20 + 4], [-40 + 12, 0 - 5]],
+        "battery_power_max": [[10 - 40, -4 - 0], [-12 - 0, 5 - 20]],
+        "cost_held": TERMS["f2_cost"] - 1.0,
+        "curtailment_held": TERMS["f3_curtailment"] - 10.0,
+        # Export is PV power less self-consumption of the served and curtailment.
+        "pv_export": [[-(100 - 0 - 1), -(20 - 20 - 6)], [-(30 - 30 - 9), -(50 - 50 - 8)]],
+        "circular_charging": [10 - 5 - (99 - 6), 5 - 8 + 17],
+        **{name: MISSED[name] for name in (
+            "battery_inverter_capacity", "reactive_power_balance", "grid_active_limit",
+            "voltage_slack", "voltage_min", "voltage_max")},
+    }
+    for name, value in expected.items():
+        assert missed(model.constraints[name]) == pytest.approx(np.array(value), abs=1e-9), name
+    f4, f5 = TERMS["f4_flows"], TERMS["f5_reactive"]
+    # About kW of loss: over 1000 times the squared base voltage and the heavier weight, 1.0.
+    assert model.problem.objective.value == pytest.approx((0.001 * f4 + f5) / 1000.0)
+
+
+def test_tie_breakers_without_curtailment_leave_an_interval_for_reactive_power(
+        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    model = tie_breakers(site, data, paper, curtailing=False)
+    left = np.sqrt([[105**2 - 100**2, 60**2 - 20**2], [105**2 - 30**2, 60**2 - 50**2]])
+    limit = model.constraints["pv_reactive_limit"]
+    assert missed(limit) == pytest.approx(np.abs(VALUES["Q_pv"]) - left)
+    assert {"pv_export", "pv_inverter_capacity"}.isdisjoint(model.constraints)
+
+
+def test_tie_breakers_of_a_site_without_batteries_have_no_moves(site: Site) -> None:
+    none = site_with(site, np.zeros(2, dtype=bool))
+    assert TieBreakerModel(none, STEPS, curtailing=True, moves=True).near is None
+
+
+# The same formulas on arrays.
+
+
+def test_state_of_charge_of_arrays_is_that_of_the_problem(site: Site) -> None:
+    b = site.batteries
+    charge, discharge = np.array(VALUES["P_ch"], float), np.array(VALUES["P_dch"], float)
+    stored_kw = formulas.cell_kw(charge, discharge, b.eta_charge, b.eta_discharge)
+    assert stored_kw == pytest.approx(np.array([[9.0, -5.0], [-24.0, 4.8 - 1.25]]))
+    soc = np.array(VALUES["SoC"])
+    missing = soc[1:] - formulas.soc_after(soc[:-1], stored_kw, b, 0.5)
+    assert missing == pytest.approx(np.array(MISSED["battery_soc_dynamics"]))
+
+
+def test_power_that_fills_and_empties_a_battery(site: Site) -> None:
+    b = site.batteries
+    soc = np.array([0.5, 0.1])
+    # 40 kWh of room and 35 kWh in half an hour at 0.9 and 0.8
+    full = formulas.charge_to_kw(b.soc_max, soc, b.eta_charge, b, 0.5)
+    assert full == pytest.approx([40.0 / 0.9 / 0.5, 35.0 / 0.8 / 0.5])
+    # 40 kWh above the lower limit at 0.5, and nothing
+    empty = formulas.discharge_to_kw(b.soc_min, soc, b.eta_discharge, b, 0.5)
+    assert empty == pytest.approx([40.0 * 0.5 / 0.5, 0.0])
+    assert formulas.charge_to_kw(np.array(0.4), soc, b.eta_charge, b, 0.5)[0] == 0.0
+
+
+def test_injections_flows_and_voltages_of_arrays(site: Site) -> None:
+    net = site.network
+    given: dict[formulas.Devices, Floats] = {
+        "pv": np.array([20.0, 5.0]), "batteries": np.array([-10.0, 4.0]),
+        "customers": np.array([-40.0, -60.0])}
+    p_kw = formulas.bus_injections(site, given)
+    assert p_kw.tolist() == [0.0, 5.0 - 10.0 - 40.0, 20.0 + 4.0 - 60.0]
+    flows = formulas.lossless_flows(net, np.array([p_kw, -p_kw]))
+    assert flows.tolist() == [[81.0, 36.0], [-81.0, -36.0]]
+    p = np.array([20.0, 15.0])
+    q = np.array([12.0, -9.0])
+    assert formulas.voltage_drop_pu2(net, p, q) == pytest.approx([0.0088, 0.0018])
+    offset = formulas.voltage_offset_pu2(net, np.array([[1.05, 0.98, 0.95]]), p, q)
+    u = np.array(MISSED["delta_lindistflow"])[0] + [0.001, 0.002]  # without the offset
+    assert offset == pytest.approx(u[None, :])
+    along = formulas.squared_voltages(net, p, q, np.array([0.001, 0.002]))
+    assert along == pytest.approx([1.0816, 1.0816 - 0.0078, 1.0816 - 0.0078 + 0.0002])

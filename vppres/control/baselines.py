@@ -17,6 +17,7 @@ from vppres.control.rules import Carried, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.model.formulas import charge_to_kw
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
 
@@ -120,8 +121,7 @@ class ReserveController:
         """Charging power that would reach the level within the step, (B,)."""
         b = self.site.batteries
         level = b.soc_max if self.rule.soc is None else np.minimum(self.rule.soc, b.soc_max)
-        missing_kwh = np.maximum(level - state.soc, 0.0) * b.energy_kwh
-        return np.asarray(missing_kwh / (state.eta_charge * self.site.dt_h))
+        return charge_to_kw(level, state.soc, state.eta_charge, b, self.site.dt_h)
 
 
 def _decision(carried: Carried, status: str) -> Decision:

@@ -14,6 +14,7 @@ from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.core.arrays import Floats, Names
 from vppres.model.data import WindowData
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
@@ -136,8 +137,9 @@ def _check_battery(site: Site, actual: _Actual) -> str:
     power = actual.battery_kw
     apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
     disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
-    stored = o.eta_charge * np.maximum(power, 0) - np.maximum(-power, 0) / o.eta_discharge
-    soc = o.soc + stored * site.dt_h / b.energy_kwh
+    stored_kw = cell_kw(np.maximum(power, 0), np.maximum(-power, 0), o.eta_charge,
+                        o.eta_discharge)
+    soc = soc_after(o.soc, stored_kw, b, site.dt_h)
     outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
     return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
 

@@ -16,6 +16,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState, network_state, one_step
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.formulas import bus_injections, cell_kw, soc_after
 from vppres.solve.fleet.relaxation import weight_grid
 
 POWER_TOLERANCE_KW = 1e-6
@@ -216,13 +217,13 @@ def _with_network(state: StepState, served: Flags, pv_kw: tuple[Floats, Floats],
     (own, export) = pv_kw
     load_kvar = state.load_kw * served * site.customers.q_per_p
     pv_q, batt_q, short_kvar = _reactive(state, load_kvar, own + export, battery_kw)
-    p = (site.pv_bus @ (own + export) - site.battery_bus @ battery_kw
-         - site.customer_bus @ (state.load_kw * served))
-    q = site.pv_bus @ pv_q + site.battery_bus @ batt_q - site.customer_bus @ load_kvar
+    load_kw = state.load_kw * served
+    p = bus_injections(site, {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw})
+    q = bus_injections(site, {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar})
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge = np.maximum(battery_kw, 0.0)
     discharge = np.maximum(-battery_kw, 0.0)
-    stored_kwh = (state.eta_charge * charge - discharge / state.eta_discharge) * site.dt_h
+    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
     net = site.network
     outside = np.maximum(v_pu[1:] - net.v_max_ac_pu, net.v_min_ac_pu - v_pu[1:])
     dispatch = one_step(
@@ -231,7 +232,7 @@ def _with_network(state: StepState, served: Flags, pv_kw: tuple[Floats, Floats],
         discharge_kw=discharge, batt_q_kvar=batt_q, p_grid_kw=grid_kw,
         q_grid_kvar=0.0 if state.island else -float(q.sum()), v_pu=v_pu, p_flow_kw=p_flow,
         q_flow_kvar=q_flow,
-        soc=np.vstack([state.soc, state.soc + stored_kwh / site.batteries.energy_kwh]))
+        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]))
     return Carried(dispatch, short_kvar, max(float(outside.max()), 0.0))
 
 

@@ -13,6 +13,12 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
+from vppres.model.formulas import (
+    charge_to_kw,
+    discharge_to_kw,
+    lossless_flows,
+    squared_voltages,
+)
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
 
@@ -76,16 +82,16 @@ class StepState:
     def charge_max_kw(self) -> Floats:
         """Largest charging power by rating and room, (B,)."""
         b = self.site.batteries
-        room_kwh = np.maximum(b.soc_max - self.soc, 0.0) * b.energy_kwh
-        most = np.minimum(b.active_max_kw, room_kwh / (self.eta_charge * self.site.dt_h))
+        until_full = charge_to_kw(b.soc_max, self.soc, self.eta_charge, b, self.site.dt_h)
+        most = np.minimum(b.active_max_kw, until_full)
         return np.where(self.online, most, 0.0)
 
     @cached_property
     def discharge_max_kw(self) -> Floats:
         """Largest discharging power by rating and stored energy, (B,)."""
         b = self.site.batteries
-        held_kwh = np.maximum(self.soc - b.soc_min, 0.0) * b.energy_kwh
-        most = np.minimum(b.active_max_kw, held_kwh * self.eta_discharge / self.site.dt_h)
+        until_empty = discharge_to_kw(b.soc_min, self.soc, self.eta_discharge, b, self.site.dt_h)
+        most = np.minimum(b.active_max_kw, until_empty)
         return np.where(self.online, most, 0.0)
 
     @property
@@ -106,10 +112,9 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats
                   ) -> tuple[Floats, Floats, Floats]:
     """Lossless flows (L,) twice, and voltages (N,) in pu, for the injections of all buses (N,)."""
     net = state.site.network
-    p_flow = -(net.downstream @ p_kw)
-    q_flow = -(net.downstream @ q_kvar)
-    rise = state.offset_pu2 - 2 * (net.r_pu2_per_kw * p_flow + net.x_pu2_per_kvar * q_flow)
-    u = net.v_slack_pu**2 + net.downstream.T @ rise
+    p_flow = lossless_flows(net, p_kw)
+    q_flow = lossless_flows(net, q_kvar)
+    u = squared_voltages(net, p_flow, q_flow, state.offset_pu2)
     return p_flow, q_flow, np.sqrt(np.maximum(u, 0.0))
 
 

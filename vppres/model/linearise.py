@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.contract.operating_point import Centre, OperatingPoint
 from vppres.core.arrays import Floats
+from vppres.model.formulas import lossless_flows, voltage_offset_pu2
 from vppres.scenario.network import Network
 
 
@@ -44,8 +45,6 @@ def delta_offset(network: Network, point: OperatingPoint | None,
         p = point.p_flow_kw
         q = point.q_flow_kvar
     else:
-        p = -(network.downstream @ point.p_injection_kw)
-        q = -(network.downstream @ point.q_injection_kvar)
-    u = point.v_pu**2
-    drop = 2 * (network.r_pu2_per_kw * p + network.x_pu2_per_kvar * q)
-    return u[1:] - u[network.parent] + drop
+        p = lossless_flows(network, point.p_injection_kw)
+        q = lossless_flows(network, point.q_injection_kvar)
+    return voltage_offset_pu2(network, point.v_pu**2, p, q)

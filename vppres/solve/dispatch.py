@@ -15,6 +15,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.numerics import disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
@@ -180,9 +181,9 @@ def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatc
 
 def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floats) -> Floats:
     """State of charge before every step and after the last, shape (W + 1, B)."""
-    gain = data.eta_charge * charge_kw - discharge_kw / data.eta_discharge
-    change = np.cumsum(gain, axis=0) * site.dt_h / site.batteries.energy_kwh
-    return np.vstack([data.soc, data.soc + change])
+    stored_kw = cell_kw(charge_kw, discharge_kw, data.eta_charge, data.eta_discharge)
+    total_kw = np.cumsum(stored_kw, axis=0)
+    return np.vstack([data.soc, soc_after(data.soc, total_kw, site.batteries, site.dt_h)])
 
 
 # Tie-breakers.

@@ -10,6 +10,7 @@ from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 
 
@@ -131,9 +132,8 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     b = state.site.batteries
-    stored_kwh = (state.eta_charge * row.charge_kw
-                  - row.discharge_kw / state.eta_discharge) * state.site.dt_h
-    end = state.soc + stored_kwh / b.energy_kwh
+    stored_kw = cell_kw(row.charge_kw, row.discharge_kw, state.eta_charge, state.eta_discharge)
+    end = soc_after(state.soc, stored_kw, b, state.site.dt_h)
     # What was outside before may stay there, but not move further out.
     beyond = np.maximum(end - np.maximum(b.soc_max, state.soc),
                         np.minimum(b.soc_min, state.soc) - end)

@@ -17,6 +17,7 @@ from vppres.control.guard.balance import Commanded, Readings, feeder_off
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 
 RESPONSE_SHARE = 0.02
@@ -117,9 +118,9 @@ class Estimator:
             measured = np.isfinite(seen.battery_kw)
             power_kw = np.where(measured, seen.battery_kw, power_kw)
         hours = (seen.t0 - self._last.t0) * self.site.dt_h
-        stored_kw = (self._last.eta_charge * np.maximum(power_kw, 0.0)
-                     - np.maximum(-power_kw, 0.0) / self._last.eta_discharge)
-        return stored_kw * hours / b.energy_kwh, measured
+        stored_kw = cell_kw(np.maximum(power_kw, 0.0), np.maximum(-power_kw, 0.0),
+                            self._last.eta_charge, self._last.eta_discharge)
+        return soc_after(np.zeros(len(b)), stored_kw, b, hours), measured
 
     def _soc_words(self) -> list[str]:
         """The batteries whose state of charge is reckoned."""

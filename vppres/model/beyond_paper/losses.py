@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, freeze_fields
 from vppres.model.data import Physics, WindowData
+from vppres.model.formulas import bus_injections, voltage_offset_pu2
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 
@@ -53,10 +54,7 @@ class ACPoints:
 
     def offset_pu2(self, network: Network) -> Floats:
         """Offset of each line's voltage drop that meets these points, (W, L)."""
-        u = self.v_pu**2
-        drop = 2 * (network.r_pu2_per_kw * self.p_flow_kw
-                    + network.x_pu2_per_kvar * self.q_flow_kvar)
-        return u[:, 1:] - u[:, network.parent] + drop
+        return voltage_offset_pu2(network, self.v_pu**2, self.p_flow_kw, self.q_flow_kvar)
 
 
 class Sweeps:
@@ -124,10 +122,12 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     """Net injections of a dispatch at all buses, without the grid's supply, (W, N) each."""
     load = data.load_kw * dispatch.served
     through = dispatch.pv_self_kw + dispatch.pv_export_kw
-    p = through @ site.pv_bus.T - load @ site.customer_bus.T
-    p = p - (dispatch.charge_kw - dispatch.discharge_kw) @ site.battery_bus.T
-    q = dispatch.pv_q_kvar @ site.pv_bus.T + dispatch.batt_q_kvar @ site.battery_bus.T
-    return p, q - (load * site.customers.q_per_p) @ site.customer_bus.T
+    load_kvar = load * site.customers.q_per_p
+    battery_kw = dispatch.discharge_kw - dispatch.charge_kw
+    p_kw = bus_injections(site, {"pv": through, "customers": -load, "batteries": battery_kw})
+    q_kvar = bus_injections(site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar,
+                                   "customers": -load_kvar})
+    return p_kw, q_kvar
 
 
 def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:

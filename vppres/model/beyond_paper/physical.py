@@ -3,7 +3,7 @@
 The paper's families that would not hold in an island are stated with other limits, under their
 names: losses and ratings are arguments of the families, the rest is here. Every datum is a
 parameter, so that a problem is compiled once. Why the paper's mode has none of these parameters,
-at zero: ``docs/decisions/islands.md``.
+at zero: ``docs/decisions/physical-parameters.md``.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 
 import cvxpy as cp
@@ -20,6 +21,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
+from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale, require_dpp
 from vppres.model.site import Site
 
@@ -63,42 +65,106 @@ class AggregateModel:
         self.site = site
         self.n_steps = n_steps
         self.lumped = lumped
-        W = n_steps
-        C = len(site.customers)
-        G = 1 if lumped else len(site.batteries)
-        self.x = cp.Variable((W, C), name="x_served", boolean=integer)
-        self.v = {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in {
-            "P_ch": (W, G), "P_dch": (W, G), "stored": (W, G), "drawn": (W, G), "P_curt": (W,),
-            "P_grid": (W,)}.items()}
-        self.p = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
-            "P_load": (W, C), "self": (W, C), "P_pv": (W,), "P_grid_max": (W,), "curt_min": (W,),
-            "E_0": (W, G), "x_max": (W, C), "x_min": (W, C), "eta_lo": (W, G), "eta_hi": (W, G),
-            "inv_lo": (W, G), "inv_hi": (W, G), "a": (G,), "b": (G,), "a_per_b": (G,),
-            "b_per_a": (G,)}.items()}
-        self.room = {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in {
-            "loss": (W,), "E_min": (W, G), "P_room": (W, G)}.items()} if physical else {}
-        self.rho_dt = cp.Parameter(W, name="rho_dt")
-        self.switching = SwitchingModel(site, self.x, switching) if switching else None
-        self.energy = self._energy()
-        self.constraints = self._power() | self.energy | (
-            self.switching.constraints if self.switching else {})
-        self.service_min = cp.Parameter(name="service_min")
         self.grid = weight_grid(site.customers.weight * site.dt_h)
-        cost = self.rho_dt @ self.v["P_grid"]
-        f1 = site.dt_h * cp.sum(self.x @ site.customers.weight)
-        curtailment = site.weights.lambda_curt * site.dt_h * cp.sum(self.v["P_curt"])
-        service = f1 - curtailment - (self.switching.f6_switching if self.switching else 0.0)
-        limits = list(self.constraints.values())
-        self.problem = cp.Problem(
-            cp.Maximize(objective_scale(site)
-                        * (service - site.weights.lambda_grid * cost)), limits)
-        served_enough = (service - self.service_min) / (self.grid or 1.0) >= 0
-        self.cost_problem = cp.Problem(cp.Minimize(cost), [*limits, served_enough])
-        self.grid_problem = self._on_grid(curtailment, limits)
+        self.x = cp.Variable((n_steps, len(site.customers)), name="x_served", boolean=integer)
+        self.v = self._variables()
+        self.p = self._parameters()
+        self.room = self._room_parameters() if physical else {}
+        self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
+        self.service_min = cp.Parameter(name="service_min")
+        self.switching: SwitchingModel | None = None
+        if switching:
+            self.switching = SwitchingModel(site, self.x, switching)
+        self.energy = self._energy()
+        self.constraints = self._power() | self.energy
+        if self.switching is not None:
+            self.constraints = self.constraints | self.switching.constraints
+        self.problem = self._weighted_problem()
+        self.cost_problem = self._cost_problem()
+        self.grid_problem = self._grid_problem()
         for problem in (self.problem, self.cost_problem, self.grid_problem):
             require_dpp(problem, f"lumped window of {n_steps} steps")
 
-    def _on_grid(self, curtailment: cp.Expression, limits: list[cp.Constraint]) -> cp.Problem:
+    @property
+    def _groups(self) -> int:
+        """Batteries G that the problem tells apart."""
+        return 1 if self.lumped else len(self.site.batteries)
+
+    def _variables(self) -> dict[str, cp.Variable]:
+        """Powers in kW by their names; stored and drawn are powers at the cells."""
+        W = self.n_steps
+        G = self._groups
+        shapes = {
+            "P_ch": (W, G),
+            "P_dch": (W, G),
+            "stored": (W, G),
+            "drawn": (W, G),
+            "P_curt": (W,),
+            "P_grid": (W,),
+        }
+        return {name: cp.Variable(shape, name=name, nonneg=True)
+                for name, shape in shapes.items()}
+
+    def _parameters(self) -> dict[str, cp.Parameter]:
+        """What a window writes: powers in kW, energies in kWh, shares and efficiencies."""
+        W = self.n_steps
+        C = len(self.site.customers)
+        G = self._groups
+        shapes = {
+            "P_load": (W, C),
+            "self": (W, C),
+            "P_pv": (W,),
+            "P_grid_max": (W,),
+            "curt_min": (W,),
+            "E_0": (W, G),
+            "x_max": (W, C),
+            "x_min": (W, C),
+            "eta_lo": (W, G),
+            "eta_hi": (W, G),
+            "inv_lo": (W, G),
+            "inv_hi": (W, G),
+            "a": (G,),
+            "b": (G,),
+            "a_per_b": (G,),
+            "b_per_a": (G,),
+        }
+        return _nonnegative(shapes)
+
+    def _room_parameters(self) -> dict[str, cp.Parameter]:
+        """What physical mode writes besides: losses, and the batteries' limits less headroom."""
+        W = self.n_steps
+        G = self._groups
+        return _nonnegative({"loss": (W,), "E_min": (W, G), "P_room": (W, G)})
+
+    def _cost(self) -> cp.Expression:
+        """f2 in GBP."""
+        return self.rho_dt @ self.v["P_grid"]
+
+    def _curtailment(self) -> cp.Expression:
+        """f3 as weighted."""
+        weight = self.site.weights.lambda_curt
+        return weight * self.site.dt_h * cp.sum(self.v["P_curt"])
+
+    def _service(self) -> cp.Expression:
+        """f1 less f3 as weighted, and less the price of switching."""
+        f1 = self.site.dt_h * cp.sum(self.x @ self.site.customers.weight)
+        service = f1 - self._curtailment()
+        if self.switching is not None:
+            service = service - self.switching.f6_switching
+        return service
+
+    def _weighted_problem(self) -> cp.Problem:
+        """Service and cost as weighted."""
+        total = self._service() - self.site.weights.lambda_grid * self._cost()
+        return cp.Problem(cp.Maximize(objective_scale(self.site) * total),
+                          list(self.constraints.values()))
+
+    def _cost_problem(self) -> cp.Problem:
+        """Cost where service is held, in units of the weights' grid: a number near 1."""
+        enough = (self._service() - self.service_min) / (self.grid or 1.0) >= 0
+        return cp.Problem(cp.Minimize(self._cost()), [*self.constraints.values(), enough])
+
+    def _grid_problem(self) -> cp.Problem:
         """Service in units of the weights' grid, with an objective that is always a whole number.
 
         Whole numbers let a solver round its bound, which is most of the proof. The penalty of
@@ -108,10 +174,12 @@ class AggregateModel:
             return self.problem
         units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
         penalty = cp.Variable(name="penalty", integer=True, nonneg=True)
-        # A whole number too, or the problem is not used: see whole_price.
-        actions = self.switching.f6_switching / self.grid if self.switching else 0.0
-        return cp.Problem(cp.Maximize(cp.sum(self.x @ units) - penalty - actions),
-                          [*limits, penalty >= curtailment / self.grid - 1])
+        total = cp.sum(self.x @ units) - penalty
+        if self.switching is not None:
+            # A whole number too, or the problem is not used: see whole_price.
+            total = total - self.switching.f6_switching / self.grid
+        rounded = penalty >= self._curtailment() / self.grid - 1
+        return cp.Problem(cp.Maximize(total), [*self.constraints.values(), rounded])
 
     def _power(self) -> dict[str, cp.Constraint]:
         """Sums of the power balances and limits."""
@@ -144,18 +212,22 @@ class AggregateModel:
         p = self.p
         b = self.site.batteries
         dt = self.site.dt_h
-        e_min, e_max = (self._fleet(b.energy_kwh * soc)[None, :] for soc in (b.soc_min, b.soc_max))
+        e_min = self._fleet(b.energy_kwh * b.soc_min)[None, :]
+        e_max = self._fleet(b.energy_kwh * b.soc_max)[None, :]
+        least = e_min
+        power_max = self._fleet(b.active_max_kw)[None, :]
+        if self.room:
+            least = self.room["E_min"]
+            power_max = self.room["P_room"]
         triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
         energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
         before = energy - dt * (v["stored"] - v["drawn"])
         return {
-            "lumped_energy_min": energy >= (self.room["E_min"] if self.room else e_min),
+            "lumped_energy_min": energy >= least,
             "lumped_energy_max": energy <= e_max,
             "lumped_room": before + dt * v["stored"] <= e_max,
             "lumped_reserve": before - dt * v["drawn"] >= e_min,
-            "lumped_power": v["P_ch"] + v["P_dch"] <= (
-                self.room["P_room"] if self.room
-                else self._fleet(b.active_max_kw)[None, :]),
+            "lumped_power": v["P_ch"] + v["P_dch"] <= power_max,
             "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
             "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
             "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
@@ -197,12 +269,19 @@ class AggregateModel:
         connected = (unlimited[:, None] if data.switching is None
                      else data.switching.connected(unlimited))
         values = {
-            "P_load": data.load_kw, "self": limit @ site.pv_customer.T,
-            "P_pv": data.pv_kw.sum(axis=1), "P_grid_max": data.grid_p_max_kw(site),
+            "P_load": data.load_kw,
+            "self": limit @ site.pv_customer.T,
+            "P_pv": data.pv_kw.sum(axis=1),
+            "P_grid_max": data.grid_p_max_kw(site),
             "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
             "E_0": np.tile(self._fleet(b.energy_kwh * data.soc), (self.n_steps, 1)),
-            "x_max": x_max, "x_min": x_max * connected, "eta_lo": eta_lo,
-            "eta_hi": eta_hi, "inv_lo": inv_lo, "inv_hi": inv_hi, **self._first_step(data),
+            "x_max": x_max,
+            "x_min": x_max * connected,
+            "eta_lo": eta_lo,
+            "eta_hi": eta_hi,
+            "inv_lo": inv_lo,
+            "inv_hi": inv_hi,
+            **self._first_step(data),
         }
         for name, value in values.items():
             self.p[name].value = value
@@ -235,16 +314,16 @@ class AggregateModel:
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
         b = self.site.batteries
-        dt = self.site.dt_h
+        dt_h = self.site.dt_h
         limit = b.active_max_kw
         least = b.soc_min
         if data.physics is not None:
             limit = active_room_kw(self.site, data.physics)[0]
             least = least + data.physics.soc_reserve[0]
-        room_kwh = np.maximum(b.soc_max - data.soc, 0.0) * b.energy_kwh
-        held_kwh = np.maximum(data.soc - least, 0.0) * b.energy_kwh
-        charge = np.minimum(limit, room_kwh / (data.eta_charge * dt))
-        discharge = np.minimum(limit, held_kwh * data.eta_discharge / dt)
+        until_full = charge_to_kw(b.soc_max, data.soc, data.eta_charge, b, dt_h)
+        until_empty = discharge_to_kw(least, data.soc, data.eta_discharge, b, dt_h)
+        charge = np.minimum(limit, until_full)
+        discharge = np.minimum(limit, until_empty)
         # A ratio of next to nothing says nothing, and is no number a solver can work with.
         both = (charge > LEAST_KW) & (discharge > LEAST_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
@@ -254,6 +333,11 @@ class AggregateModel:
                                 for r in (a_per_b, b_per_a))
         return {"a": self._fleet(charge), "b": self._fleet(discharge), "a_per_b": a_per_b,
                 "b_per_a": b_per_a}
+
+
+def _nonnegative(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, cp.Parameter]:
+    """Parameters of some names and shapes that are never negative."""
+    return {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in shapes.items()}
 
 
 def weight_grid(weights: Floats, most: int = 10_000) -> float:

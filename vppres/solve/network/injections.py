@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
+from vppres.model.formulas import lossless_flows
 from vppres.model.site import Site
 
 
@@ -252,5 +253,5 @@ class Injections:
             discharge_kw=np.maximum(x[at["P_dch"]], 0.0), batt_q_kvar=x[at["Q_batt"]],
             soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
             p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0), q_grid_kvar=x[at["Q_grid"]][:, 0],
-            v_pu=np.sqrt(self.u_pu2(x)), p_flow_kw=-p @ net.downstream.T,
-            q_flow_kvar=-q @ net.downstream.T)
+            v_pu=np.sqrt(self.u_pu2(x)), p_flow_kw=lossless_flows(net, p),
+            q_flow_kvar=lossless_flows(net, q))

@@ -1,0 +1,117 @@
+"""The paper's formulas on arrays: battery, injections, flows and voltage drop, one function each.
+
+Controllers, their checks and the masters that are arrays use these. The same formulas stand in
+:mod:`vppres.model.constraints` for cvxpy; the plant has its own on purpose, so that it can find
+what is wrong here. Numbers in brackets count the paper's equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from vppres.core.arrays import Floats
+from vppres.model.site import Site
+from vppres.scenario.assets import Batteries
+from vppres.scenario.network import Network
+
+Devices = Literal["pv", "batteries", "customers"]
+
+# Batteries.
+
+
+def cell_kw(charge_kw: Floats, discharge_kw: Floats, eta_charge: Floats,
+            eta_discharge: Floats) -> Floats:
+    """Power that reaches the cells (2): what is charged less its losses, less what is drawn.
+
+    >>> cell_kw(np.array([10.0, 0.0]), np.array([0.0, 9.0]), np.full(2, 0.9), np.full(2, 0.9))
+    array([  9., -10.])
+    """
+    return np.asarray(eta_charge * charge_kw - discharge_kw / eta_discharge)
+
+
+def soc_after(soc: Floats, kw: Floats, batteries: Batteries, hours: float) -> Floats:
+    """State of charge after a power at the cells (2), limits left out.
+
+    Parameters
+    ----------
+    soc : array, shape (B,)
+        Before.
+    kw : array, shape (B,) or (W, B)
+        Power at the cells; with rows of cumulated power, the state after each row.
+    batteries : Batteries
+        Their capacities.
+    hours : float
+        How long.
+    """
+    return np.asarray(soc + kw * hours / batteries.energy_kwh)
+
+
+def charge_to_kw(level: Floats, soc: Floats, eta_charge: Floats, batteries: Batteries,
+                 hours: float) -> Floats:
+    """Charging power that reaches a state of charge in time, 0 where it is already there, (B,)."""
+    missing_kwh = np.maximum(level - soc, 0.0) * batteries.energy_kwh
+    return np.asarray(missing_kwh / (eta_charge * hours))
+
+
+def discharge_to_kw(level: Floats, soc: Floats, eta_discharge: Floats, batteries: Batteries,
+                    hours: float) -> Floats:
+    """Discharging power that reaches a state of charge in time, 0 where it is below, (B,)."""
+    held_kwh = np.maximum(soc - level, 0.0) * batteries.energy_kwh
+    return np.asarray(held_kwh * eta_discharge / hours)
+
+
+# Network.
+
+
+def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
+    """Net injections at all buses without the grid's supply: (9) less (10), or (12) less (13).
+
+    Parameters
+    ----------
+    site : Site
+        Where the devices are.
+    given : mapping of array
+        What ``pv`` (..., P), ``batteries`` (..., B) and ``customers`` (..., C) give, in kW or kvar:
+        minus (1) for batteries, minus the demand of those served for customers, PV power with
+        self-consumption. It is summed in the order given, which decides the last bit.
+
+    Returns
+    -------
+    array, shape (..., N)
+    """
+    bus = {"pv": site.pv_bus, "batteries": site.battery_bus, "customers": site.customer_bus}
+    first, *others = (power @ bus[devices].T for devices, power in given.items())
+    return np.asarray(sum(others, start=first))
+
+
+def lossless_flows(network: Network, injections: Floats) -> Floats:
+    """Flows of all lines that balance the injections (8), (11), shape (..., L) for (..., N)."""
+    return np.asarray(-(injections @ network.downstream.T))
+
+
+def voltage_drop_pu2(network: Network, p_kw: Floats, q_kvar: Floats) -> Floats:
+    """Drop of the squared voltage along the lines, ``2 (r P + x Q)`` of (21), shape (..., L).
+
+    >>> net = Network([1], [2], [0.1], [0.2], slack_bus=1, base_kv=1.0)
+    >>> voltage_drop_pu2(net, np.array([20.0]), np.array([10.0]))
+    array([0.008])
+    """
+    active = network.r_pu2_per_kw * p_kw
+    reactive = network.x_pu2_per_kvar * q_kvar
+    return np.asarray(2 * (active + reactive))
+
+
+def voltage_offset_pu2(network: Network, u_pu2: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
+    """What (21) leaves open at an AC point with squared voltages (..., N), shape (..., L)."""
+    rise = u_pu2[..., 1:] - u_pu2[..., network.parent]
+    return np.asarray(rise + voltage_drop_pu2(network, p_kw, q_kvar))
+
+
+def squared_voltages(network: Network, p_kw: Floats, q_kvar: Floats,
+                     offset_pu2: Floats) -> Floats:
+    """Squared voltages of all buses from the slack bus on (21), (N,) for flows and offset (L,)."""
+    rise = offset_pu2 - voltage_drop_pu2(network, p_kw, q_kvar)
+    return np.asarray(network.v_slack_pu**2 + network.downstream.T @ rise)
