@@ -126,12 +126,12 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
          "Give the weight of curtailed PV power in 1/kW."]),
     "unknown controller": (
         "scenario.toml", 'kind = "mpc"', 'kind = "pid"',
-        ["scenario.toml, controller.kind = pid: must be 'mpc' or 'full-horizon'. "
-         "Give the controller."]),
+        ["scenario.toml, controller.kind = pid: must be 'mpc', 'full-horizon', 'perfect', 'idle' "
+         "or 'reserve'. Give the controller."]),
     "negative horizon": (
         "scenario.toml", "horizon_h = 5.0", "horizon_h = -1",
         ["scenario.toml, controller.horizon_h = -1: must be at least 0. "
-         "Give the look-ahead of the controller; 0 is one step in h."]),
+         "Give the prediction horizon of the MPC; 0 is one step in h."]),
     "negative minimum time": (
         "scenario.toml", "[controller]", "[switching]\nmin_served_h = -1\n[controller]",
         ["scenario.toml, switching.min_served_h = -1: must be at least 0. "

@@ -6,10 +6,11 @@ at once.
 
 from __future__ import annotations
 
+import gc
 import json
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -32,10 +33,15 @@ from vppres.cli.tables import (
 from vppres.core.errors import InputError, Problem, VppresError
 
 if TYPE_CHECKING:
+    from vppres.day.trajectory import Trajectory
+    from vppres.report.drawing import DrawingProcesses
     from vppres.studies.sweep import SweepRow
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
 RESULTS = Path("results")
+# Libraries make a million objects that stay; Python's 700 looks through them again and again,
+# which takes a tenth of the time to load.
+OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
                   help="Dispatch a virtual power plant through an outage.")
@@ -43,6 +49,7 @@ app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
 
 def main() -> None:
     """Entry point of the console script and of ``python -m vppres``."""
+    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     app(prog_name="vppres")
 
 
@@ -73,24 +80,26 @@ def run(
         metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
     explain: Annotated[bool, typer.Option(
         help="Find a reason for every action and the shadow prices after the day.")] = True,
+    figures: Annotated[bool, typer.Option(
+        help="Draw the figures and write the report; without them there are tables, and report "
+        "writes the page later.")] = True,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Run a scenario's day and write a run folder."""
     with _plain_errors(debug):
-        from vppres.explain.day import explain_day
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
-        from vppres.report.run_folder import write_run
 
         day = read_scenario(find_scenario(scenario))
-        options = run_options(day, context.obj)
-        folder = out or RESULTS / f"{day.name}-{options.controller}"
-        check_target(folder)  # before the work, not after it
-        done = run_with_bar(day, options, quiet)
-        summary = write_run(explain_day(done) if explain else done, folder)
+        with _drawing(figures) as drawing:
+            options = run_options(day, context.obj)
+            folder = out or RESULTS / f"{day.name}-{options.controller}"
+            check_target(folder)  # before the work, not after it
+            done = run_with_bar(day, options, quiet)
+            summary = _write(done, folder, explain, drawing)
         if as_json:
             _print_json({"folder": str(folder), "summary": summary})
             return
@@ -279,6 +288,28 @@ def scenarios(as_json: Json = False) -> None:
             return
         for name in names:
             typer.echo(name)
+
+
+def _drawing(figures: bool) -> AbstractContextManager[DrawingProcesses | None]:
+    """Processes that begin to load what they draw with, before this one loads the solvers."""
+    from vppres.report.drawing import DrawingProcesses
+
+    return DrawingProcesses.where_they_help() if figures else nullcontext()
+
+
+def _write(done: Trajectory, folder: Path, explain: bool,
+           drawing: DrawingProcesses | None) -> dict[str, Any]:
+    """Write a run folder; the figures are drawn while the day is explained."""
+    from vppres.explain.day import explain_day
+    from vppres.report.run_folder import write_run
+
+    if drawing is not None:
+        drawing.begin(done)
+    if explain:
+        done = explain_day(done)
+    if drawing is None:
+        return write_run(done, folder, figures=False)
+    return write_run(done, folder, draw=drawing.save)
 
 
 @contextmanager

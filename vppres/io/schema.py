@@ -230,14 +230,13 @@ def _option_type(option: Option) -> Any:
 
 def _option_field(option: Option) -> Any:
     """Default, bounds, unit and meaning of an option's key."""
-    meaning = f"{option.meaning}: {option.words}" if option.words else option.meaning
     absent = f" (no such key: {option.unset})" if option.unset else ""
     bounds: dict[str, Any] = {}
     if option.range is not None:
         bounds["gt" if option.range.open_least else "ge"] = option.range.least
         bounds["lt" if option.range.open_most else "le"] = min(option.range.most, option.file_most)
     bounds = {name: bound for name, bound in bounds.items() if bound < inf}
-    return Field(default=option.default, description=meaning + absent,
+    return Field(default=option.default, description=option.meaning + absent,
                  json_schema_extra={"unit": option.unit} if option.unit else None, **bounds)
 
 

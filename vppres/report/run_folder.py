@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,11 @@ REPORT_FILE = "report.html"
 TEMPLATE = "run_report.html.j2"
 
 
-def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True) -> dict[str, Any]:
+Draw = Callable[[Trajectory, Path], object]
+
+
+def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True, figures: bool = True,
+              draw: Draw | None = None) -> dict[str, Any]:
     """Write a run folder, whole or not at all.
 
     Parameters
@@ -34,6 +38,11 @@ def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True) ->
         The folder to make; an older run in its place is replaced.
     interactive : bool
         Whether the report also has the charts that scripts draw, some 5 MB.
+    figures : bool
+        Whether to draw the figures and write the report, which embeds them.
+    draw : callable, optional
+        What puts the figures into a folder, ``draw(trajectory, folder)``;
+        :func:`vppres.report.plots.save_figures` if not given.
 
     Returns
     -------
@@ -49,9 +58,10 @@ def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True) ->
     with atomic_folder(folder) as aside:
         write_tables(trajectory, aside)
         write_scenario(trajectory.scenario, aside / "scenario")
-        save_figures(trajectory, aside / "figures")
-        report = render_report(trajectory, summary, aside / "figures", interactive)
-        _write(aside / REPORT_FILE, report)
+        if figures:
+            (draw or save_figures)(trajectory, aside / "figures")
+            report = render_report(trajectory, summary, aside / "figures", interactive)
+            _write(aside / REPORT_FILE, report)
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 

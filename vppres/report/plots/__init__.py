@@ -41,7 +41,14 @@ from vppres.report.plots.base import (
 )
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
-from vppres.report.plots.files import FIGURE_TEXTS, FIGURES, RUN_FIGURES, save_figures
+from vppres.report.plots.files import (
+    FIGURE_TEXTS,
+    FIGURES,
+    RUN_FIGURES,
+    draw_figure,
+    figure_names,
+    save_figures,
+)
 from vppres.report.plots.service import MAX_NAMED_CUSTOMERS, service_by_tier
 from vppres.report.plots.strips import timeline
 
@@ -68,11 +75,13 @@ __all__ = [
     "Runs",
     "battery_power_kw",
     "demand_kw",
+    "draw_figure",
     "draw_grid",
     "edges_of",
     "energy_and_price",
     "energy_limits_kwh",
     "feeder_maps",
+    "figure_names",
     "import_load_pv",
     "line_loadings",
     "line_values",

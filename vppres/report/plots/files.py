@@ -58,10 +58,17 @@ def save_figures(runs: Runs, folder: Path) -> list[Path]:
         The files written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, draw in FIGURES.items():
-        files += save_figure(draw(runs), folder / name)
-    if isinstance(runs, Trajectory):
-        for name, draw_run in RUN_FIGURES.items():
-            files += save_figure(draw_run(runs), folder / name)
-    return files
+    return [file for name in figure_names(runs) for file in draw_figure(runs, name, folder)]
+
+
+def figure_names(runs: Runs) -> list[str]:
+    """Names of the figures that one run, or several side by side, have."""
+    return [*FIGURES, *(RUN_FIGURES if isinstance(runs, Trajectory) else ())]
+
+
+def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
+    """Write one figure as PNG and SVG into an existing folder."""
+    if name in FIGURES:
+        return save_figure(FIGURES[name](runs), folder / name)
+    assert isinstance(runs, Trajectory)
+    return save_figure(RUN_FIGURES[name](runs), folder / name)
