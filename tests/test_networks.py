@@ -434,7 +434,9 @@ def test_simbench_code_that_does_not_exist() -> None:
     ("a.m", MATPOWER_CASE + "mpc.bus(:, 3) = mpc.bus(:, 3) / 1e3;\n",
      "a.m: computes mpc.bus in code, which only MATPOWER can run. Load the case in MATPOWER, write "
      "it with savecase, and import that file."),
-    ("a.dss", "new nothing.x", "a.dss: OpenDSS refuses the file ("),
+    ("a.dss", "new nothing.x", "a.dss, row 1: 'nothing' is not a class that a network needs. "
+                               "Remove the element."),
+    ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
     ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
 ])
 def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) -> None:

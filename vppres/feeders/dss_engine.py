@@ -1,15 +1,7 @@
-"""OpenDSS in a process of its own: checked commands in, tables of numbers and names out.
-
-Run by its path, without the package around it: it reads JSON from its input, writes JSON to its
-output, and ends. It has no file to write to, and a clock that ends it even inside the engine.
-"""
+"""OpenDSS in a process of its own: checked commands in, tables of numbers and names out."""
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -24,39 +16,15 @@ LEFT_OUT = {"capacitor": "Capacitors are left out", "storage": "Batteries of the
 THREE_PHASES = 3
 DEFAULT_AMPS = 400.0
 SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
-MEMORY_BYTES = 4 * 2**30
 CURE = "Correct the file until OpenDSS solves it."
 
 Problems = list[dict[str, Any]]
 Table = list[dict[str, Any]]
 
 
-def main() -> None:
-    """Read a job from the input, answer it on the output."""
-    # OpenDSS writes to the output too; the answer has it alone.
-    out = os.dup(1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    job = json.load(sys.stdin)
-    _confine(float(job["limit_s"]))
-    answer = _answer(job["commands"])
-    with os.fdopen(out, "w", encoding="utf-8") as stream:
-        json.dump(answer, stream)
-
-
-def _confine(limit_s: float) -> None:
-    """No file to write, no more than so much memory and time; where the system has such limits."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    signal.setitimer(signal.ITIMER_REAL, limit_s)  # its signal ends the process, in C code too
-
-
-def _answer(commands: list[str]) -> dict[str, Any]:
-    """The circuit of the commands as tables, or what is wrong with it."""
+def answer(job: dict[str, Any]) -> dict[str, Any]:
+    """The circuit of the job's commands as tables, or what is wrong with it."""
+    commands = job["commands"]
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
@@ -236,6 +204,3 @@ def _notes() -> Iterator[str]:
         if names:
             yield f"{words}: {', '.join(names)}."
 
-
-if __name__ == "__main__":
-    main()

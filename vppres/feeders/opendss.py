@@ -7,10 +7,6 @@ and only numbers and names come back.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +16,10 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
 from vppres.feeders import dss_text
+from vppres.feeders.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
 
 A_PER_KA = 1000.0
-TIME_LIMIT_S = 10.0
-"""For OpenDSS to build a circuit; the published feeders take less than one."""
-
-START_LIMIT_S = 60.0
-"""For the process to load its libraries, which a busy machine does slowly."""
-
 Contents = tuple[Any, dict[int, BusId], tuple[str, ...]]
 
 
@@ -58,52 +49,12 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
         an element has no balanced equivalent here.
     """
     script = dss_text.read_script(path)
-    found = _engine([command.text for command in script.commands], path.name, time_limit_s)
+    job = {"commands": [command.text for command in script.commands]}
+    found = confined("dss_engine", job, path.name, time_limit_s)
     if found["problems"]:
         raise InputError([_located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
     return net, ids, (*script.notes, *found["notes"])
-
-
-def _engine(commands: list[str], name: str, time_limit_s: float) -> dict[str, Any]:
-    """What OpenDSS makes of the commands, from its own process."""
-    job = json.dumps({"commands": commands, "limit_s": time_limit_s})
-    engine = Path(__file__).with_name("dss_engine.py")
-    too_long = InputError(Problem(name, f"OpenDSS does not finish within {time_limit_s:g} s",
-                                  "Give the feeder alone, with sizes that equipment has."))
-    with tempfile.TemporaryDirectory(prefix="vppres-dss-") as folder:
-        try:
-            # -I: neither variables nor files of the user say what is loaded.
-            done = subprocess.run([sys.executable, "-I", str(engine)], input=job, text=True,
-                                  encoding="utf-8", cwd=folder, env=_environment(folder),
-                                  capture_output=True, check=False,
-                                  timeout=START_LIMIT_S + time_limit_s)
-        except subprocess.TimeoutExpired:
-            raise too_long from None
-    if done.returncode == -_alarm():
-        raise too_long
-    try:
-        found = json.loads(done.stdout)
-    except ValueError:
-        raise InputError(Problem(
-            name, f"OpenDSS ended without an answer (status {done.returncode})",
-            "Look for sizes that no equipment has, such as a line of a million phases.")) from None
-    assert isinstance(found, dict)
-    return found
-
-
-def _environment(folder: str) -> dict[str, str]:
-    """Variables of the process: nothing of the user's, no program to find, one thread."""
-    return {"HOME": folder, "TMPDIR": folder, "PATH": "", "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1", "DSS_CAPI_ALLOW_DOSCMD": "0",
-            "DSS_CAPI_ALLOW_CHANGE_DIR": "0", "DSS_CAPI_ALLOW_EDITOR": "0"}
-
-
-def _alarm() -> int:
-    """Number of the signal by which the process's own clock ends it; 0 where there is none."""
-    import signal
-
-    return int(getattr(signal, "SIGALRM", 0))
 
 
 def _located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,8 +20,13 @@ from vppres.scenario.network import BusId
 Source = Literal["pandapower", "matpower", "opendss", "simbench"]
 SUFFIXES: dict[str, Source] = {".json": "pandapower", ".m": "matpower", ".mat": "matpower",
                                ".dss": "opendss"}
-# A MATPOWER case that computes its own tables: only MATPOWER itself can run that.
-_COMPUTES = re.compile(r"^\s*mpc\.(bus|branch|gen)\s*\(", re.MULTILINE)
+_PICKLE = "may be a pickle, which runs what its author wrote when it is opened"
+NEVER = {
+    **dict.fromkeys((".p", ".pkl", ".pickle", ".npy", ".npz", ".joblib"), _PICKLE),
+    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods"), "is a workbook"),
+    **dict.fromkeys((".py", ".pyc", ".ipynb"), "is a program"),
+}
+"""Files that hold nets for other tools and are not opened here."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,10 @@ def _quiet() -> Iterator[None]:
 
 def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
     """The reader of a file or code."""
+    never = NEVER.get(Path(text).suffix.lower())
+    if never and source != "simbench":
+        raise InputError(Problem(f"network {Path(text).name}", never,
+                                 "Write the net with pandapower.to_json, and import that file."))
     kind = source or SUFFIXES.get(Path(text).suffix.lower())
     if kind is None:
         raise InputError(Problem(
@@ -110,30 +118,33 @@ def _missing(module: str, extra: str) -> InputError:
 
 
 def _pandapower(path: Path) -> _Net:
-    import pandapower as pp
+    from vppres.feeders.pandapower_json import read_pandapower
 
     try:
-        net = pp.from_json(str(path))
+        net, notes = read_pandapower(path)
+    except InputError:
+        raise
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         raise _unreadable(path, "pandapower JSON", error) from None
-    return _Net(net)
+    return _Net(net, notes=notes)
 
 
 def _matpower(path: Path) -> _Net:
     """A MATPOWER case; pandapower counts its buses from 0, MATPOWER from 1."""
-    if path.suffix.lower() == ".m":
-        _library("matpowercaseframes", "matpower")
-        found = _COMPUTES.search(path.read_text(encoding="utf-8", errors="replace"))
-        if found:
-            raise InputError(Problem(
-                path.name, f"computes mpc.{found[1]} in code, which only MATPOWER can run",
-                "Load the case in MATPOWER, write it with savecase, and import that file."))
-    from pandapower.converter.matpower import from_mpc
+    from vppres.feeders.matpower import read_m, read_mat
 
+    what = "a MATPOWER case of version 2"
+    suffix = path.suffix.lower()
+    if suffix == ".m":
+        _library("matpowercaseframes", "matpower")
+    elif suffix != ".mat":
+        raise _unreadable(path, what, "its name ends in neither .m nor .mat")
     try:
-        net = from_mpc(str(path))
+        net = read_m(path) if suffix == ".m" else read_mat(path)
+    except InputError:
+        raise
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
-        raise _unreadable(path, "a MATPOWER case of version 2", error) from None
+        raise _unreadable(path, what, error) from None
     return _Net(net, _from_one(net))
 
 

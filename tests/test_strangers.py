@@ -1,0 +1,475 @@
+"""Network files of strangers: whatever they ask for, nothing runs, is written or is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandapower as pp
+import pandapower.networks as pp_networks
+import pytest
+
+from vppres.core.errors import InputError
+from vppres.feeders import confined, dss_text, import_network
+from vppres.feeders.opendss import read_opendss
+
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
+
+LONGEST_S = 10.0
+CIRCUIT = """clear
+new circuit.mill basekv=11 bus1=src phases=3
+new line.head bus1=src bus2=a phases=3 r1=0.3 x1=0.2
+new load.d bus1=a phases=3 kv=11 kw=50 kvar=10
+set voltagebases=[11]
+"""
+
+
+# What a process does, seen by the interpreter itself: it cannot be looked past.
+
+WATCHED: list[tuple[str, str]] = []
+WATCHING: list[bool] = []
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    if WATCHING and event in ("import", "open", "subprocess.Popen", "os.system", "os.exec",
+                              "os.posix_spawn", "os.fork", "ctypes.dlopen", "os.remove",
+                              "os.rename", "os.mkdir", "os.symlink", "socket.connect",
+                              "webbrowser.open", "pickle.find_class", "exec", "compile"):
+        WATCHED.append((event, " ".join(str(argument) for argument in arguments)))
+
+
+sys.addaudithook(_watch)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _libraries() -> None:
+    """What the import of any network loads is loaded before anything is watched."""
+    import_network(pp_networks.case33bw())
+
+
+@pytest.fixture
+def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for the stranger's file, beside things that are none of its business."""
+    (tmp_path / "secret.txt").write_text("the-secret is mine\n")
+    (tmp_path / "secret.dss").write_text("the-secret is mine\n")
+    (tmp_path / "circuit.dss").write_text(CIRCUIT)
+    (tmp_path / "table.json").write_text('{"columns":["the-secret"],"index":[0],"data":[[1]]}')
+    (tmp_path / "canary_module.py").write_text(
+        f"open({str(tmp_path / 'canary')!r}, 'w').write('run')\nclass Bird: pass\n")
+    folder = tmp_path / "stranger"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def everything(root: Path) -> dict[str, bytes]:
+    """Names and contents of all regular files."""
+    return {str(file.relative_to(root)): file.read_bytes()
+            for file in sorted(root.rglob("*")) if file.is_file() and not file.is_symlink()
+            and file.stat().st_size < 1_000_000}
+
+
+def refused(file: Path) -> str:
+    """The message with which a file is refused; nothing else has happened."""
+    root = file.parent.parent
+    before = everything(root)
+    modules = set(sys.modules)
+    WATCHED.clear()
+    WATCHING.append(True)
+    start = time.monotonic()
+    try:
+        with pytest.raises(InputError) as caught:
+            import_network(file)
+    finally:
+        WATCHING.clear()
+    assert time.monotonic() - start < LONGEST_S
+    assert everything(root) == before
+    assert not (root / "canary").exists()
+    assert {m for m in set(sys.modules) - modules if not m.startswith(("vppres.", "scipy."))} <= {
+        "matpowercaseframes", *(m for m in sys.modules if m.startswith("matpowercaseframes."))}
+    for event, arguments in WATCHED:
+        assert "canary" not in arguments, (event, arguments)
+        assert "the-secret" not in arguments, (event, arguments)
+        if event == "subprocess.Popen":
+            assert str(Path(confined.__file__).with_name("child.py")) in arguments
+        assert event not in ("os.system", "os.exec", "os.posix_spawn", "ctypes.dlopen",
+                             "socket.connect", "webbrowser.open", "pickle.find_class")
+    message = str(caught.value)
+    assert "the-secret" not in message
+    assert len(message) < 20_000
+    return message
+
+
+def master(house: Path, *lines: str) -> Path:
+    """A circuit that would be read, with the lines at its end."""
+    file = house / "mill.dss"
+    file.write_text(CIRCUIT + "\n".join(lines) + "\n", newline="")
+    return file
+
+
+def test_the_circuit_without_hostile_lines_is_read(house: Path) -> None:
+    assert import_network(master(house)).network.buses.tolist() == ["src", "a"]
+
+
+ROW = "mill.dss, row 6"
+NOT_NEEDED = "is not a command that a network needs. Remove the line"
+NO_OPTION = "is not an option that a network needs."
+NO_PROPERTY = "which is not a property that a network needs."
+OUT = "leads out of the master's folder"
+LINES = {
+    # kind 1: a program as editor, and windows
+    "editor": (["set editor=/bin/touch"], f"'set editor' {NO_OPTION}"),
+    "editor quoted": (['SET "editor"="touch canary"'], f"'set editor' {NO_OPTION}"),
+    "editor second": (["set tolerance=1 editor=x"], f"'set editor' {NO_OPTION}"),
+    "fileedit": (["fileedit canary"], f"'fileedit' {NOT_NEEDED}"),
+    "formedit": (["formedit load.d"], f"'formedit' {NOT_NEEDED}"),
+    "doscmd": (['doscmd "touch canary"'], f"'doscmd' {NOT_NEEDED}"),
+    # kind 2: comments that hide a command, or seem to
+    "after a comment": (["/* a", "b */ fileedit canary"], f"'fileedit' {NOT_NEEDED}"),
+    "comment in a line": (["/* a */ set editor=touch"], f"'set editor' {NO_OPTION}"),
+    "carriage return": (["! a comment\rexport voltages canary"], f"'export' {NOT_NEEDED}"),
+    "comment in a value": (["new load.e bus1=a!\rkw=1"], "follows a value without a blank"),
+    "quote over a comment": (['new load.e bus1="a ! b'], "a quote that is not closed"),
+    "control character": (["new load.e bus1=a\x0bexport"], "has a control character"),
+    # kind 3: files written
+    "export": (["export voltages canary"], f"'export' {NOT_NEEDED}"),
+    "save": (["save circuit dir=../canary"], f"'save' {NOT_NEEDED}"),
+    "cd": (["cd .."], f"'cd' {NOT_NEEDED}"),
+    "datapath": (["set datapath=.."], f"'set datapath' {NO_OPTION}"),
+    "recorder": (["set recorder=yes"], f"'set recorder' {NO_OPTION}"),
+    "dump": (["dump debug"], f"'dump' {NOT_NEEDED}"),
+    "debugtrace": (["new generator.g bus1=a debugtrace=yes"], NO_PROPERTY),
+    "demand files": (["set demand=true"], f"'set demand' {NO_OPTION}"),
+    # kind 4: windows and browsers
+    "show": (["show voltages"], f"'show' {NOT_NEEDED}"),
+    "plot": (["plot profile"], f"'plot' {NOT_NEEDED}"),
+    "visualize": (["visualize powers line.head"], f"'visualize' {NOT_NEEDED}"),
+    # kind 5: other people's files
+    "absolute": (["redirect /etc/passwd"], "names the file /etc/passwd"),
+    "above": (["redirect ../secret.txt"], OUT),
+    "two above": (["redirect ../../secret.dss"], OUT),
+    "not a data sheet": (["redirect ../secret.dss"], "is not a data sheet"),
+    "circuit above": (["redirect ../circuit.dss"], "is not a data sheet"),
+    "backslashes": (["compile ..\\..\\secret.dss"], OUT),
+    "home": (["redirect ~/.profile"], "names the file ~/.profile"),
+    "url": (["redirect http:x"], "names the file http:x"),
+    # kind 6: code of the user's
+    "user model": (["new generator.g bus1=a usermodel=canary.so"], NO_PROPERTY),
+    "user data": (["~ userdata=(canary)"], NO_PROPERTY),
+    "pv model": (["new pvsystem.p bus1=a usermodel=canary.dll"], NO_PROPERTY),
+    "storage library": (["new storage.s bus1=a dynadll=canary"], NO_PROPERTY),
+    "edited model": (["generator.g.usermodel=canary.so"], NO_PROPERTY),
+    "control model": (["new capcontrol.c usermodel=canary.so"], NO_PROPERTY),
+    # kind 7: substitution
+    "variable": (["var @x=canary"], "has '@', which stands for a variable"),
+    "variable in a value": (["new load.e bus1=@x"], "has '@', which stands for a variable"),
+    "batchedit": (["batchedit load..* kw=1"], f"'batchedit' {NOT_NEEDED}"),
+    "query": (["? load.d.kw"], f"'?' {NOT_NEEDED}"),
+    "arithmetic": (["new load.e bus1=a kw=(1 2 system)"], "kw = system is not a number"),
+    # kind 8: series in files
+    "csv": (["new loadshape.s npts=9 csvfile=/etc/passwd"], NO_PROPERTY),
+    "doubles": (["new loadshape.s npts=9 dblfile=../secret.txt"], NO_PROPERTY),
+    "singles": (["new loadshape.s npts=9 sngfile=../secret.txt"], NO_PROPERTY),
+    "mult": (["new loadshape.s npts=9 mult=(file=/etc/passwd)"], "names the file /etc/passwd"),
+    "mult above": (["new loadshape.s npts=9 mult=[csvfile=../secret.txt]"], OUT),
+    # kind 9: work without end
+    "solve for ever": (["solve mode=yearly number=1000000000"], "'solve' with 'mode'"),
+    "redirect to itself": (["redirect mill.dss"], "which is read already"),
+    "mode": (["set number=1000000000"], f"'set number' {NO_OPTION}"),
+}
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_hostile_lines_of_opendss(name: str, house: Path) -> None:
+    lines, reason = LINES[name]
+    message = refused(master(house, *lines))
+    assert message.startswith("mill.dss, row ") or message.startswith("../")
+    assert reason in message
+    if len(lines) == 1 and "\r" not in lines[0] and not message.startswith("../"):
+        assert message.startswith(f"{ROW}: ")
+
+
+def many_levels(house: Path) -> Path:
+    for level in range(40):
+        (house / f"f{level}.dss").write_text(f"redirect f{level + 1}.dss\n")
+    return master(house, "redirect f0.dss")
+
+
+def circle(house: Path) -> Path:
+    (house / "b.dss").write_text("redirect c.dss\n")
+    (house / "c.dss").write_text("redirect b.dss\n")
+    return master(house, "redirect b.dss")
+
+
+def link_out(house: Path) -> Path:
+    (house / "link.txt").symlink_to(house.parent / "secret.txt")
+    return master(house, "redirect link.txt")
+
+
+def link_circle(house: Path) -> Path:
+    (house / "one.dss").symlink_to(house / "two.dss")
+    (house / "two.dss").symlink_to(house / "one.dss")
+    return master(house, "redirect one.dss")
+
+
+def pipe(house: Path) -> Path:
+    os.mkfifo(house / "pipe.dss")
+    return master(house, "redirect pipe.dss")
+
+
+def long_file(house: Path) -> Path:
+    return master(house, "! " + "x" * (11 * 2**20))
+
+
+def long_line(house: Path) -> Path:
+    return master(house, "new load.e bus1=a zipv=[" + "1 " * 2_000_000 + "x]")
+
+
+def many_lines(house: Path) -> Path:
+    return master(house, *["export voltages canary"] * 300_000)
+
+
+def too_many_phases(house: Path) -> Path:
+    return master(house, "new line.e bus1=a bus2=b phases=30000 r1=1 x1=1", "calcv")
+
+
+FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "levels": (many_levels, "files are read 10 deep"),
+    "circle": (circle, "which is read already"),
+    "link out": (link_out, OUT),
+    "link circle": (link_circle, OUT),
+    "pipe": (pipe, "there is no such file"),
+    "long file": (long_file, "has more than 10 MB"),
+    "long line": (long_line, "zipv = x is not a number"),
+    "many lines": (many_lines, "more lines like these"),
+    "phases": (too_many_phases, "mill.dss: "),  # OpenDSS 0.14 does not survive it
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_hostile_files_of_opendss(name: str, house: Path) -> None:
+    make, reason = FILES[name]
+    assert reason in refused(make(house))
+
+
+# kind 10 and more: pandapower's JSON
+
+NO_OBJECT = "which is not an object of a net. Remove it, or write the net anew with"
+
+
+def small_net() -> Any:
+    net = pp.create_empty_network()
+    pp.create_buses(net, 2, vn_kv=11.0)
+    pp.create_ext_grid(net, 0)
+    pp.create_line_from_parameters(net, 0, 1, 1.0, 0.3, 0.2, 0.0, 1.0)
+    pp.create_load(net, 1, p_mw=0.05)
+    return net
+
+
+def made_of(changes: dict[str, Any]) -> str:
+    """A net's text with more entries."""
+    text = json.loads(pp.to_json(small_net()))
+    text["_object"].update(changes)
+    return json.dumps(text)
+
+
+def named(module: str, kind: str, content: Any = "x", **more: Any) -> dict[str, Any]:
+    return {"_module": module, "_class": kind, "_object": content, **more}
+
+
+def frame(cell: Any) -> dict[str, Any]:
+    """A table with one cell."""
+    return named("pandas.core.frame", "DataFrame", json.dumps(
+        {"columns": ["a"], "index": [0], "data": [[cell]]}), orient="split",
+        dtype={"a": "object"})
+
+
+BIRD = named("canary_module", "Bird")
+DEEP: Any = "x"
+for _ in range(40):
+    DEEP = [DEEP]
+TEXTS: dict[str, tuple[str, str]] = {
+    "module": (made_of({"x": BIRD}), f"canary_module.Bird, {NO_OBJECT}"),
+    "instead of a net": (json.dumps(BIRD), f"canary_module.Bird, {NO_OBJECT}"),
+    "in a cell": (made_of({"x": frame(BIRD)}), "canary_module.Bird, "),
+    "in a text in a cell": (made_of({"x": frame(json.dumps(json.dumps(BIRD)))}),
+                            "canary_module.Bird, "),
+    "in a list": (made_of({"x": [[{"y": BIRD}]]}), "canary_module.Bird, "),
+    "in a net in a net": (json.dumps(named("pandapower.auxiliary", "pandapowerNet",
+                                           made_of({"x": BIRD}))), "canary_module.Bird, "),
+    "escaped": (made_of({"x": json.dumps(json.dumps(BIRD)).replace("_module", "\\u005fmodule")}),
+                "canary_module.Bird, "),
+    "lenient": (made_of({"x": "{'_module': 'canary_module', '_class': 'Bird'}"}),
+                "has a text that names a module and is not JSON"),
+    "twice": (made_of({"x": {}}).replace(
+        '"x": {}', '"x": {"_module": "canary_module", "_class": "Bird", "_module": "numpy"}'),
+        "has an object with the same key twice"),
+    "system": (made_of({"x": named("posix", "system", "touch canary")}), "posix.system, "),
+    "eval": (made_of({"x": named("builtins", "eval", "open('canary', 'w')")}), "builtins.eval, "),
+    "function": (made_of({"x": named("canary_module", "function", "Bird")}),
+                 "canary_module.function, "),
+    "function of a controller": (made_of({"x": named("pandapower.control.run_control",
+                                                     "function", "run_control")}),
+                                 "pandapower.control.run_control.function, "),
+    "pickle": (made_of({"x": named("pandas.io.pickle", "read_pickle", "canary.p")}),
+               "pandas.io.pickle.read_pickle, "),
+    "load": (made_of({"x": named("numpy", "load", "canary.npy", allow_pickle=True)}),
+             "numpy.load, "),
+    "no class": (made_of({"x": {"_module": "canary_module"}}), "canary_module.None, "),
+    "path": (made_of({"x": named("pandas.core.frame", "DataFrame", "PATH/table.json",
+                                 orient="split")}), "has a table that is not given as JSON"),
+    "setting": (made_of({"x": {**frame(1), "storage_options": {"a": 1}}}),
+                "gives DataFrame the setting 'storage_options'"),
+    "deep": (made_of({"x": DEEP}), "nests deeper than 30 levels"),
+    "very deep": ("[" * 200_000 + "]" * 200_000, "cannot be read as pandapower JSON"),
+    "long": (" " * (33 * 2**20), "has more than 32 MB"),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_hostile_pandapower_files(name: str, house: Path) -> None:
+    text, reason = TEXTS[name]
+    file = house / "net.json"
+    file.write_text(text.replace("PATH", str(house.parent)))
+    message = refused(file)
+    assert message.startswith("net.json: ")
+    assert reason in message
+
+
+def test_honest_pandapower_files(house: Path) -> None:
+    file = house / "net.json"
+    file.write_text(made_of({"x": frame("a text"), "y": named("numpy", "float64", 1.0),
+                             "z": named("builtins", "tuple", [1, 2])}))
+    assert import_network(file).network.buses.tolist() == [0, 1]
+
+
+def test_controllers_are_left_out_and_not_imported(house: Path) -> None:
+    controller = named("pandapower.control.canary", "Bird")
+    file = house / "net.json"
+    file.write_text(made_of({"x": frame(controller)}))
+    assert "pandapower.control.canary" not in sys.modules
+    assert import_network(file).notes == (
+        "Controllers, time series and protection of the source are left out.",)
+
+
+# MATLAB's files, and what is never opened
+
+
+class Bomb:
+    """A pickle that writes a file where it is opened."""
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, ...]]:
+        return os.mkdir, ("canary",)
+
+
+def mat_element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content
+
+
+def mat_file(*elements: bytes) -> bytes:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    return head + b"".join(elements)
+
+
+def matrix(kind: int, name: bytes, *rest: bytes) -> bytes:
+    """A matrix of one element: flags, dimensions, name, and what it holds."""
+    return mat_element(14, mat_element(6, struct.pack("<II", kind, 0))
+                       + mat_element(5, struct.pack("<ii", 1, 1))
+                       + mat_element(1, name.ljust(8, b"\0")) + b"".join(rest))
+
+
+def nested_cells(depth: int) -> bytes:
+    """A cell in a cell in a cell; the reader of the format goes down by recursion."""
+    inner = matrix(6, b"", mat_element(9, struct.pack("<d", 1.0)))
+    for _ in range(depth):
+        inner = matrix(1, b"mpc" if _ == depth - 1 else b"", inner)
+    return inner
+
+
+def unpacking_to(size: int) -> bytes:
+    """Zeros that take a thousandth of their size."""
+    raw = mat_element(14, mat_element(6, struct.pack("<II", 6, 0))
+                      + mat_element(5, struct.pack("<ii", 1, size // 8))
+                      + mat_element(1, b"mpc".ljust(8, b"\0")) + mat_element(9, bytes(size)))
+    return mat_file(mat_element(15, zlib.compress(raw, 9)))
+
+
+BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
+    "pickle": ("net.p", lambda: pickle.dumps(Bomb()), "may be a pickle, which runs"),
+    "pickle by another name": ("net.json", lambda: pickle.dumps(Bomb()), "cannot be read as"),
+    "pickle as a matrix": ("net.mat", lambda: pickle.dumps(Bomb()), "cannot be read as"),
+    "workbook": ("net.xlsx", lambda: b"PK", "is a workbook"),
+    "program": ("net.py", lambda: b"open('canary', 'w')", "is a program"),
+    "nested": ("net.mat", lambda: mat_file(nested_cells(20_000)), "net.mat: "),
+    "zeros": ("net.mat", lambda: unpacking_to(200 * 2**20), "cannot be read as"),
+    "no mpc": ("net.mat", lambda: mat_file(), "cannot be read as"),
+    "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
+    "computes": ("net.m", lambda: b"function mpc = c\nmpc.bus(1) = system('touch canary');\n",
+                 "computes mpc.bus in code"),
+    "calls": ("net.m", lambda: b"function mpc = c\nsystem('touch canary');\n",
+              "cannot be read as a MATPOWER case"),
+    "many names": ("net.m", lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 500_000,
+                   "cannot be read as a MATPOWER case"),
+    "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "cannot be read as a MATPOWER case"),
+    "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
+}
+
+
+@pytest.mark.parametrize("name", BINARIES)
+def test_hostile_matlab_files_and_others(name: str, house: Path) -> None:
+    file_name, content, reason = BINARIES[name]
+    file = house / file_name
+    file.write_bytes(content())
+    assert reason in refused(file)
+    assert not (house / "canary").exists()
+
+
+# The process in which files are read
+
+
+def test_a_reader_that_does_not_end_is_ended(house: Path) -> None:
+    start = time.monotonic()
+    with pytest.raises(InputError, match=r"^mill\.dss: is not read within 0\.001 s\. Give "):
+        read_opendss(master(house, *[f"new line.l{i} bus1=a bus2=b{i} phases=3 r1=1 x1=1"
+                                     for i in range(5000)]), time_limit_s=0.001)
+    assert time.monotonic() - start < LONGEST_S
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limits")
+def test_the_process_can_write_no_file(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Past the check: even if a command that writes went through it, nothing would come of it.
+    canary = house.parent / "canary.csv"
+    script = dss_text.Script(tuple(
+        dss_text.Command("mill.dss", 1, text) for text in (
+            *CIRCUIT.splitlines(), "solve", f"export voltages {canary}")), ())
+    monkeypatch.setattr(dss_text, "read_script", lambda path: script)
+    with pytest.raises(InputError, match=r"OpenDSS refuses the file|ends the process"):
+        read_opendss(master(house))
+    assert not canary.exists() or canary.read_bytes() == b""
+    assert not [*house.glob("*voltages*"), *house.glob("*VOLTAGES*")]
+
+
+@pytest.mark.parametrize("where", [".", "lines"])
+def test_files_below_the_master_are_read_in_their_place(where: str, house: Path) -> None:
+    (house / "lines").mkdir()
+    (house / where / "more.dss").write_text(
+        "new line.tail bus1=a bus2=b phases=3 linecode=std length=2 units=km\n"
+        "new load.e bus1=b phases=3 kv=11 kw=(20 2 /) kvar=1 ! a remark\n")
+    (house.parent / "codes.dss").write_text(
+        "new linecode.std nphases=3 r1=0.1 x1=0.1\n~ units=km // as above\n")
+    feeder = import_network(master(house, "redirect ../codes.dss", "/* nothing", "here */",
+                                   f"redirect {where}/more.dss", "calcv", "solve",
+                                   "new loadshape.day npts=2 interval=12 mult=[1 0.5]",
+                                   "load.d.daily=day", "new energymeter.m line.head 1"))
+    assert feeder.network.buses.tolist() == ["src", "a", "b"]
+    assert feeder.network.r_ohm.tolist() == pytest.approx([0.3, 0.2])
+    assert feeder.p_load_kw.tolist() == pytest.approx([0.0, 50.0, 10.0])

@@ -1,0 +1,27 @@
+"""MATLAB's binary files in a process of their own: the tables of a MATPOWER case, and no more.
+
+The format holds data only, but whoever writes it chooses how deep and how large it unpacks.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+TABLES = ("baseMVA", "bus", "gen", "branch")
+
+
+def answer(job: dict[str, Any]) -> dict[str, Any]:
+    """The tables of the struct ``mpc``, or why there are none."""
+    content: Any = io.BytesIO(base64.b64decode(job["content"]))
+    try:
+        case = scipy.io.loadmat(content, squeeze_me=True, struct_as_record=False,
+                                variable_names=["mpc"])["mpc"]
+        tables = {name: np.asarray(getattr(case, name), dtype=float).tolist() for name in TABLES}
+        return {"version": str(case.version), "tables": tables}
+    except Exception as error:  # whatever the reader stumbles over, the file is the cause
+        return {"error": f"{type(error).__name__}: {error}"}
