@@ -79,6 +79,7 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.quiet_days --results results/studies
 	$(BIN)/python -m experiments.alarms --results results/studies
 	$(BIN)/python -m experiments.garbage --results results/studies
+	$(BIN)/python -m experiments.threads --results results/studies
 	$(BIN)/python -m experiments.baselines --results results/studies
 	$(BIN)/python -m experiments.islands --out results/studies/islands
 

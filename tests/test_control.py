@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import vppres
 from experiments.garbage import beyond_limits, run_one
+from experiments.threads import differing
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import LimitError, SolveError, VerificationError
@@ -445,6 +447,25 @@ def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None
         soc = dict(decision.batteries["soc_end"])
         assert decision.customers.equals(expected.customers)
         assert decision.batteries.equals(expected.batteries)
+
+
+# Threads.
+
+
+def test_two_threads_answer_as_one_does() -> None:
+    steps, wrong, _, _ = differing(range(3))
+    assert (steps, wrong) == (60, 0)
+
+
+def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
+    options = RunOptions(horizon_h=2.0)
+    days = [tiny, replace(tiny, load_kw=0.5 * tiny.load_kw)] * 2
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda day: vppres.run_day(day, options), days))
+    for day, run in zip(days, together, strict=True):
+        alone = vppres.run_day(day, options)
+        for name in ("customers", "batteries", "pv", "buses"):
+            assert run.tables[name].equals(alone.tables[name]), name
 
 
 # Garbage.

@@ -127,8 +127,9 @@ class Day:
             result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
             realised.q_injection_kvar)
         self.battery_kw = realised.charge_kw - realised.discharge_kw
-        # An island that batteries hold has no meter of import.
-        self.import_kw = None if self._held_by_batteries(t) else result.p_slack_kw
+        # An island that batteries hold has no meter of import; what was not found is no reading.
+        metered = not (self._held_by_batteries(t) or done.ac_failed)
+        self.import_kw = result.p_slack_kw if metered else None
         self.served = realised.served
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:

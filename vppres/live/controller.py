@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -126,6 +127,7 @@ class Controller:
         self._decider = decider
         self._past = _Past.before_the_day(scenario, options)
         self._step_before: tuple[Memory, _Past] | None = None
+        self._turn = Lock()
 
     @classmethod
     def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:
@@ -179,6 +181,11 @@ class Controller:
         VerificationError
             If the AC power flow of the set-points does not converge.
         """
+        with self._turn:  # steps are decided one after another, whoever asks
+            return self._step(observation)
+
+    def _step(self, observation: Measurement) -> SetPoints:
+        """One step, undone if it fails."""
         seen = see(self.scenario, observation, self.options.guard, max(self._past.t, 0))
         latest = Memory(self._decider)
         start = (latest, self._past)

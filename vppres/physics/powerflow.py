@@ -8,6 +8,7 @@ load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 
@@ -286,21 +287,30 @@ def _read_followed(network: Network, found: Followed, p_kw: Floats, q_kvar: Floa
 
 
 def shared_power_flow(network: Network) -> ACPowerFlow:
-    """The process's power flow of a network, made to start flat; only the last few are kept.
+    """The thread's power flow of a network, made to start flat; only the last few are kept.
 
     Building a pandapower net takes as long as some thirty solves, so a study of many days on one
-    network should do it once. The flat start keeps runs independent of each other.
+    network should do it once. The flat start keeps runs independent of each other. Threads do not
+    share a net: it keeps the power that was written into it.
     """
+    flows = _FLOWS.kept
     key = content_key(network)
-    flow = _FLOWS.pop(key, None) or ACPowerFlow(network)
+    flow = flows.pop(key, None) or ACPowerFlow(network)
     flow.restart()
-    _FLOWS[key] = flow
-    while len(_FLOWS) > _FLOWS_KEPT:
-        _FLOWS.popitem(last=False)
+    flows[key] = flow
+    while len(flows) > _FLOWS_KEPT:
+        flows.popitem(last=False)
     return flow
 
 
-_FLOWS: OrderedDict[str, ACPowerFlow] = OrderedDict()
+class _Flows(threading.local):
+    """Power flows of a thread."""
+
+    def __init__(self) -> None:
+        self.kept: OrderedDict[str, ACPowerFlow] = OrderedDict()
+
+
+_FLOWS = _Flows()
 _FLOWS_KEPT = 3
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 from vppres.model.site import Site
+from vppres.solve.turns import one_at_a_time
 
 P = ParamSpec("P")
 M = TypeVar("M")
@@ -72,6 +73,7 @@ class ModelCache:
 _SHARED: OrderedDict[str, ModelCache] = OrderedDict()
 
 
+@one_at_a_time
 def shared_cache(site: Site) -> ModelCache:
     """The process's compiled problems of a site, shared by all runs; only the last few are kept.
 

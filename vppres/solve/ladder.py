@@ -23,6 +23,7 @@ from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
+from vppres.solve.turns import one_at_a_time
 from vppres.solve.whole import with_binaries, without_binaries
 
 METHODS = ("decomposed", "monolithic")
@@ -73,6 +74,7 @@ class WindowSolver:
         """Problems compiled for the site so far."""
         return self.cache.compilations
 
+    @one_at_a_time
     def solve(self, data: WindowData) -> WindowSolution:
         """Solve a window.
 
@@ -101,12 +103,14 @@ class WindowSolver:
             with_binaries(task)
         return task.solution()
 
+    @one_at_a_time
     def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none; no bound."""
         task = self._task(data)
         keep_dispatch_in_network(task, served)
         return task.solution() if task.certificate.answered else None
 
+    @one_at_a_time
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
 

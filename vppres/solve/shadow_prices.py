@@ -17,6 +17,7 @@ from vppres.model.data import WindowData
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.solvers import run_conic
+from vppres.solve.turns import one_at_a_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,7 @@ class PricedWindow:
     solver_s: float
 
 
+@one_at_a_time
 def price_window(
     model: ShadowPriceModel, data: WindowData, held: Held, priced: PricedTerms, time_s: float = 20.0
 ) -> PricedWindow | None:
