@@ -279,6 +279,12 @@ class Workers:
         self._idle: list[Worker] = []
         self._lock = threading.Lock()
 
+    @property
+    def pids(self) -> list[int]:
+        """Process identifiers of those that are idle."""
+        with self._lock:
+            return [worker.process.pid for worker in self._idle]
+
     def start(self) -> None:
         """Start a process if none is idle, so that it loads while the caller goes on."""
         self._put(self._taken(""))
