@@ -171,11 +171,11 @@ def test_every_end_has_a_named_fallback_soon(
     spent_s = time.monotonic() - begin
     assert spent_s < made[0].deadline_s(window(tiny, slice(2))) + SOON_S
     assert gone(lost.process.pid)
-    step = day.recorder.records[3]
-    assert step.fallback == "previous_plan"
-    assert re.match(words, step.fallback_reason), step.fallback_reason
+    step = day.recorder.records[3].steps
+    assert step["fallback"] == "previous_plan"
+    assert re.match(words, step["fallback_reason"]), step["fallback_reason"]
     day.step(guard, 4)  # by the process that took its place
-    assert day.recorder.records[4].fallback == "none"
+    assert day.recorder.records[4].steps["fallback"] == "none"
 
 
 def test_a_replacement_solves_the_last_window_before_it_is_asked(tiny: Scenario,
