@@ -21,6 +21,7 @@ from benchmarks.report import Bar, Section, bar_table, publish, write_report
 from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
 from benchmarks.windows import Limits, run_windows
+from benchmarks.worker import run_worker
 from experiments.terminal import plain_errors, show_report
 from vppres.core.errors import InputError, Problem
 
@@ -83,8 +84,15 @@ def throughput(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     return findings.throughput_section(row), findings.throughput_bars(row)
 
 
+def worker(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
+    """Solving in a process of its own."""
+    row = run_worker(plan.folder, 1 if plan.quick else 5, bar)
+    plan.save("worker", pd.DataFrame([row]))
+    return findings.worker_section(row), findings.worker_bars(row)
+
+
 PARTS: dict[str, Part] = {"windows": windows, "day": day, "scaling": scaling,
-                          "throughput": throughput}
+                          "throughput": throughput, "worker": worker}
 
 
 def run(names: list[str], plan: Plan) -> tuple[list[Section], str]:

@@ -12,6 +12,7 @@ from benchmarks.scaling import draw_scaling, exponents
 from benchmarks.store import Row
 from benchmarks.throughput import throughput_table
 from benchmarks.windows import LICENSED
+from benchmarks.worker import worker_table
 
 MIN_RATIO = 25.0
 STRESSED_SHARE = 0.95
@@ -24,6 +25,7 @@ OUTSIDE_SHARE = 0.3
 STEP_1000_BUSES_S = 10.0
 EXPONENT = 1.3
 THOUSAND_DAYS_MIN = 30.0
+ISOLATION_RATIO = 1.1
 
 
 def window_section(rows: pd.DataFrame) -> Section:
@@ -171,6 +173,21 @@ def throughput_bars(row: Row) -> list[Bar]:
     return [_at_most("1,000 MPC days (extrapolated)",
                      _only(table, "min for 1,000 days (extrapolated)"),
                      THOUSAND_DAYS_MIN, "min")]
+
+
+def worker_section(row: Row) -> Section:
+    """What isolation costs."""
+    return Section("A process of its own", "Every step of the ideal day at H = 5, solved in the "
+                   "controller's process and in one of its own in turn, problems compiled before. "
+                   "The processor's time of both processes together.", (worker_table(row),))
+
+
+def worker_bars(row: Row) -> list[Bar]:
+    """What must be shown of isolation."""
+    return [_at_most("a step solved in a process of its own, against in the same: ratio, median",
+                     row["ratio_median"], ISOLATION_RATIO, ""),
+            Bar("the same answers in both", f"{row['equal']} of {row['steps']} steps",
+                row["equal"] == row["steps"])]
 
 
 def _only(table: pd.DataFrame, column: str) -> float:

@@ -21,6 +21,7 @@ from benchmarks.scaling import exponent
 from benchmarks.store import Store
 from benchmarks.throughput import rates, throughput_table
 from benchmarks.windows import NOT_ADMITTED
+from benchmarks.worker import summary
 from vppres.core.errors import InputError
 from vppres.physics.powerflow import ACPowerFlow
 
@@ -240,11 +241,34 @@ def test_tiny_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert {"profile.png", "profile.svg"} <= {f.name for f in (tmp_path / "figures").iterdir()}
 
 
+@pytest.mark.slow
+def test_isolation_is_measured_on_equal_answers(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app(), ["--only", "worker", "--quick", "--results", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    (row,) = pd.read_parquet(tmp_path / "worker.parquet").to_dict("records")
+    assert row["equal"] == row["steps"] == 24
+    # The processor's time does not depend on what else the machine does, but for its caches.
+    assert 0.5 < row["cpu_ratio_of_sums"] < 1.5
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "| the same answers in both | 24 of 24 steps | yes |" in report
+
+
+def test_isolation_by_hand() -> None:
+    steps = pd.DataFrame({"here_s": [1.0, 2.0, 4.0], "there_s": [1.1, 2.0, 4.9],
+                          "here_cpu_s": [1.0, 1.0, 2.0], "there_cpu_s": [1.0, 2.0, 3.0],
+                          "equal": [True, True, False]})
+    row = summary(steps)
+    assert (row["steps"], row["equal"], row["here_median_s"]) == (3, 2, 2.0)
+    assert row["ratio_median"] == pytest.approx(1.1)
+    assert row["ratio_of_sums"] == pytest.approx(8.0 / 7.0)
+    assert (row["cpu_ratio_median"], row["cpu_ratio_of_sums"]) == (1.5, 1.5)
+
+
 def test_unknown_part_is_an_error(tmp_path: Path) -> None:
     result = CliRunner().invoke(app(), ["--only", "weather", "--results", str(tmp_path)])
     assert result.exit_code == 2
     assert result.stderr.strip() == ("benchmarks, only = weather: is not known. Use one of: "
-                                     "windows, day, scaling, throughput.")
+                                     "windows, day, scaling, throughput, worker.")
 
 
 def app() -> typer.Typer:

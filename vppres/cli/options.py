@@ -96,7 +96,7 @@ def _declared(option: Option) -> Parameter:
     ``RunOptions``.
     """
     names = f"--{option.name}"
-    if option.kind is bool and (option.default or option.scenario_key):
+    if option.kind is bool and (option.default is not False or option.scenario_key):
         names += f"/--no-{option.name}"
     default = None if option.scenario_key else option.default
     kind: Any = option.kind

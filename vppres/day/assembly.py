@@ -17,6 +17,7 @@ from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve.isolated import IsolatedSolver
 from vppres.solve.ladder import WindowSolver
 
 PLANNED_LOSSES = 0.1
@@ -37,10 +38,10 @@ def make_controller(scenario: Scenario, options: RunOptions,
         What befalls its solvers.
     """
     site = Site.of(scenario)
+    make = IsolatedSolver if options.isolate else WindowSolver
 
     def solver_of(part: Site) -> WindowSolver:
-        solver = WindowSolver(part, options.method, options.solver, options.limits,
-                              options.polygon_sides)
+        solver = make(part, options.method, options.solver, options.limits, options.polygon_sides)
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:

@@ -54,6 +54,9 @@ class RunOptions:
         island.
     passes : int
         Physical mode: largest number of linearisations of a window.
+    isolate : bool or None
+        Whether windows are solved in a process of its own; None leaves it to who runs the day:
+        live controllers do, runs do not.
     switching : SwitchingRules
         Rules on switching customers; none by default.
     guard : bool
@@ -83,6 +86,7 @@ class RunOptions:
     mode: str = default_of("mode")
     headroom: float = default_of("headroom")
     passes: int = default_of("passes")
+    isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     guard: bool = default_of("guard")
     protect_critical: bool = default_of("protect_critical")

@@ -30,6 +30,7 @@ from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
+from vppres.solve.isolated import SUPPORTED
 
 
 class Feeder(Protocol):
@@ -139,9 +140,19 @@ class Controller:
             The site, its time grid, and the series that stand in for what is not measured.
         options : RunOptions, optional
             As for :func:`vppres.day.simulate.run_day`; forecast errors, heating and seed have no
-            meaning here.
+            meaning here. Windows are solved in a process of its own unless the options say
+            ``isolate=False`` (``docs/operation.md``).
+
+        Raises
+        ------
+        InputError
+            If the options name what is not there.
+        SolverLostError
+            If no process to solve in can be started.
         """
         exact = replace(options or RunOptions(), errors=ForecastErrors(), thermal="off")
+        if exact.isolate is None:
+            exact = replace(exact, isolate=SUPPORTED)
         return cls(scenario, exact, make_controller(scenario, exact))
 
     @property

@@ -64,7 +64,7 @@ MEMORY_SHARE = 0.5
 SITES_KEPT = 3
 """Sites of which a process keeps compiled problems, as ``shared_cache`` does."""
 
-LOG_READ = 2000
+LOG_READ = 20_000
 """How much of what a process wrote goes into the note of its error, in bytes."""
 
 _SOON_S = 1e-3
@@ -208,7 +208,9 @@ class Worker:
         """End of what it wrote to standard output and error."""
         self._log.seek(0, os.SEEK_END)
         self._log.seek(max(self._log.tell() - LOG_READ, 0))
-        return self._log.read().decode(errors="replace").strip()
+        lines = self._log.read().decode(errors="replace").splitlines()
+        # A line of some hundred names, which says nothing about this end.
+        return "\n".join(line for line in lines if not line.startswith("Extension modules:"))
 
     def end(self) -> None:
         """Kill the process and leave nothing of it."""
@@ -276,6 +278,12 @@ class Workers:
         self.memory_bytes = memory_bytes or memory_limit_bytes()
         self._idle: list[Worker] = []
         self._lock = threading.Lock()
+
+    @property
+    def pids(self) -> list[int]:
+        """Process identifiers of those that are idle."""
+        with self._lock:
+            return [worker.process.pid for worker in self._idle]
 
     def start(self) -> None:
         """Start a process if none is idle, so that it loads while the caller goes on."""
