@@ -7,6 +7,7 @@ at once.
 from __future__ import annotations
 
 import json
+import signal
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,15 +35,28 @@ from vppres.core.errors import InputError, Problem, VppresError
 if TYPE_CHECKING:
     from vppres.studies.sweep import SweepRow
 
-INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+# The shell's convention: 128 and the number of the signal.
+INTERRUPTED = 130
+TERMINATED = 143
 RESULTS = Path("results")
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
                   help="Dispatch a virtual power plant through an outage.")
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: batch systems and service managers end a command with it."""
+
+
+def _terminate(number: int, _frame: object) -> NoReturn:
+    """End like Ctrl-C, so that what is half written goes; once is enough."""
+    signal.signal(number, signal.SIG_IGN)
+    raise Terminated
+
+
 def main() -> None:
     """Entry point of the console script and of ``python -m vppres``."""
+    signal.signal(signal.SIGTERM, _terminate)
     app(prog_name="vppres")
 
 
@@ -133,10 +147,13 @@ def report(
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     with _plain_errors(debug):
+        from vppres.io.atomic import check_file
         from vppres.report.finished import read_finished, rewrite_report
         from vppres.report.run_folder import REPORT_FILE
 
         file = out or run_folder / REPORT_FILE
+        if out is not None:
+            check_file(out)  # before the work, not after it
         rewrite_report(read_finished(run_folder), file)
         typer.echo(f"Written to {file}")
 
@@ -153,6 +170,7 @@ def compare(
 ) -> None:
     """Lay runs of the same day side by side in one HTML file, with differences to the first."""
     with _plain_errors(debug):
+        from vppres.io.atomic import check_file
         from vppres.report.pages import write_page
         from vppres.studies.compare import (
             COMPARISON_FILE,
@@ -162,8 +180,9 @@ def compare(
             render_comparison,
         )
 
-        runs = read_runs(run_folders)
         file = out if out.suffix == ".html" else out / COMPARISON_FILE
+        check_file(file)  # before the work, not after it
+        runs = read_runs(run_folders)
         write_page(file, render_comparison(runs))
         if as_json:
             _print_json({"report": str(file), **comparison_record(runs)})
@@ -286,6 +305,8 @@ def _plain_errors(debug: bool) -> Iterator[None]:
     """Turn every exception into a sentence on stderr and an exit status."""
     try:
         yield
+    except Terminated:
+        _fail("Terminated; nothing was written.", TERMINATED, debug)
     except KeyboardInterrupt:
         _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
     except VppresError as error:

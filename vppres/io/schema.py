@@ -53,14 +53,11 @@ MAX_PRICE = 1e4  # 500 times the value of lost load, room for other currencies
 MIN_WEIGHT = 1e-6  # the ratio of two customers' weights keeps within the digits of the solvers
 MAX_WEIGHT = 1e6
 MAX_LAMBDA = 1e3  # 1 kW or 1 GBP outweighs a thousand customers of weight 1
-MAX_HOURS = 24.0 * MAX_GRID_DAYS  # longer than any day that can be run
 MIN_THERMAL = 1e-3  # 1 °C/MW, or a gram of steel
 MAX_THERMAL = 1e3  # 1 °C/W, or a thousand tonnes of steel
 MAX_LOSS_PER_C2 = 1.0  # everything is lost 1 °C away from the reference
 MAX_CELL_OHM = 100.0  # a string of small cells has 1 ohm
 MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
-MAX_COLD_LOAD = 20.0  # measured factors of cold load are 1 to 5
-MAX_ACTIONS = 1_000_000  # more than a day has steps
 _FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
 
 
