@@ -1,6 +1,6 @@
 """Mutated scenario folders: each is read or refused with reasons, and what is read can be run.
 
-``python -m experiments.mutations FOLDER --folders 10000 --runs 300`` writes the figures as JSON.
+``python -m experiments.mutations --folders 10000 --runs 300`` writes the figures as JSON.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.random_days import small_day
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
-from vppres.io import atomic_write_text, read_scenario
+from vppres.io import atomic_write_text, read_scenario, write_scenario
+from vppres.io.atomic import scratch_folder
 from vppres.scenario.scenario import Scenario
 
 FILES = ("scenario.toml", "lines.csv", "customers.csv", "pv.csv", "batteries.csv", "load_kw.csv",
@@ -69,6 +71,12 @@ class Tally:
     def sound(self) -> bool:
         """Whether nothing happened that must not happen."""
         return not self.tracebacks and not self.broken_runs and self.slowest_s <= SLOW_S
+
+
+def small_folder(folder: Path) -> Path:
+    """The folder of a small random day."""
+    write_scenario(small_day(np.random.default_rng(1), 1), folder)
+    return folder
 
 
 def mutated(texts: Mapping[str, str], draw: random.Random) -> dict[str, str]:
@@ -209,13 +217,16 @@ def study(source: Path, folders: int, runs: int, seed: int = 0) -> Tally:
 def main() -> None:
     """Command line of the study."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("source", type=Path, help="a small, sound scenario folder")
+    parser.add_argument("source", type=Path, nargs="?",
+                        help="a small, sound scenario folder; a random one if not given")
     parser.add_argument("--folders", type=int, default=10_000)
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("results/studies"))
     chosen = parser.parse_args()
-    tally = study(chosen.source, chosen.folders, chosen.runs, chosen.seed)
+    with scratch_folder() as place:
+        source = chosen.source or small_folder(place / "day")
+        tally = study(source, chosen.folders, chosen.runs, chosen.seed)
     chosen.out.mkdir(parents=True, exist_ok=True)
     atomic_write_text(chosen.out / "mutations.json", json.dumps(asdict(tally), indent=2) + "\n")
     sys.exit(not tally.sound)

@@ -321,3 +321,15 @@ def test_atomic_text_is_whole_while_others_clean(tmp_path: Path) -> None:
         remove_leftovers(tmp_path)
     assert (tmp_path / "a.json").read_text(encoding="utf-8") == "19"
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
+def test_killed_commands_leave_the_old_result_and_no_process(
+        tiny_folder: Path, tmp_path: Path) -> None:
+    """A small part of the study, in a process of its own since it makes copies of itself."""
+    done = subprocess.run([sys.executable, "-m", "experiments.kills", str(tiny_folder), "--kills",
+                           "5", "--out", str(tmp_path)], text=True, capture_output=True)
+    assert done.returncode == 0, (tmp_path / "kills.json").read_text(encoding="utf-8")
+    tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
+    assert tally["kills"] + tally["finished"] == 5
+    assert tally["old"] + tally["absent"] + tally["new"] == 5

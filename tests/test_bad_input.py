@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.tiny_day import tiny_scenario
+from experiments.mutations import study
 from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
 from vppres.io.messages import MAX_PROBLEMS_PER_FILE, MAX_PROBLEMS_PER_KIND
@@ -797,3 +798,11 @@ def check_reading(folder: Path) -> None:
     else:
         assert scenario.load_kw.shape == (scenario.grid.n_steps, len(scenario.customers))
         assert scenario.pv_kw.shape == (scenario.grid.n_steps, len(scenario.pv))
+
+
+def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path) -> None:
+    """A small part of the study; see experiments/mutations.py for the large one."""
+    tally = study(tiny_folder, folders=150, runs=3, seed=2)
+    assert tally.sound, tally
+    assert tally.runs["finished"] >= 2
+    assert tally.refused > 50

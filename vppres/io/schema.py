@@ -41,7 +41,7 @@ MAX_TITLE_LENGTH = 300
 # unit or of typing, and the sums and products of the solvers would lose their digits.
 MIN_KW = 1e-3  # 1 W; what is smaller is not there
 MAX_KW = 1e6  # 1 GW, a large power station; energy for an hour of it
-MIN_OHM = 1e-7  # a metre of busbar has 1e-5 ohm
+MIN_OHM = 1e-7  # a centimetre of busbar
 MAX_OHM = 1e4  # insulated rather than connected: 10,000 km of overhead line have 3,000 ohm
 MAX_A = 1e6  # generator leads of the largest machines carry 4e4 A
 MIN_KV = 0.05  # extra-low voltage ends here
