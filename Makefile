@@ -82,6 +82,8 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.threads --results results/studies
 	$(BIN)/python -m experiments.baselines --results results/studies
 	$(BIN)/python -m experiments.islands --out results/studies/islands
+	$(BIN)/python -m experiments.mutations --out results/studies
+	$(BIN)/python -m experiments.kills --out results/studies
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import signal
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -37,7 +38,9 @@ if TYPE_CHECKING:
     from vppres.report.drawing import DrawingProcesses
     from vppres.studies.sweep import SweepRow
 
-INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+# The shell's convention: 128 and the number of the signal.
+INTERRUPTED = 130
+TERMINATED = 143
 RESULTS = Path("results")
 # Libraries make a million objects that stay; Python's 700 looks through them again and again,
 # which takes a tenth of the time to load.
@@ -47,9 +50,20 @@ app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
                   help="Dispatch a virtual power plant through an outage.")
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: batch systems and service managers end a command with it."""
+
+
+def _terminate(number: int, _frame: object) -> NoReturn:
+    """End like Ctrl-C, so that what is half written goes; once is enough."""
+    signal.signal(number, signal.SIG_IGN)
+    raise Terminated
+
+
 def main() -> None:
     """Entry point of the console script and of ``python -m vppres``."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
+    signal.signal(signal.SIGTERM, _terminate)
     app(prog_name="vppres")
 
 
@@ -142,10 +156,13 @@ def report(
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     with _plain_errors(debug):
+        from vppres.io.atomic import check_file
         from vppres.report.finished import read_finished, rewrite_report
         from vppres.report.run_folder import REPORT_FILE
 
         file = out or run_folder / REPORT_FILE
+        if out is not None:
+            check_file(out)  # before the work, not after it
         rewrite_report(read_finished(run_folder), file)
         typer.echo(f"Written to {file}")
 
@@ -162,6 +179,7 @@ def compare(
 ) -> None:
     """Lay runs of the same day side by side in one HTML file, with differences to the first."""
     with _plain_errors(debug):
+        from vppres.io.atomic import check_file
         from vppres.report.pages import write_page
         from vppres.studies.compare import (
             COMPARISON_FILE,
@@ -171,8 +189,9 @@ def compare(
             render_comparison,
         )
 
-        runs = read_runs(run_folders)
         file = out if out.suffix == ".html" else out / COMPARISON_FILE
+        check_file(file)  # before the work, not after it
+        runs = read_runs(run_folders)
         write_page(file, render_comparison(runs))
         if as_json:
             _print_json({"report": str(file), **comparison_record(runs)})
@@ -317,6 +336,8 @@ def _plain_errors(debug: bool) -> Iterator[None]:
     """Turn every exception into a sentence on stderr and an exit status."""
     try:
         yield
+    except Terminated:
+        _fail("Terminated; nothing was written.", TERMINATED, debug)
     except KeyboardInterrupt:
         _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
     except VppresError as error:

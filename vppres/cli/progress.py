@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 def progress_bar(quiet: bool) -> Progress:
     """A progress bar on stderr, if that is a terminal."""
     console = Console(stderr=True)
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeElapsedColumn(), console=console, transient=True,
+    # A parameter's name can hold a tier's, and brackets in it are no markup.
+    return Progress(TextColumn("{task.description}", markup=False), BarColumn(),
+                    MofNCompleteColumn(), TimeElapsedColumn(), console=console, transient=True,
                     disable=quiet or not console.is_terminal)
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vppres.core.errors import Problem
+from vppres.core.text import visible
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
@@ -43,10 +44,10 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
     """A problem as JSON can hold it; the value as text, since it may be anything."""
     if isinstance(problem, str):
         return {"file": None, "row": None, "field": None, "value": None, "message": problem,
-                "cure": None}
+                "cure": None, "more": 0}
     return {"file": problem.where, "row": problem.row, "field": problem.field,
             "value": None if problem.value is None else str(problem.value),
-            "message": problem.message, "cure": problem.cure}
+            "message": problem.message, "cure": problem.cure, "more": problem.more}
 
 
 def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
@@ -64,9 +65,14 @@ def error_panel(message: str) -> Panel:
     return Panel(Text(message), title="Error", title_align="left", border_style="red")
 
 
+def _plain(text: str) -> Text:
+    """Others' words as they are: brackets are no markup, control characters are written out."""
+    return Text(visible(text))
+
+
 def figures_table(summary: dict[str, Any], title: str) -> Table:
     """Key figures of a run; what is not defined is left out."""
-    table = Table(title=title, show_header=False)
+    table = Table(title=_plain(title), show_header=False)
     table.add_column()
     table.add_column(justify="right")
     table.add_column()
@@ -75,7 +81,7 @@ def figures_table(summary: dict[str, Any], title: str) -> Table:
             table.add_row(words, format(summary[key], form), unit)
     for tier, share in summary["served_share"].items():
         if share is not None:
-            table.add_row(f"served in the outage, {tier}", f"{share:.1%}", "")
+            table.add_row(_plain(f"served in the outage, {tier}"), f"{share:.1%}", "")
     table.add_row("solve time", f"{summary['solve_s']['total']:.1f}", "s")
     return table
 
@@ -85,12 +91,12 @@ def comparison_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -
     table = Table()
     table.add_column("")
     for label in labels:
-        table.add_column(label, justify="right", overflow="fold")
+        table.add_column(_plain(label), justify="right", overflow="fold")
     table.add_column("")
     for row in figures:
         (first, _), *others = row.texts
-        table.add_row(row.words, first, *(f"{value}\n({change})" for value, change in others),
-                      row.unit)
+        changes = [f"{value}\n({change})" for value, change in others]
+        table.add_row(_plain(row.words), first, *changes, row.unit)
     return table
 
 
@@ -99,7 +105,7 @@ def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
     from vppres.studies.sweep_parameters import value_text
 
     table = Table()
-    table.add_column(name, justify="right", no_wrap=True)
+    table.add_column(_plain(name), justify="right", no_wrap=True)
     for words in ("resilience", "cost (GBP)", "import (kWh)", "lowest AC voltage (pu)", "time (s)"):
         table.add_column(words, justify="right", overflow="fold")
     for outcome in outcomes:

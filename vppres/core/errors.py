@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from vppres.core.text import visible
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -24,6 +26,8 @@ class Problem:
         Column or key.
     value : object, optional
         The offending value as it was read.
+    more : int
+        Further mistakes of the same kind that are not listed.
 
     Examples
     --------
@@ -38,6 +42,7 @@ class Problem:
     row: int | None = None
     field: str | None = None
     value: object = None
+    more: int = 0
 
     def __str__(self) -> str:
         place = self.where
@@ -47,7 +52,9 @@ class Problem:
             place += f", {self.field}"
             if self.value is not None:
                 place += f" = {self.value}"
-        return f"{place}: {self.message}. {self.cure}"
+        more = f", and {self.more} more" if self.more else ""
+        # Places and values are others' text: what would steer a terminal is written out.
+        return visible(f"{place}: {self.message}{more}. {self.cure}")
 
     def in_file(self, file: str, first_row: int = 2) -> Problem:
         """The same problem, located in a file whose first data row is line ``first_row``."""
@@ -77,6 +84,14 @@ class InputError(VppresError):
             problems = [problems]  # type: ignore[list-item]
         self.problems: tuple[Problem | str, ...] = tuple(problems)
         super().__init__("\n".join(str(p) for p in self.problems))
+
+
+class StorageError(VppresError):
+    """The disk took no more; the message says what was kept."""
+
+
+class ReportError(VppresError):
+    """Figures or report of a run could not be made; the run itself was written."""
 
 
 class ModelError(VppresError):

@@ -16,6 +16,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
+from vppres.io.python_door import check_scenario
 from vppres.physics.powerflow import shared_power_flow
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
@@ -48,11 +49,12 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
     Raises
     ------
     InputError
-        If an option is unknown.
+        If an option is unknown, or the scenario holds a number that no equipment has.
     SolveError
         If a window has no answer and no guard finds another.
     """
     options = options or RunOptions()
+    check_scenario(scenario)
     parts = parts_record(scenario)
     scenario = split_sheddable(scenario)
     injector = None if faults is None else FaultInjector(faults, scenario)

@@ -18,8 +18,9 @@ from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.new_options import NewScenarioOptions, PriceRule, check_options, outages_of
-from vppres.io import atomic_write_text, schema, write_scenario
+from vppres.io import atomic_folder, schema
 from vppres.io.editor import add_editor_schema
+from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
@@ -93,7 +94,7 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
 
 def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
                        folder: str | Path) -> list[str]:
-    """Write a new scenario's folder, with ``notes.md`` on what was simplified and chosen.
+    """Write a new scenario's folder, whole or not at all, with ``notes.md`` on what was chosen.
 
     ``scenario.schema.json`` lets an editor complete and check ``scenario.toml``.
 
@@ -109,10 +110,11 @@ def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
     """
     scenario = new_scenario(feeder, options)
     notes = assumptions(feeder, scenario, options)
-    write_scenario(scenario, folder)
-    add_editor_schema(Path(folder))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
-    atomic_write_text(Path(folder) / NOTES_FILE, text)
+    with atomic_folder(folder) as aside:
+        fill_scenario_folder(scenario, aside)
+        add_editor_schema(aside)
+        (aside / NOTES_FILE).write_text(text, encoding="utf-8", newline="\n")
     return notes
 
 

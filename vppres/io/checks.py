@@ -10,8 +10,9 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
-from vppres.io.messages import did_you_mean
-from vppres.io.tables import Table
+from vppres.io.messages import Suggestions, few
+from vppres.io.tables import Table, cell_text
+from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.network import BusId
 
 # Series are written with few digits: a peak may exceed its rating by this share.
@@ -58,17 +59,18 @@ def check_buses(table: Table, lines: Table) -> list[Problem]:
     read_bus = bus_reader(lines)
     ends = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
     known = {read_bus(text) for text in ends}
-    return [Problem(table.file, f"is not a bus of {lines.file}",
-                    did_you_mean(text, sorted(map(str, known)), "Correct the bus."),
+    suggestions = Suggestions(sorted(map(str, known)), "Correct the bus.")
+    return [Problem(table.file, f"is not a bus of {lines.file}", suggestions.cure(text),
                     row=row, field="bus", value=text)
             for row, text in table.column("bus").items() if known and read_bus(text) not in known]
 
 
 def check_known(table: Table, field: str, known: Collection[str], message: str) -> list[Problem]:
     """Cells that refer to something that does not exist."""
-    return [Problem(table.file, message, did_you_mean(text, known, f"Correct the {field}."),
-                    row=row, field=field, value=text)
-            for row, text in table.column(field).items() if text not in known]
+    names = set(known)
+    suggestions = Suggestions(known, f"Correct the {field}.")
+    return [Problem(table.file, message, suggestions.cure(text), row=row, field=field, value=text)
+            for row, text in table.column(field).items() if text not in names]
 
 
 def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> list[Problem]:
@@ -129,7 +131,8 @@ def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Probl
             problems.append(Problem(file, f"must be less than soc_max ({high:g})",
                                     "Correct one of the limits.", row=row, field="soc_min",
                                     value=low))
-        elif start is not None and not low <= start <= high:
+        elif start is not None and not (
+                low - SOC_ROUNDING <= start <= high + SOC_ROUNDING):
             problems.append(Problem(
                 file, f"must lie between soc_min ({low:g}) and soc_max ({high:g})",
                 "Correct the state of charge at the start or the limits.", row=row,
@@ -141,7 +144,7 @@ def check_pv_series(series: Table, name: str, values: Floats,
                     p_max_kw: float) -> list[Problem]:
     """Available PV power above the system's rating."""
     over = np.flatnonzero(values > p_max_kw * (1 + RATING_TOLERANCE))
-    return [Problem(series.file, f"exceeds the system's p_max_kw ({p_max_kw:g})",
-                    "Correct the series or the rating.", row=int(series.frame.index[int(i)]),
-                    field=name, value=series.texts[name].iloc[i])
-            for i in over]
+    return few(over, lambda i: Problem(
+        series.file, f"exceeds the system's p_max_kw ({p_max_kw:g})",
+        "Correct the series or the rating.", row=int(series.frame.index[i]), field=name,
+        value=cell_text(series.frame[name].iloc[i])))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any, get_args
 
@@ -10,10 +12,15 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from vppres.core.arrays import Wholes
 from vppres.core.errors import Problem
 from vppres.io import schema
 
 MAX_PROBLEMS_PER_FILE = 50
+MAX_PROBLEMS_PER_KIND = 10
+# To look for near names costs the product of both numbers of names: few are enough to see a habit.
+_MAX_NAMES_COMPARED = 2000
+_MAX_COMPARED_LENGTH = 100
 _MAX_VALUE_LENGTH = 60
 _MAX_NAMES_IN_CURE = 12
 
@@ -31,6 +38,7 @@ _MESSAGES = {
     "string_type": "is not text",
     "string_too_short": "is empty",
     "string_pattern_mismatch": "is not allowed",
+    "string_too_long": "is longer than {max_length} characters",
     "too_short": "is empty",
     "literal_error": "must be {expected}",
     "datetime_type": "is not a date and time",
@@ -45,6 +53,7 @@ _CURES = {
     "bool_type": "Write true or false, without quotes.",
     "list_type": "Write [[outages]] with start and end for each outage.",
 }
+_VALUES = re.compile(r"[\d(:']")  # where the values in a message begin
 _FILE_CURE = "Give a file name in the scenario folder that ends in .csv or .parquet."
 
 
@@ -75,12 +84,40 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
     'Add it. Known: critical, high.'
     """
     names = [str(k) for k in known]
-    near = get_close_matches(name, names, n=1)
+    short = [k for k in names[:_MAX_NAMES_COMPARED] if len(k) <= _MAX_COMPARED_LENGTH]
+    near = get_close_matches(name, short, n=1) if len(name) <= _MAX_COMPARED_LENGTH else []
     if near:
         return f"Did you mean {near[0]}?"
     if 0 < len(names) <= _MAX_NAMES_IN_CURE:
         return f"{otherwise} Known: {', '.join(names)}."
     return otherwise
+
+
+class Suggestions:
+    """Cures for many unknown names: the first ones are compared with the known names.
+
+    A message lists no more than :data:`MAX_PROBLEMS_PER_KIND` mistakes of a kind, so that
+    comparing more of them would be work for nothing.
+
+    Parameters
+    ----------
+    known : iterable of str
+        Names that are allowed.
+    otherwise : str
+        The cure where no name is near.
+    """
+
+    def __init__(self, known: Iterable[str], otherwise: str) -> None:
+        self._known = list(known)
+        self._otherwise = otherwise
+        self._given = 0
+
+    def cure(self, name: str) -> str:
+        """The cure for one name."""
+        self._given += 1
+        if self._given > MAX_PROBLEMS_PER_KIND:
+            return self._otherwise
+        return did_you_mean(name, self._known, self._otherwise)
 
 
 def shown(value: object) -> str | None:
@@ -92,26 +129,62 @@ def shown(value: object) -> str | None:
 
 
 def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]:
-    """Problems by file and row; of a file with very many, the first ones and a count."""
+    """Problems by file and row, those of one kind folded; of very many, the first and a count."""
     place = {file: i for i, file in enumerate(dict.fromkeys(files))}
     by_file: dict[str, list[Problem]] = {}
     for problem in problems:
         by_file.setdefault(problem.where, []).append(problem)
     ordered: list[Problem] = []
     for file in sorted(by_file, key=lambda name: place.get(name, -1)):
-        found = sorted(by_file[file], key=lambda p: -1 if p.row is None else p.row)
-        more = len(found) - MAX_PROBLEMS_PER_FILE
+        found = folded(sorted(by_file[file], key=lambda p: -1 if p.row is None else p.row))
         ordered += found[:MAX_PROBLEMS_PER_FILE]
+        more = sum(1 + problem.more for problem in found[MAX_PROBLEMS_PER_FILE:])
         if more > 0:
             ordered.append(Problem(file, f"has {more} more problems",
                                    "Cure those above first."))
     return ordered
 
 
+def few(positions: Sequence[int] | Wholes, make: Callable[[int], Problem]) -> list[Problem]:
+    """The problems at the first positions, of which the last one counts the others.
+
+    >>> few(range(25), lambda i: Problem("a.csv", "is empty", "Fill it.", row=i))[-1].more
+    15
+    """
+    found = [make(int(i)) for i in positions[:MAX_PROBLEMS_PER_KIND]]
+    more = len(positions) - len(found)
+    if more > 0:
+        found[-1] = replace(found[-1], more=more)
+    return found
+
+
+def folded(problems: Iterable[Problem]) -> list[Problem]:
+    """Problems in their order, the first of each kind, the last one listed counting the others.
+
+    A kind is a message, without the values in it, and the column of a row's problem.
+
+    >>> column = [Problem("a.csv", "is empty", "Fill it.", row=i, field="x") for i in range(15)]
+    >>> print(folded(column)[-1])
+    a.csv, row 9, x: is empty, and 5 more. Fill it.
+    """
+    kept: list[Problem] = []
+    places: dict[tuple[str, str | None], list[int]] = {}
+    for problem in problems:
+        field = None if problem.row is None else problem.field
+        same = places.setdefault((_VALUES.split(problem.message)[0], field), [])
+        if len(same) < MAX_PROBLEMS_PER_KIND:
+            same.append(len(kept))
+            kept.append(problem)
+        else:
+            last = kept[same[-1]]
+            kept[same[-1]] = replace(last, more=last.more + 1 + problem.more)
+    return kept
+
+
 def _problem(details: ErrorDetails, model: type[BaseModel], where: str,
              row: int | None) -> Problem:
     kind = details["type"]
-    place = details["loc"]
+    place = tuple(part for part in details["loc"] if part != "[key]")  # a name of a tier
     owner, field = _find(model, place)
     name = dotted(place)
     if kind == "extra_forbidden":
@@ -122,7 +195,8 @@ def _problem(details: ErrorDetails, model: type[BaseModel], where: str,
     if row is not None and kind == "missing":
         message = "is empty"
     has_value = kind not in ("missing", "too_short")
-    return Problem(where, message, _cure(kind, owner, field), row=row, field=name,
+    cure = details["ctx"]["cure"] if kind == "flawed_name" else _cure(kind, owner, field)
+    return Problem(where, message, cure, row=row, field=name,
                    value=shown(details["input"]) if has_value else None)
 
 

@@ -148,12 +148,12 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
     """Whether the lines form a tree; only asked if every line has both ends."""
     if slack_bus is None or not {"from_bus", "to_bus"} <= set(lines.names):
         return []
-    ends = lines.texts[["from_bus", "to_bus"]].to_numpy(dtype=object)
-    if (ends == "").any():
+    texts = [lines.texts(name).tolist() for name in ("from_bus", "to_bus")]
+    if any("" in end for end in texts) or len(lines.frame) > schema.MAX_ITEMS:
         return []
     read_bus = checks.bus_reader(lines)
     from_bus, to_bus = (np.array([read_bus(text) for text in end], dtype=object)
-                        for end in ends.T)
+                        for end in texts)
     located = []
     for problem in check_radial(from_bus, to_bus, read_bus(slack_bus)):
         if problem.field == "slack_bus":
@@ -200,8 +200,9 @@ def _read_columns(table: Table | None, items: Table | None, field: FieldInfo,
     problems = check_columns(table, [TIME, *ids], [TIME, *ids],
                              {**dict.fromkeys(ids, cure), TIME: time_cure})
     columns = {}
-    for name in ids:
-        if name in table.names:
+    given = set(table.names)
+    for name in ids[:schema.MAX_ITEMS]:
+        if name in given:
             columns[name], found = read_values(table, name, field)
             problems += found
     return columns, problems
@@ -237,11 +238,12 @@ def _assemble(settings: Settings, rows: _Rows, series: _Series,
     grid = settings.grid
     assert file is not None
     assert grid is not None
-    limit_kw = series.grid_limit_kw
+    limit_kw = series.grid_limit_kw.copy()
+    step = pd.Timedelta(minutes=grid.step_minutes)
     for outage in file.outages:
-        start = pd.Timestamp(outage.start)
-        end = pd.Timestamp(outage.end)
-        limit_kw = np.where((grid.times >= start) & (grid.times < end), 0.0, limit_kw)
+        begins = round((pd.Timestamp(outage.start) - grid.start) / step)
+        ends = round((pd.Timestamp(outage.end) - grid.start) / step)
+        limit_kw[begins:ends] = 0.0
     return Scenario(
         name=file.name, title=file.title or file.name, grid=grid,
         network=_network(file.network, rows.lines, read_bus),

@@ -43,11 +43,23 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
     InputError
         If the folder holds something, or scenario.toml could not say what the scenario says.
     """
-    document = _document(scenario)
+    _document(scenario)  # refused before anything is touched
     with atomic_folder(folder) as aside:
-        (aside / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
-        for name, frame in _frames(scenario, document["tiers"]).items():
-            frame.to_csv(aside / f"{name}.csv", index=False, lineterminator="\n")
+        fill_scenario_folder(scenario, aside)
+
+
+def fill_scenario_folder(scenario: Scenario, folder: Path) -> None:
+    """Write the files of a scenario into an existing folder.
+
+    Raises
+    ------
+    InputError
+        If scenario.toml could not say what the scenario says.
+    """
+    document = _document(scenario)
+    (folder / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
+    for name, frame in _frames(scenario, document["tiers"]).items():
+        frame.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 
 def _document(scenario: Scenario) -> dict[str, Any]:

@@ -10,9 +10,11 @@ from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Le
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
+from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.scenario import ObjectiveWeights
@@ -29,8 +31,50 @@ PER_C2: Unit = {"unit": "1/°C²"}
 GBP_PER_KWH: Unit = {"unit": "GBP/kWh"}
 
 MAX_GRID_DAYS = 366
+MAX_STEPS = MAX_GRID_DAYS * 1440  # steps of a minute
 MAX_SHED_STEPS = 20
+MAX_ITEMS = 10_000  # lines, customers, ...: matrices of the network grow with the square
+MAX_NAME_LENGTH = 100  # of an identifier: names of files and labels of figures are made of it
+MAX_TITLE_LENGTH = 300
+
+# Bounds that no equipment of a distribution feeder reaches. Values beyond them are mistakes of
+# unit or of typing, and the sums and products of the solvers would lose their digits.
+MIN_KW = 1e-3  # 1 W; what is smaller is not there
+MAX_KW = 1e6  # 1 GW, a large power station; energy for an hour of it
+MIN_OHM = 1e-7  # a centimetre of busbar
+MAX_OHM = 1e4  # insulated rather than connected: 10,000 km of overhead line have 3,000 ohm
+MAX_A = 1e6  # generator leads of the largest machines carry 4e4 A
+MIN_KV = 0.05  # extra-low voltage ends here
+MAX_KV = 1200.0  # the highest transmission voltage in service
+MIN_PU = 0.1  # a voltage collapses long before
+MIN_POWER_FACTOR = 0.01  # a load of hardly any active power
+MIN_EFFICIENCY = 0.01
+MAX_PRICE = 1e4  # 500 times the value of lost load, room for other currencies
+MIN_WEIGHT = 1e-6  # the ratio of two customers' weights keeps within the digits of the solvers
+MAX_WEIGHT = 1e6
+MAX_LAMBDA = 1e3  # 1 kW or 1 GBP outweighs a thousand customers of weight 1
+MIN_THERMAL = 1e-3  # 1 °C/MW, or a gram of steel
+MAX_THERMAL = 1e3  # 1 °C/W, or a thousand tonnes of steel
+MAX_LOSS_PER_C2 = 1.0  # everything is lost 1 °C away from the reference
+MAX_CELL_OHM = 100.0  # a string of small cells has 1 ohm
+MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
 _FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
+
+
+def _sound(longest: int) -> AfterValidator:
+    """A check that a text can be shown, drawn and written as it is."""
+    def check(text: str) -> str:
+        flaw = flaw_of_name(text, longest)
+        if flaw:
+            message, cure = flaw
+            raise PydanticCustomError("flawed_name", "{message}", {"message": message,
+                                                                   "cure": cure})
+        return text
+    return AfterValidator(check)
+
+
+Name = Annotated[str, _sound(MAX_NAME_LENGTH)]
+Title = Annotated[str, _sound(MAX_TITLE_LENGTH)]
 
 
 class Row(BaseModel):
@@ -42,24 +86,29 @@ class Row(BaseModel):
 class LineRow(Row):
     """A line of the radial network."""
 
-    from_bus: str = Field(description="bus at one end of the line")
-    to_bus: str = Field(description="bus at the other end of the line")
-    r_ohm: float = Field(gt=0, description="series resistance", json_schema_extra=OHM)
-    x_ohm: float = Field(ge=0, description="series reactance", json_schema_extra=OHM)
+    from_bus: Name = Field(description="bus at one end of the line")
+    to_bus: Name = Field(description="bus at the other end of the line")
+    r_ohm: float = Field(
+        ge=MIN_OHM, le=MAX_OHM, description="series resistance", json_schema_extra=OHM)
+    x_ohm: float = Field(
+        ge=0, le=MAX_OHM, description="series reactance", json_schema_extra=OHM)
     i_max_a: float | None = Field(
-        default=None, gt=0, description="thermal rating for the report's line loading (empty: "
+        default=None, ge=MIN_KW, le=MAX_A,
+        description="thermal rating for the report's line loading (empty: "
         "none)", json_schema_extra={"unit": "A"})
 
 
 class CustomerRow(Row):
     """A customer that is either served or switched off, or in equal parts."""
 
-    id: str = Field(description="identifier of the customer")
-    bus: str = Field(description="bus of the customer")
-    tier: str = Field(description="priority tier, one of scenario.toml's tiers")
-    power_factor: float = Field(gt=0, le=1, description="lagging power factor of the load")
+    id: Name = Field(description="identifier of the customer")
+    bus: Name = Field(description="bus of the customer")
+    tier: Name = Field(description="priority tier, one of scenario.toml's tiers")
+    power_factor: float = Field(
+        ge=MIN_POWER_FACTOR, le=1, description="lagging power factor of the load")
     weight: float | None = Field(
-        default=None, gt=0, description="priority weight (empty: the weight of the tier)")
+        default=None, ge=MIN_WEIGHT, le=MAX_WEIGHT,
+        description="priority weight (empty: the weight of the tier)")
     shed_steps: int = Field(
         default=1, ge=1, le=MAX_SHED_STEPS, description="number of equal parts of the customer "
         "that may be switched off one by one; 1 is all or nothing")
@@ -68,45 +117,59 @@ class CustomerRow(Row):
 class PVRow(Row):
     """A PV system behind a customer's meter."""
 
-    id: str = Field(description="identifier of the PV system")
-    customer: str = Field(description="customer that owns the PV system")
-    p_max_kw: float = Field(gt=0, description="largest active power", json_schema_extra=KW)
-    s_max_kva: float = Field(gt=0, description="inverter rating", json_schema_extra=KVA)
+    id: Name = Field(description="identifier of the PV system")
+    customer: Name = Field(description="customer that owns the PV system")
+    p_max_kw: float = Field(
+        ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW)
+    s_max_kva: float = Field(
+        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA)
 
 
 class BatteryRow(Row):
     """A battery; the thermal constants matter only when its temperature is simulated."""
 
-    id: str = Field(description="identifier of the battery")
-    bus: str = Field(description="bus of the battery")
-    energy_kwh: float = Field(gt=0, description="energy capacity", json_schema_extra=KWH)
+    id: Name = Field(description="identifier of the battery")
+    bus: Name = Field(description="bus of the battery")
+    energy_kwh: float = Field(
+        ge=MIN_KW, le=MAX_KW, description="energy capacity", json_schema_extra=KWH)
     p_max_kw: float = Field(
-        gt=0, description="largest charging and discharging power", json_schema_extra=KW)
-    s_max_kva: float = Field(gt=0, description="inverter rating", json_schema_extra=KVA)
+        ge=MIN_KW, le=MAX_KW,
+        description="largest charging and discharging power", json_schema_extra=KW)
+    s_max_kva: float = Field(
+        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA)
     soc_min: float = Field(default=0.15, ge=0, le=1, description="lowest state of charge")
     soc_max: float = Field(default=0.85, ge=0, le=1, description="highest state of charge")
     soc_initial: float | None = Field(
         default=None, ge=0, le=1, description="state of charge at the start (empty: soc_min)")
-    eta_charge: float = Field(default=0.95, gt=0, le=1, description="charging efficiency")
-    eta_discharge: float = Field(default=0.95, gt=0, le=1, description="discharging efficiency")
+    eta_charge: float = Field(
+        default=0.95, ge=MIN_EFFICIENCY, le=1, description="charging efficiency")
+    eta_discharge: float = Field(
+        default=0.95, ge=MIN_EFFICIENCY, le=1, description="discharging efficiency")
     r_theta_c_per_kw: float = Field(
-        default=3.5, gt=0, description="thermal resistance", json_schema_extra={"unit": "°C/kW"})
+        default=3.5, ge=MIN_THERMAL, le=MAX_THERMAL,
+        description="thermal resistance", json_schema_extra={"unit": "°C/kW"})
     c_theta_kwh_per_c: float = Field(
-        default=0.3, gt=0, description="thermal capacitance", json_schema_extra={"unit": "kWh/°C"})
+        default=0.3, ge=MIN_THERMAL, le=MAX_THERMAL,
+        description="thermal capacitance", json_schema_extra={"unit": "kWh/°C"})
     alpha_charge_per_c2: float = Field(
-        default=1e-4, ge=0, description="loss of charging efficiency per squared deviation from "
+        default=1e-4, ge=0, le=MAX_LOSS_PER_C2,
+        description="loss of charging efficiency per squared deviation from "
         "the reference temperature", json_schema_extra=PER_C2)
     alpha_discharge_per_c2: float = Field(
-        default=1e-4, ge=0, description="loss of discharging efficiency per squared deviation "
+        default=1e-4, ge=0, le=MAX_LOSS_PER_C2,
+        description="loss of discharging efficiency per squared deviation "
         "from the reference temperature", json_schema_extra=PER_C2)
     r_int_ohm: float = Field(
-        default=0.0035, ge=0, description="internal resistance at the reference temperature",
+        default=0.0035, ge=0, le=MAX_CELL_OHM,
+        description="internal resistance at the reference temperature",
         json_schema_extra=OHM)
     beta_per_c: float = Field(
-        default=0.003, ge=0, description="temperature coefficient of the internal resistance",
+        default=0.003, ge=0, le=MAX_LOSS_PER_C2,
+        description="temperature coefficient of the internal resistance",
         json_schema_extra={"unit": "1/°C"})
     u_batt_v: float = Field(
-        default=900.0, gt=0, description="terminal voltage", json_schema_extra={"unit": "V"})
+        default=900.0, ge=1, le=MAX_BATTERY_V,
+        description="terminal voltage", json_schema_extra={"unit": "V"})
     t_ref_c: float = Field(
         default=25.0, ge=-50, le=60, description="reference temperature",
         json_schema_extra=CELSIUS)
@@ -123,7 +186,7 @@ class LoadSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     load_kw: float = Field(
-        alias="<customer id>", ge=0, description="demand of the customer if served",
+        alias="<customer id>", ge=0, le=MAX_KW, description="demand of the customer if served",
         json_schema_extra=KW)
 
 
@@ -132,7 +195,7 @@ class PVSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     pv_kw: float = Field(
-        alias="<PV id>", ge=0, description="power available from the PV system",
+        alias="<PV id>", ge=0, le=MAX_KW, description="power available from the PV system",
         json_schema_extra=KW)
 
 
@@ -141,11 +204,14 @@ class SystemSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     price_gbp_per_kwh: float = Field(
-        ge=0, description="import price", json_schema_extra=GBP_PER_KWH)
+        ge=-MAX_PRICE, le=MAX_PRICE,
+        description="import price (negative: the feeder is paid)",
+        json_schema_extra=GBP_PER_KWH)
     temperature_c: float = Field(
         ge=-50, le=60, description="ambient temperature", json_schema_extra=CELSIUS)
     grid_limit_kw: float | None = Field(
-        default=None, ge=0, description="largest import from the grid (inf, or no such column: "
+        default=None, ge=0, le=MAX_KW,
+        description="largest import from the grid (inf, or no such column: "
         "no limit)", json_schema_extra=KW)
 
 
@@ -161,33 +227,37 @@ class TimeSection(Section):
     start: AwareDatetime = Field(description="beginning of the first step, with time zone")
     step_minutes: float = Field(
         ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"})
-    steps: int = Field(ge=1, le=MAX_GRID_DAYS * 1440, description="number of steps")
+    steps: int = Field(ge=1, le=MAX_STEPS, description="number of steps")
 
 
 class NetworkSection(Section):
     """The grid connection and the voltage limits."""
 
     base_kv: float = Field(
-        gt=0, description="nominal line-to-line voltage", json_schema_extra={"unit": "kV"})
+        ge=MIN_KV, le=MAX_KV,
+        description="nominal line-to-line voltage", json_schema_extra={"unit": "kV"})
     # Buses may be numbers or names: both are compared as text until lines.csv has been read.
-    slack_bus: str = Field(
+    slack_bus: Name = Field(
         min_length=1, strict=False, coerce_numbers_to_str=True,
         description="bus of the grid connection",
         json_schema_extra={"type": ["string", "integer"]})
     v_slack_pu: float = Field(
-        default=Network.v_slack_pu, gt=0, le=2, description="voltage of the slack bus",
+        default=Network.v_slack_pu, ge=MIN_PU, le=2, description="voltage of the slack bus",
         json_schema_extra=PU)
     v_min_pu: float = Field(
-        default=Network.v_min_pu, gt=0, le=2, description="lowest voltage in the optimisation",
+        default=Network.v_min_pu, ge=MIN_PU, le=2, description="lowest voltage in the optimisation",
         json_schema_extra=PU)
     v_max_pu: float = Field(
-        default=Network.v_max_pu, gt=0, le=2, description="highest voltage in the optimisation",
+        default=Network.v_max_pu, ge=MIN_PU, le=2,
+        description="highest voltage in the optimisation",
         json_schema_extra=PU)
     v_min_ac_pu: float = Field(
-        default=Network.v_min_ac_pu, gt=0, le=2, description="lowest voltage allowed in the AC "
+        default=Network.v_min_ac_pu, ge=MIN_PU, le=2,
+        description="lowest voltage allowed in the AC "
         "power flow", json_schema_extra=PU)
     v_max_ac_pu: float = Field(
-        default=Network.v_max_ac_pu, gt=0, le=2, description="highest voltage allowed in the AC "
+        default=Network.v_max_ac_pu, ge=MIN_PU, le=2,
+        description="highest voltage allowed in the AC "
         "power flow", json_schema_extra=PU)
 
 
@@ -195,16 +265,20 @@ class ObjectiveSection(Section):
     """The weights of the objective, for powers in kW."""
 
     lambda_grid: float = Field(
-        default=ObjectiveWeights.lambda_grid, ge=0, description="weight of the import cost",
+        default=ObjectiveWeights.lambda_grid, ge=0, le=MAX_LAMBDA,
+        description="weight of the import cost",
         json_schema_extra={"unit": "1/GBP"})
     lambda_curt: float = Field(
-        default=ObjectiveWeights.lambda_curt, ge=0, description="weight of curtailed PV power",
+        default=ObjectiveWeights.lambda_curt, ge=0, le=MAX_LAMBDA,
+        description="weight of curtailed PV power",
         json_schema_extra={"unit": "1/kW"})
     lambda_l: float = Field(
-        default=ObjectiveWeights.lambda_l, ge=0, description="weight of squared line flows times "
+        default=ObjectiveWeights.lambda_l, ge=0, le=MAX_LAMBDA,
+        description="weight of squared line flows times "
         "resistance", json_schema_extra={"unit": "1/(ohm kVA²)"})
     lambda_q: float = Field(
-        default=ObjectiveWeights.lambda_q, ge=0, description="weight of the squared use of "
+        default=ObjectiveWeights.lambda_q, ge=0, le=MAX_LAMBDA,
+        description="weight of the squared use of "
         "inverters for reactive power")
 
 
@@ -256,17 +330,17 @@ else:
 class FilesSection(Section):
     """File names inside the folder; the suffix chooses CSV or Parquet."""
 
-    lines: str = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
-    customers: str = Field(
+    lines: Name = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
+    customers: Name = Field(
         default="customers.csv", pattern=_FILE_NAME, description="file of the customers")
     pv: str = Field(default="pv.csv", pattern=_FILE_NAME, description="file of the PV systems")
-    batteries: str = Field(
+    batteries: Name = Field(
         default="batteries.csv", pattern=_FILE_NAME, description="file of the batteries")
-    load_kw: str = Field(
+    load_kw: Name = Field(
         default="load_kw.csv", pattern=_FILE_NAME, description="file of the load series")
-    pv_kw: str = Field(
+    pv_kw: Name = Field(
         default="pv_kw.csv", pattern=_FILE_NAME, description="file of the PV series")
-    system: str = Field(
+    system: Name = Field(
         default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series")
 
 
@@ -274,12 +348,13 @@ class ScenarioFile(Section):
     """The whole of scenario.toml."""
 
     name: str = Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="short name of the scenario: letters, "
+        max_length=MAX_NAME_LENGTH, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
+        description="short name of the scenario: letters, "
         "digits, '-', '_' and '.'")
-    title: str = Field(default="", description="title for headings (empty: the name)")
+    title: Title = Field(default="", description="title for headings (empty: the name)")
     time: TimeSection = Field(description="table [time]")
     network: NetworkSection = Field(description="table [network]")
-    tiers: dict[str, Annotated[float, Field(gt=0)]] = Field(
+    tiers: dict[Name, Annotated[float, Field(ge=MIN_WEIGHT, le=MAX_WEIGHT)]] = Field(
         min_length=1, description="table [tiers]: weight of each tier, most important first")
     objective: ObjectiveSection = Field(
         default=ObjectiveSection(), description="table [objective]")

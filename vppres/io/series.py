@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -11,12 +12,13 @@ from pydantic.fields import FieldInfo
 from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
-from vppres.io.messages import shown
+from vppres.io.messages import few, shown
 from vppres.io.settings import iso
-from vppres.io.tables import Table
+from vppres.io.tables import Table, cell_text
 from vppres.scenario.timegrid import TimeGrid
 
 TIME = "time"
+_LONGEST_TIME = 64  # characters; a time has 35, and the search takes their square
 _OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
 
 
@@ -63,16 +65,21 @@ def read_values(table: Table, name: str, field: FieldInfo,
     ]
     problems = []
     for bad, message in faults:
-        for i in np.flatnonzero(bad):
-            text = shown(table.texts[name].iloc[i])
-            problems.append(Problem(table.file, message if text else "is empty",
-                                    schema.cure(field), row=int(column.index[int(i)]), field=name,
-                                    value=text))
+        problems += few(np.flatnonzero(bad), partial(
+            _bad_cell, table, name, message, schema.cure(field)))
     return values, problems
+
+
+def _bad_cell(table: Table, name: str, message: str, cure: str, position: int) -> Problem:
+    text = shown(cell_text(table.frame[name].iloc[position]))
+    return Problem(table.file, message if text else "is empty", cure,
+                   row=int(table.frame.index[position]), field=name, value=text)
 
 
 def _as_floats(column: pd.Series[float]) -> Floats:
     """Cells as numbers; Python's own parser, so that written numbers come back equal."""
+    if column.dtype.kind not in "iufO":  # dates and complex numbers of Parquet files are none
+        return np.array([_as_float(cell) for cell in column])
     try:
         return np.asarray(column.to_numpy(), dtype=float)
     except (TypeError, ValueError):
@@ -88,21 +95,22 @@ def _as_float(cell: object) -> float:
 
 def _read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     """Times in UTC by line of the file."""
-    texts = table.texts[TIME] if TIME in table.names else pd.Series([], dtype=object)
+    texts = table.texts(TIME) if TIME in table.names else pd.Series([], dtype=object)
     times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")
-    problems = []
-    for line, text, time in zip(texts.index, texts, times, strict=True):
-        if pd.isna(time) or not text[:4].isdigit():
-            message = "is not an ISO 8601 time"
-            cure = "Write it like 2022-07-19T12:00:00Z."
-        elif not _OFFSET.search(text):
-            message = "has no time zone"
-            cure = f"Add the offset, for example {text}Z."
-        else:
-            continue
-        problems.append(Problem(table.file, message if text else "is empty", cure,
-                                row=int(str(line)), field=TIME, value=shown(text)))
-    return times, problems
+    unreadable = (times.isna() | ~texts.str[:4].str.isdigit().astype(bool)).to_numpy(bool)
+    has_offset = np.fromiter((_OFFSET.search(text[:_LONGEST_TIME]) is not None
+                              for text in texts), bool)
+
+    def problem(i: int) -> Problem:
+        text = texts.iloc[i]
+        message = "is not an ISO 8601 time" if unreadable[i] else "has no time zone"
+        cure = ("Write it like 2022-07-19T12:00:00Z." if unreadable[i] else
+                f"Add the offset, for example {text}Z.")
+        return Problem(table.file, message if text else "is empty", cure,
+                       row=int(texts.index[i]), field=TIME, value=shown(text))
+
+    return times, (few(np.flatnonzero(unreadable), problem)
+                   + few(np.flatnonzero(~unreadable & ~has_offset), problem))
 
 
 def _grid_cure(grid: TimeGrid) -> str:
@@ -124,21 +132,22 @@ def _check_step(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> li
 def _check_members(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
     """Steps that are missing, given twice, or not of the grid."""
     expected = grid.times.tz_convert("UTC")
-    first: dict[pd.Timestamp, int] = {}
-    problems = []
-    for line, time in times.items():
-        row = int(str(line))
-        if time not in expected:
-            problems.append(Problem(file, "is not a step of the scenario", _grid_cure(grid),
-                                    row=row, field=TIME, value=iso(time)))
-        elif time in first:
-            problems.append(Problem(file, f"is a duplicate of row {first[time]}",
-                                    "Remove one of the two rows.", row=row, field=TIME,
-                                    value=iso(time)))
-        first.setdefault(time, row)
-    return problems + [
-        Problem(file, "this step is missing", "Add its row.", field=TIME, value=iso(time))
-        for time in expected if time not in first]
+    member = times.isin(expected).to_numpy(bool)
+    again = times.duplicated().to_numpy(bool)
+    missing = expected[~expected.isin(times)]
+
+    def foreign(i: int) -> Problem:
+        return Problem(file, "is not a step of the scenario", _grid_cure(grid),
+                       row=int(times.index[i]), field=TIME, value=iso(times.iloc[i]))
+
+    def duplicate(i: int) -> Problem:
+        first = times.index[int(np.argmax(times == times.iloc[i]))]
+        return Problem(file, f"is a duplicate of row {first}", "Remove one of the two rows.",
+                       row=int(times.index[i]), field=TIME, value=iso(times.iloc[i]))
+
+    return (few(np.flatnonzero(~member), foreign) + few(np.flatnonzero(member & again), duplicate)
+            + few(range(len(missing)), lambda i: Problem(
+                file, "this step is missing", "Add its row.", field=TIME, value=iso(missing[i]))))
 
 
 def _check_sorted(file: str, times: pd.Series[pd.Timestamp]) -> list[Problem]:

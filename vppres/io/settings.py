@@ -24,6 +24,8 @@ from vppres.scenario.timegrid import TimeGrid
 M = TypeVar("M", bound=BaseModel)
 
 SCENARIO_FILE = "scenario.toml"
+# Ten thousand outages; its parser is written in Python.
+MAX_SETTINGS_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if not path.is_file():
         return {}, [Problem(path.name, "the file is missing",
                             "A scenario folder needs it: see the page on the scenario format.")]
-    text, problems = read_text(path)
+    text, problems = read_text(path, MAX_SETTINGS_BYTES)
     if problems:
         return {}, problems
     try:

@@ -90,7 +90,7 @@ def simplifications(run: Trajectory) -> list[str]:
             "In an outage the batteries that form the grid share losses and "
             "mismatch; frequency and transients are not simulated."
         )
-    return sentences
+    return [*sentences, *day.batteries.notes]
 
 
 def data_words(run: Trajectory) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ class Row:
 def service_chart(run: Trajectory) -> go.Figure:
     """Share of each tier's customers that are served."""
     curves = [
-        Curve(str(tier), 100.0 * share.to_numpy(), style.color, dash)
+        Curve(_literal(tier), 100.0 * share.to_numpy(), style.color, dash)
         for (tier, share), style, dash in zip(
             service_by_tier(run).items(),
             itertools.cycle(TIER_STYLES),
@@ -119,8 +120,8 @@ def grid_chart(run: Trajectory) -> go.Figure:
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
     lowest = v.argmin(axis=1)
     highest = v.argmax(axis=1)
-    at_lowest = [f"bus {bus}" for bus in net.buses[lowest]]
-    at_highest = [f"bus {bus}" for bus in net.buses[highest]]
+    at_lowest = [f"bus {_literal(bus)}" for bus in net.buses[lowest]]
+    at_highest = [f"bus {_literal(bus)}" for bus in net.buses[highest]]
     return _chart(
         run,
         [
@@ -149,7 +150,8 @@ def _line_row(run: Trajectory) -> Row:
     net = run.scenario.network
     rated = run.scenario.network.has_ratings
     values = np.nan_to_num(line_values(run, rated))
-    lines = [f"line {net.from_bus[i]} to {net.to_bus[i]}" for i in values.argmax(axis=1)]
+    lines = [_literal(f"line {net.from_bus[i]} to {net.to_bus[i]}")
+             for i in values.argmax(axis=1)]
     name = "largest line loading (%)" if rated else "largest line current (A)"
     return Row(
         "Line<br>loading (%)" if rated else "Line<br>current (A)",
@@ -171,6 +173,11 @@ def plotly_script() -> str:
     """The plotly library itself, some 5 MB of JavaScript."""
     script: str = get_plotlyjs()
     return script
+
+
+def _literal(name: object) -> str:
+    """Others' words for a chart: plotly reads tags and links in them."""
+    return escape(str(name), quote=False)
 
 
 def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:

@@ -6,12 +6,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import summarise
 from vppres.day.trajectory import Trajectory, read_run
+from vppres.io.atomic import remove_leftovers, scratch_folder
 from vppres.report.pages import write_page
 from vppres.report.plots import save_figures
 from vppres.report.run_folder import SUMMARY_FILE, render_report
@@ -46,6 +46,8 @@ def read_finished(folder: Path) -> FinishedRun:
     InputError
         If it is not a folder, not a whole run folder, or a file in it is broken.
     """
+    if not folder.exists():
+        remove_leftovers(folder.absolute().parent)  # a killed run may have been replacing it
     if not folder.is_dir():
         message = "is not a folder" if folder.exists() else "there is no such folder"
         raise InputError(Problem(str(folder), message, _CURE))
@@ -61,9 +63,9 @@ def read_finished(folder: Path) -> FinishedRun:
 
 def rewrite_report(run: FinishedRun, file: Path) -> None:
     """Draw the figures of a run again and write its report into a file."""
-    with TemporaryDirectory() as aside:
-        save_figures(run.trajectory, Path(aside))
-        text = render_report(run.trajectory, dict(run.summary), Path(aside))
+    with scratch_folder() as aside:
+        save_figures(run.trajectory, aside)
+        text = render_report(run.trajectory, dict(run.summary), aside)
     write_page(file, text)
 
 

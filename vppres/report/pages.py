@@ -13,8 +13,8 @@ import matplotlib
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from vppres.core.errors import InputError, Problem
-from vppres.io.atomic import atomic_write_text
+from vppres.core.errors import InputError, Problem, StorageError
+from vppres.io.atomic import atomic_write_text, full_disk, is_full
 from vppres.report.plots import SVG_HASH_SALT
 
 
@@ -55,11 +55,15 @@ def write_page(file: Path, text: str) -> None:
     ------
     InputError
         If the file cannot be written.
+    StorageError
+        If the disk is full.
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_text(file, text)
     except OSError as error:
+        if is_full(error):
+            raise StorageError(full_disk(file, file.exists())) from error
         raise InputError(
             Problem(
                 str(file),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from vppres.core.errors import ReportError, StorageError, VppresError
 from vppres.day.metrics import summarise
 from vppres.day.trajectory import Trajectory, write_tables
-from vppres.io.atomic import atomic_folder
+from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
 from vppres.report.pages import page
 from vppres.report.plots import save_figures
@@ -29,6 +31,9 @@ Draw = Callable[[Trajectory, Path], object]
 def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True, figures: bool = True,
               draw: Draw | None = None) -> dict[str, Any]:
     """Write a run folder, whole or not at all.
+
+    What was computed is written first: where figures or report cannot be made, the folder is kept
+    without them, so that no computed day is lost, and ``vppres report`` makes them later.
 
     Parameters
     ----------
@@ -53,17 +58,45 @@ def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True, fi
     ------
     InputError
         If the folder holds something other than a run, or cannot be written.
+    StorageError
+        If the disk is full; the message says what was kept.
+    ReportError
+        If only the report could not be made; the rest of the folder is there.
     """
     summary = summarise(trajectory)
     with atomic_folder(folder) as aside:
         write_tables(trajectory, aside)
         write_scenario(trajectory.scenario, aside / "scenario")
-        if figures:
-            (draw or save_figures)(trajectory, aside / "figures")
-            report = render_report(trajectory, summary, aside / "figures", interactive)
-            _write(aside / REPORT_FILE, report)
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        draw = draw or save_figures
+        failure = _illustrate(trajectory, summary, aside, interactive, draw) if figures else None
+    if failure is not None:
+        raise _without_report(folder, failure) from failure
     return summary
+
+
+def _illustrate(trajectory: Trajectory, summary: Mapping[str, Any], folder: Path,
+                interactive: bool, draw: Draw) -> Exception | None:
+    """Figures and report of a run, or why they could not be made; then neither is there."""
+    try:
+        draw(trajectory, folder / "figures")
+        report = render_report(trajectory, summary, folder / "figures", interactive)
+        _write(folder / REPORT_FILE, report)
+    except Exception as error:  # whatever it is: hours of computing must not go with a figure
+        shutil.rmtree(folder / "figures", ignore_errors=True)
+        (folder / REPORT_FILE).unlink(missing_ok=True)
+        return error
+    return None
+
+
+def _without_report(folder: Path, failure: Exception) -> VppresError:
+    """What to say of a run folder that has no figures and no report."""
+    cure = f"{folder} holds the run; make its report with vppres report {folder}."
+    if isinstance(failure, OSError) and is_full(failure):
+        return StorageError(f"{folder}: the disk is full, or a quota is reached: figures and "
+                            f"report were not written. Free some space: {cure}")
+    return ReportError(f"{folder}: figures and report could not be made "
+                       f"({type(failure).__name__}: {failure}). {cure}")
 
 
 def render_report(trajectory: Trajectory, summary: Mapping[str, Any], figures: Path,

@@ -10,7 +10,11 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, freeze_fields
+from vppres.core.errors import InputError, Problem
+
+# Telemetry in single precision or with six digits: further outside, a limit or a reading is wrong.
+SOC_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,13 @@ class Batteries:
     The thermal constants are those of the paper's Table "Battery electro-thermal efficiency
     parameters"; ``t_initial_c`` may be NaN, which means the ambient temperature of the first step.
     ``grid_forming`` marks the batteries that are named to hold an island; see :attr:`formers`.
+    A state of charge at the start that is outside its limits by at most 1e-6 is taken to the limit,
+    and :attr:`notes` says so.
+
+    Raises
+    ------
+    InputError
+        If a state of charge at the start is farther outside its limits.
     """
 
     id: Names
@@ -99,9 +110,36 @@ class Batteries:
             object.__setattr__(self, "grid_forming", np.zeros(len(self.id), dtype=bool))
         types = {"id": object, "bus": object, "grid_forming": bool}
         freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
+        object.__setattr__(self, "_notes", self._take_soc_into_limits())
+
+    def _take_soc_into_limits(self) -> tuple[str, ...]:
+        """Clip rounding errors of the state of charge at the start, and say so."""
+        low = self.soc_min
+        high = self.soc_max
+        given = self.soc_initial
+        outside = np.maximum(low - given, given - high)
+        problems = [
+            Problem(f"battery {self.id[i]}", f"must lie between soc_min ({low[i]:g}) and soc_max "
+                    f"({high[i]:g})", "Correct the state of charge at the start or the limits.",
+                    field="soc_initial", value=float(given[i]))
+            for i in np.flatnonzero(~(outside <= SOC_ROUNDING))]
+        if problems:
+            raise InputError(problems)
+        clipped = np.clip(given, low, high)
+        object.__setattr__(self, "soc_initial", freeze(clipped))
+        return tuple(
+            f"The state of charge of battery {self.id[i]} at the start, {given[i]:.9g}, is a "
+            f"rounding error outside its limits: {clipped[i]:g} is used."
+            for i in np.flatnonzero(clipped != given))
 
     def __len__(self) -> int:
         return len(self.id)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was mended when the table was made, in sentences."""
+        notes: tuple[str, ...] = self.__dict__["_notes"]
+        return notes
 
     @property
     def active_max_kw(self) -> Floats:

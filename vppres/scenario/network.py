@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +16,9 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.units import ohm_to_pu2_per_kw
 
 BusId = int | str
+
+MAX_LOOPS = 20  # that are told; each costs a search of the network
+MAX_LOOP_SHOWN = 12  # buses
 
 
 def _no_ratings() -> Floats:
@@ -170,27 +175,49 @@ def check_radial(from_bus: Names, to_bus: Names,
                                 f"to bus {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}",
                                 "Add the missing line or remove these buses."))
     problems += [
-        Problem("lines", f"closes a loop: {' - '.join(map(str, loop))}",
+        Problem("lines", f"closes a loop: {_loop_words(loop)}",
                 "The network must be radial: open (remove) one line of the loop.",
                 row=row, field="to_bus", value=to_bus[row])
-        for row, loop in find_loops(from_bus, to_bus) if from_bus[row] != to_bus[row]
+        for row, loop in islice(_loops(from_bus, to_bus), MAX_LOOPS)
+        if from_bus[row] != to_bus[row]
     ]
     return problems
+
+
+def _loop_words(loop: list[BusId]) -> str:
+    """The buses of a loop; of a long one, its ends."""
+    shown = loop if len(loop) <= MAX_LOOP_SHOWN else [*loop[:4], "...", *loop[-4:]]
+    return " - ".join(map(str, shown))
 
 
 def find_loops(from_bus: Names,
                to_bus: Names) -> list[tuple[int, list[BusId]]]:
     """Lines that close a loop, taken in order, each with the buses of its loop."""
+    return list(_loops(from_bus, to_bus))
+
+
+def _loops(from_bus: Names, to_bus: Names) -> Iterator[tuple[int, list[BusId]]]:
+    """Loops one by one: a path is searched only where both ends are joined already."""
     neighbours: dict[BusId, list[BusId]] = {}
-    loops = []
+    leader: dict[BusId, BusId] = {}
     for row, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)):
-        path = _path(neighbours, a, b)
-        if path:
-            loops.append((row, path))
+        if _root(leader, a) == _root(leader, b):
+            yield row, _path(neighbours, a, b)
         else:
+            leader[_root(leader, a)] = _root(leader, b)
             neighbours.setdefault(a, []).append(b)
             neighbours.setdefault(b, []).append(a)
-    return loops
+
+
+def _root(leader: dict[BusId, BusId], bus: BusId) -> BusId:
+    """The bus that stands for all that are joined with this one (Tarjan's disjoint sets)."""
+    above = leader.get(bus, bus)
+    while above != bus:
+        # Halving the path keeps the next search short.
+        leader[bus] = leader.get(above, above)
+        bus = leader[bus]
+        above = leader.get(bus, bus)
+    return bus
 
 
 def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> list[BusId]:

@@ -70,6 +70,9 @@ GUARD = "Guard and baselines"
 
 LONGEST_HORIZON_H = 366 * 24
 """As long as the longest day that a scenario folder may hold."""
+MOST_WEIGHT = 1e6  # a million customers of weight 1 for an hour
+MOST_ACTIONS = 1_000_000  # more than a day has steps
+MOST_COLD_LOAD = 20.0  # measured factors of cold load are 1 to 5
 
 
 @dataclass(frozen=True)
@@ -193,30 +196,35 @@ OPTIONS: tuple[Option, ...] = (
     Option("min-served-h", "switching.min_served_h", float, 0.0,
            "shortest time served after a restoration",
            page="this and the following are the {doc}`switching` rules", unit="h", range=HOURS,
-           group=SWITCHING, scenario_key="switching.min_served_h"),
+           group=SWITCHING, scenario_key="switching.min_served_h",
+           file_most=LONGEST_HORIZON_H),
     Option("min-unserved-h", "switching.min_unserved_h", float, 0.0,
            "shortest time switched off", unit="h", range=HOURS, group=SWITCHING,
-           scenario_key="switching.min_unserved_h"),
+           scenario_key="switching.min_unserved_h", file_most=LONGEST_HORIZON_H),
     Option("switching-price", "switching.price_per_action", float, 0.0,
            "price of switching a customer off or on", unit="weighted customer hours",
-           range=NOT_NEGATIVE, group=SWITCHING, scenario_key="switching.price_per_action"),
+           range=NOT_NEGATIVE, group=SWITCHING, scenario_key="switching.price_per_action",
+           file_most=MOST_WEIGHT),
     Option("max-actions", "switching.max_actions_per_customer", int, None,
            "most actions of a customer in a day", words="an off/on pair is two", range=COUNT,
-           unset="no limit", group=SWITCHING, scenario_key="switching.max_actions_per_customer"),
+           unset="no limit", group=SWITCHING, scenario_key="switching.max_actions_per_customer",
+           file_most=MOST_ACTIONS),
     Option("stay-restored", "switching.stay_restored", bool, False,
            "never switch a restored customer off again", page="`--no-stay-restored`: allow it",
            group=SWITCHING,
            scenario_key="switching.stay_restored", sweep=False),
     Option("cold-load-factor", "switching.cold_load_factor", float, 1.0,
            "demand after a restoration as a multiple of the usual one", range=AT_LEAST_ONE,
-           group=SWITCHING, scenario_key="switching.cold_load_factor"),
+           group=SWITCHING, scenario_key="switching.cold_load_factor",
+           file_most=MOST_COLD_LOAD),
     Option("cold-load-h", "switching.cold_load_h", float, 0.0,
            "how long demand is higher after a restoration, at least one step", unit="h",
-           range=HOURS, group=SWITCHING, scenario_key="switching.cold_load_h"),
+           range=HOURS, group=SWITCHING, scenario_key="switching.cold_load_h",
+           file_most=LONGEST_HORIZON_H),
     Option("move-weight", "switching.move_weight", float, 0.0,
            "line losses that moving a battery by its rated power away from the previous plan is "
            "worth", unit="kW", range=NOT_NEGATIVE, group=SWITCHING,
-           scenario_key="switching.move_weight"),
+           scenario_key="switching.move_weight", file_most=MOST_WEIGHT),
     Option("guard", "guard", bool, True,
            "check every decision and fall back where it cannot be carried out",
            page="see [operation](operation.md); `--no-guard` ends the run with the solver's error "

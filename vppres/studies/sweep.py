@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import joblib
 import pandas as pd
 
-from vppres.core.errors import SolveError, VerificationError
+from vppres.core.errors import ReportError, SolveError, StorageError, VerificationError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Progress, run_day
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
@@ -22,6 +28,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.studies.compare import flattened
 from vppres.studies.sweep_parameters import Parameter, Value, changed, value_text
 
+_ASK_S = 0.5  # between two looks at the parent
+_LONGEST_FOLDER = 60  # characters of up to four bytes; a name has at most 255 bytes
 SUMMARY_TABLE = "summary.csv"
 
 
@@ -72,7 +80,7 @@ def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
     cases = []
     for value in values:
         day, chosen = changed(parameter, value, scenario, options)
-        cases.append(Case(value, f"{parameter.name}={value_text(value)}", day, chosen))
+        cases.append(Case(value, folder_name(parameter.name, value), day, chosen))
     return cases
 
 
@@ -100,20 +108,36 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
     """
     with atomic_folder(folder) as aside:
         outcomes = _outcomes(cases, aside, jobs or int(joblib.cpu_count()), progress)
-        if finish is not None:
-            finish(outcomes, aside)
         outcome_table(outcomes).to_csv(aside / SUMMARY_TABLE, index=False, lineterminator="\n")
         atomic_write_text(aside / RUN_MARK, json.dumps(
             outcome_records(outcomes), indent=2, allow_nan=False) + "\n")
+        if finish is not None:
+            finish(outcomes, aside)
     return outcomes
 
 
-def run_case(position: int, case: Case, folder: Path) -> tuple[int, SweepRow]:
-    """Run one case and write its run folder below ``folder``."""
+def folder_name(parameter: str, value: Value) -> str:
+    """The run folder of a value: characters that mean something in paths are replaced.
+
+    A digest keeps names apart that would be the same then, or are too long for a file system.
+
+    >>> folder_name("horizon", 2.0)
+    'horizon=2'
+    >>> folder_name("tiers.../../x", 0.5)
+    'tiers.....x=0.5-acf269ce'
+    """
+    text = f"{parameter}={value_text(value)}"
+    name = "".join(c for c in text if c.isalnum() or c in "._=+-")[:_LONGEST_FOLDER]
+    return name if name == text else f"{name}-{sha256(text.encode()).hexdigest()[:8]}"
+
+
+def run_case(position: int, case: Case, folder: Path, parent: int) -> tuple[int, SweepRow]:
+    """Run one case and write its run folder below ``folder``, in a worker of process ``parent``."""
+    _end_with(parent)
     try:
         summary = write_run(run_day(case.scenario, case.options), folder / case.folder,
                             interactive=False)  # many reports: leave out 5 MB of scripts each
-    except (SolveError, VerificationError) as error:
+    except (SolveError, VerificationError, StorageError, ReportError) as error:
         return position, SweepRow(case.value, case.folder, None, str(error))
     return position, SweepRow(case.value, case.folder, summary, None)
 
@@ -135,6 +159,24 @@ def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
                       "summary": o.summary} for o in outcomes]}
 
 
+@cache
+def _end_with(parent: int) -> None:
+    """Let this worker die with its parent, which the system does not see to by itself.
+
+    A thread asks: the death signal of Linux comes with the end of the thread that started the
+    worker, and not of its process.
+    """
+    if os.getppid() != parent:
+        return  # a single job runs in the process itself
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_ASK_S)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 _KEYS = tuple(key for key, *_ in KEY_FIGURES)
 _PREFIXES = ("served_share.", "solve_s.")
 
@@ -147,7 +189,7 @@ def _outcomes(cases: Sequence[Case], folder: Path, jobs: int,
         parallel = joblib.Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",
                             batch_size=1)
         # Closing the generator stops the workers, whatever ends the loop.
-        with closing(parallel(joblib.delayed(run_case)(position, case, folder)
+        with closing(parallel(joblib.delayed(run_case)(position, case, folder, os.getpid())
                               for position, case in enumerate(cases))) as finished:
             for position, outcome in finished:
                 found[position] = outcome

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from vppres.io.atomic import atomic_write_text
 from vppres.report.key_figures import KEY_FIGURES, number
 from vppres.report.pages import embedded, page
-from vppres.report.plots import BLUE, TIER_STYLES, draw_grid, save_figure
+from vppres.report.plots import BLUE, TIER_STYLES, draw_grid, plain, save_figure
 from vppres.scenario.scenario import Scenario
 from vppres.studies.sweep import SweepRow, outcome_table
 from vppres.studies.sweep_parameters import Value, value_text
@@ -55,7 +55,7 @@ def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[s
     for position, tier in enumerate(tiers):
         style = TIER_STYLES[position % len(TIER_STYLES)]
         share = 100.0 * _column(table, f"served_share.{tier}")
-        panels[0].plot(x, share, color=style.color, marker=style.marker, label=tier,
+        panels[0].plot(x, share, color=style.color, marker=style.marker, label=plain(tier),
                        linewidth=style.linewidth, linestyle="" if labels else style.linestyle)
     panels[0].set_ylabel("Served in the outage (%)")
     panels[0].set_ylim(-4.0, 104.0)
@@ -63,7 +63,7 @@ def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[s
     for ax in panels:
         _finish(ax, x, labels)
     for ax in panels[-2:]:
-        ax.set_xlabel(parameter)
+        ax.set_xlabel(plain(parameter))
     return figure
 
 
@@ -75,7 +75,7 @@ def _by_value(outcomes: Sequence[SweepRow]) -> list[SweepRow]:
 def _positions(values: Sequence[Value]) -> tuple[list[float], list[str]]:
     """Places on the axis; words stand side by side and label their places."""
     if any(isinstance(value, str) for value in values):
-        return [float(i) for i in range(len(values))], [str(value) for value in values]
+        return [float(i) for i in range(len(values))], [plain(value) for value in values]
     return [float(value) for value in values], []
 
 

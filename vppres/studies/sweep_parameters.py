@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,9 +13,10 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
 from vppres.io import schema
+from vppres.io.atomic import scratch_folder
 from vppres.io.messages import did_you_mean
 from vppres.io.scenario_folder import read_scenario
-from vppres.io.scenario_writer import write_scenario
+from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import Batteries, PVSystems
 from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
@@ -191,9 +190,9 @@ def changed(parameter: Parameter, value: Value, scenario: Scenario,
 
 def _checked(day: Scenario) -> Scenario:
     """The scenario after a round trip through a folder, which checks everything."""
-    with TemporaryDirectory() as aside:
-        write_scenario(day, Path(aside) / "scenario")
-        return read_scenario(Path(aside) / "scenario")
+    with scratch_folder() as aside:
+        fill_scenario_folder(day, aside)
+        return read_scenario(aside)
 
 
 def _read(kind: type, text: str) -> Value | None:

@@ -37,6 +37,7 @@ from vppres.report.plots.base import (
     VERMILLION,
     Runs,
     draw_grid,
+    plain,
     save_figure,
 )
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
@@ -87,6 +88,7 @@ __all__ = [
     "line_values",
     "lowest_model_v_pu",
     "outage_spans",
+    "plain",
     "pv_available_kw",
     "save_figure",
     "save_figures",

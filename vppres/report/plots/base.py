@@ -89,10 +89,19 @@ TIER_STYLES = (
 SERVED, UNSERVED = "#D6E6F2", VERMILLION
 
 
+def plain(text: object) -> str:
+    r"""Others' words for a figure: matplotlib reads what stands between two dollars as a formula.
+
+    >>> print(plain("$x$"))
+    \$x\$
+    """
+    return str(text).replace("$", r"\$")
+
+
 def named_runs(runs: Runs) -> dict[str, Trajectory]:
     """Runs by label; a single run is labelled by its controller."""
     if not isinstance(runs, Trajectory):
-        return dict(runs)
+        return {plain(label): run for label, run in runs.items()}
     horizon = horizon_h(runs)
     return {"full horizon" if horizon is None else f"MPC, H = {horizon:g} h": runs}
 

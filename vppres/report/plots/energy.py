@@ -50,8 +50,12 @@ def energy_and_price(runs: Runs) -> Figure:
     draw_limit(energy, least, "lower SoC limit")
     energy.set_ylim(bottom=0.0)
     power.axhline(0.0, color=GREY, linewidth=0.8)
-    draw_steps(price, first, first.steps["price_gbp_per_kwh"].to_numpy(), {"color": BLACK})
-    price.set_ylim(bottom=0.0)
+    gbp_per_kwh = first.steps["price_gbp_per_kwh"].to_numpy(float)
+    draw_steps(price, first, gbp_per_kwh, {"color": BLACK})
+    if gbp_per_kwh.min() < 0.0:
+        price.axhline(0.0, color=GREY, linewidth=0.8)
+    else:
+        price.set_ylim(bottom=0.0)
     energy.set_ylabel("Stored energy (kWh)")
     power.set_ylabel("Net charging\npower (kW)")
     price.set_ylabel("Price\n(GBP/kWh)")

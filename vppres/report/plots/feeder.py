@@ -23,6 +23,7 @@ from vppres.report.plots.base import (
     mark_outage,
     named_runs,
     panels,
+    plain,
     with_legend,
 )
 from vppres.report.tree_layout import tree_layout
@@ -74,7 +75,7 @@ def feeder_maps(run: Trajectory) -> Figure:
     buses, lines = figure.subplots(2, 1, sharex=True)
     order = _along_the_feeder(run)
     _draw_map(buses, run, v[:, order], "AC voltage (pu)", "cividis")
-    _name_rows(buses, [str(bus) for bus in net.buses[order]], "Bus")
+    _name_rows(buses, [plain(bus) for bus in net.buses[order]], "Bus")
     order = order[order > 0] - 1  # of the lines, by the bus that each feeds
     _draw_map(
         lines,
@@ -83,7 +84,7 @@ def feeder_maps(run: Trajectory) -> Figure:
         "Loading (%)" if rated else "Current (A)",
         "cividis_r",
     )
-    _name_rows(lines, [str(bus) for bus in net.to_bus[order]], "Line, by the bus that it feeds")
+    _name_rows(lines, [plain(bus) for bus in net.to_bus[order]], "Line, by the bus that it feeds")
     mark_outage(buses, run, shade=False)
     mark_outage(lines, run, text=False, shade=False)
     clock(lines, run)

@@ -28,6 +28,7 @@ from vppres.report.plots.base import (
     draw_steps,
     mark_outage,
     named_runs,
+    plain,
 )
 from vppres.report.tree_layout import tree_layout
 
@@ -122,7 +123,7 @@ def _draw_tiles(ax: Axes, run: Trajectory) -> None:
     named = len(rows.names) <= MAX_NAMED_CUSTOMERS
     ax.set_yticks(
         np.arange(len(rows.names)) + 0.5 if named else [],
-        labels=rows.names if named else [],
+        labels=[plain(name) for name in rows.names] if named else [],
         fontsize=6.5,
     )
     ax.tick_params(axis="y", length=0)
@@ -142,7 +143,7 @@ def _name_tiers(ax: Axes, run: Trajectory, rows: TileRows) -> None:
         ax.text(
             1.01,
             top + height / 2,
-            f"{tier} ({count}){share_text}",
+            f"{plain(tier)} ({count}){share_text}",
             fontsize=8,
             va="center",
             transform=ax.get_yaxis_transform(),
@@ -155,7 +156,7 @@ def _draw_shares(ax: Axes, run: Trajectory) -> None:
     """Share of each tier's customers that are served, in per cent."""
     shares = share_by_tier(run)
     for (tier, share), style in zip(shares.items(), itertools.cycle(TIER_STYLES), strict=False):
-        draw_steps(ax, run, 100.0 * share.to_numpy(), style.line(str(tier)))
+        draw_steps(ax, run, 100.0 * share.to_numpy(), style.line(plain(tier)))
     ax.set_ylim(-4.0, 104.0)
     ax.set_yticks([0, 50, 100])
     ax.set_ylabel("Customers\nserved (%)")

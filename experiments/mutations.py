@@ -1,0 +1,236 @@
+"""Mutated scenario folders: each is read or refused with reasons, and what is read can be run.
+
+``python -m experiments.mutations --folders 10000 --runs 300`` writes the figures as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from experiments.random_days import small_day
+from vppres.core.errors import InputError, VppresError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.io import atomic_write_text, read_scenario, write_scenario
+from vppres.io.atomic import scratch_folder
+from vppres.scenario.scenario import Scenario
+
+FILES = ("scenario.toml", "lines.csv", "customers.csv", "pv.csv", "batteries.csv", "load_kw.csv",
+         "pv_kw.csv", "system.csv")
+SNIPPETS = (
+    "", ",", "\n", '"', "'", "=", "[", "]", "-", "0", "1e400", "1e308", "-1e308", "1e-300", "nan",
+    "inf", "-1", "9" * 400, "é", "\x00", "\x1b[2J", "\r", "\t", " ", "2022-07-19T10:00:00Z",
+    "2022-02-30T10:00:00Z", "now", "time", "id", "true", "1_0", "[[outages]]\n", "[time]\n",
+    "\u2028", "\u202e", ";", "hospital", "{", "}", "#", "$\\frac{$", "[/x]", "../../x", "<script>",
+    "=1+1", "x" * 300, "\ufeff", "1e6", "-0.5", "0.999999999", "٣")
+SLOW_S = 10.0
+# Rounding of the plant's arithmetic and of the power flow; readings have fewer digits.
+TOLERANCE_SOC = 1e-6
+TOLERANCE_PU = 1e-6
+
+
+@dataclass
+class Tally:
+    """What became of the folders.
+
+    Parameters
+    ----------
+    accepted, refused : int
+        Folders read, and folders refused with reasons.
+    tracebacks, broken_runs : list of str
+        What must not happen: other exceptions when reading, and runs that failed or lied.
+    slowest_s : float
+        Longest reading.
+    runs : dict
+        Endings of the runs.
+    """
+
+    accepted: int = 0
+    refused: int = 0
+    tracebacks: list[str] = field(default_factory=list)
+    broken_runs: list[str] = field(default_factory=list)
+    slowest_s: float = 0.0
+    runs: dict[str, int] = field(default_factory=dict)
+
+    def count(self, ending: str) -> None:
+        """Count the ending of a run."""
+        self.runs[ending] = self.runs.get(ending, 0) + 1
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing happened that must not happen."""
+        return not self.tracebacks and not self.broken_runs and self.slowest_s <= SLOW_S
+
+
+def small_folder(folder: Path) -> Path:
+    """The folder of a small random day."""
+    write_scenario(small_day(np.random.default_rng(1), 1), folder)
+    return folder
+
+
+def mutated(texts: Mapping[str, str], draw: random.Random) -> dict[str, str]:
+    """The files of a folder with one to three random edits of characters, cells or rows."""
+    edited = dict(texts)
+    for _ in range(draw.randint(1, 3)):
+        file = draw.choice(FILES)
+        edit = draw.choice((_characters, _cell, _cell, _row))
+        edited[file] = edit(edited[file], draw)
+    return edited
+
+
+def _characters(text: str, draw: random.Random) -> str:
+    """Some characters replaced, anywhere."""
+    at = draw.randint(0, len(text))
+    return text[:at] + draw.choice(SNIPPETS) + text[at + draw.randint(0, 12):]
+
+
+def _cell(text: str, draw: random.Random) -> str:
+    """One cell, or the value of a key, replaced: numbers mostly by another number."""
+    mark = "=" if " = " in text else ","
+    rows = text.split("\n")
+    row = draw.randrange(len(rows))
+    cells = rows[row].split(mark)
+    place = draw.randrange(len(cells))
+    try:
+        value = float(cells[place])
+        other = draw.choice((value * draw.choice((-1, 0, 0.1, 0.5, 0.9, 1.1, 2, 10, 1e3, 1e9)),
+                             draw.uniform(0, 2), round(value)))
+        cells[place] = f" {other!r}" if mark == "=" else repr(other)
+    except ValueError:
+        cells[place] = draw.choice(SNIPPETS)
+    rows[row] = mark.join(cells)
+    return "\n".join(rows)
+
+
+def _row(text: str, draw: random.Random) -> str:
+    """A row dropped, repeated or exchanged with another."""
+    rows = text.splitlines(keepends=True)
+    if not rows:
+        return text
+    i = draw.randrange(len(rows))
+    j = draw.randrange(len(rows))
+    kind = draw.choice(("drop", "repeat", "exchange"))
+    if kind == "exchange":
+        rows[i], rows[j] = rows[j], rows[i]
+    else:
+        rows[i:i + 1] = [] if kind == "drop" else [rows[i]] * 2
+    return "".join(rows)
+
+
+def read_mutated(source: Path, count: int, seed: int, tally: Tally) -> Iterator[Scenario]:
+    """Read mutated copies of a folder; what is accepted comes out."""
+    draw = random.Random(seed)
+    texts = {file: (source / file).read_text(encoding="utf-8") for file in FILES}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for _ in range(count):
+            for file, text in mutated(texts, draw).items():
+                (folder / file).write_text(text, encoding="utf-8", newline="")
+            scenario = None
+            begin = time.perf_counter()
+            try:
+                scenario = read_scenario(folder)
+            except InputError as error:
+                tally.refused += 1
+                if not all(getattr(p, "cure", p) and getattr(p, "where", p)
+                           for p in error.problems):
+                    tally.tracebacks.append(f"no cure: {error}")
+            except Exception as error:
+                tally.tracebacks.append(f"{type(error).__name__}: {error}")
+            tally.slowest_s = max(tally.slowest_s, time.perf_counter() - begin)
+            if scenario is not None:
+                tally.accepted += 1
+                yield scenario
+
+
+def run_accepted(scenario: Scenario, mode: str, tally: Tally) -> None:
+    """Run a day to its end, and let an independent check look at what it claims."""
+    options = RunOptions(horizon_h=3.0, mode=mode)
+    try:
+        run = run_day(scenario, options)
+    except VppresError as error:
+        tally.count(type(error).__name__)
+        if isinstance(error, InputError):
+            return  # refused by name, which is an answer
+        tally.broken_runs.append(f"{mode}: {type(error).__name__}: {error}")
+    except Exception as error:
+        tally.broken_runs.append(f"{mode}: {type(error).__name__}: {error}")
+    else:
+        claims = refuted(run)
+        tally.count("finished")
+        tally.broken_runs += [f"{mode}: {claim}" for claim in claims]
+
+
+def refuted(run: Trajectory) -> list[str]:
+    """Claims of a run's record that its own AC power flow, or arithmetic, refutes."""
+    net = run.scenario.network
+    found = []
+    for name, columns in (("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu", "objective"]),
+                          ("buses", ["v_ac_pu"]), ("batteries", ["soc_start", "soc_end"]),
+                          ("pv", ["curtailed_kw"])):
+        table = run.tables[name]
+        found += [f"{name}.{column} is not finite" for column in columns
+                  if column in table and not np.isfinite(table[column].to_numpy(float)).all()]
+    batteries = run.scenario.batteries
+    soc = run.batteries["soc_end"].to_numpy(float).reshape(len(run.steps), -1)
+    if (soc < batteries.soc_min - TOLERANCE_SOC).any() or (
+            soc > batteries.soc_max + TOLERANCE_SOC).any():
+        found.append("a state of charge is outside its limits")
+    v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
+    within = (v.min(axis=1) >= net.v_min_ac_pu - TOLERANCE_PU) & (
+        v.max(axis=1) <= net.v_max_ac_pu + TOLERANCE_PU)
+    if (run.steps["v_within_ac"].to_numpy(bool) & ~within).any():
+        found.append("a voltage is said to be within its limits, and is not")
+    return found
+
+
+def study(source: Path, folders: int, runs: int, seed: int = 0) -> Tally:
+    """Read many mutated folders, and run some of the accepted ones that differ.
+
+    Parameters
+    ----------
+    source : Path
+        A sound scenario folder.
+    folders, runs : int
+        How many are read, and how many of the accepted ones are run.
+    """
+    tally = Tally()
+    done = 0
+    for scenario in read_mutated(source, folders, seed, tally):
+        if done < runs:
+            run_accepted(scenario, ("paper", "physical")[done % 2], tally)
+            done += 1
+    return tally
+
+
+def main() -> None:
+    """Command line of the study."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("source", type=Path, nargs="?",
+                        help="a small, sound scenario folder; a random one if not given")
+    parser.add_argument("--folders", type=int, default=10_000)
+    parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("results/studies"))
+    chosen = parser.parse_args()
+    with scratch_folder() as place:
+        source = chosen.source or small_folder(place / "day")
+        tally = study(source, chosen.folders, chosen.runs, chosen.seed)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    atomic_write_text(chosen.out / "mutations.json", json.dumps(asdict(tally), indent=2) + "\n")
+    sys.exit(not tally.sound)
+
+
+if __name__ == "__main__":
+    main()

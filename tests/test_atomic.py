@@ -1,0 +1,335 @@
+"""Whole or old, at every kill: files and folders that are written aside and renamed."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from vppres.core.errors import InputError, ReportError, StorageError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.io import atomic
+from vppres.io.atomic import (
+    atomic_folder,
+    atomic_write_text,
+    check_file,
+    check_target,
+    remove_leftovers,
+    scratch_folder,
+)
+from vppres.report import run_folder
+from vppres.report.finished import read_finished
+from vppres.report.pages import write_page
+from vppres.report.run_folder import write_run
+from vppres.scenario.scenario import Scenario
+from vppres.studies.sweep import folder_name
+
+# Replaces a run in a child process that ends itself, as kill -9 would, at the n-th call that Python
+# reports of the system (open, mkdir, rename, remove, ...), for n = 0, 1, 2, ... until one is left
+# alone. Prints what was there after each, as the next run finds it.
+KILLED_AT_EVERY_CALL = textwrap.dedent('''
+    import os, sys
+    from pathlib import Path
+    from vppres.io import atomic
+
+    place = Path(sys.argv[1])
+    if sys.argv[2] == "renamed":
+        atomic.exchange_names = lambda one, other: False
+    target = place / "run"
+
+    def content():
+        return {f.name: f.read_text() for f in target.iterdir()} if target.exists() else None
+
+    def write(text):
+        with atomic.atomic_folder(target) as aside:
+            (aside / "summary.json").write_text(text)
+            (aside / "steps").write_text(text)
+
+    write("0")
+    for n in range(1000):
+        child = os.fork()
+        if child == 0:
+            left = n
+            def count(event, arguments):
+                global left
+                if event.startswith(("open", "os.", "shutil.", "ctypes")):
+                    left -= 1
+                    if left < 0:
+                        os._exit(9)
+            sys.addaudithook(count)
+            write(str(n + 1))
+            os._exit(0)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        at_once = content()
+        atomic.remove_leftovers(place)
+        found = content()
+        names = sorted(p.name for p in place.iterdir())
+        print(n, status, at_once is None, sorted(found), set(found.values()), names)
+        assert names == ["run"], names
+        assert len(found) == 2 and len(set(found.values())) == 1, found
+        assert at_once == found or sys.argv[2] == "renamed"
+        if status == 0:
+            assert set(found.values()) == {str(n + 1)}
+            break
+    else:
+        raise SystemExit("never ended")
+''')
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, and exchanges names")
+@pytest.mark.parametrize("how", ["exchanged", "renamed"])
+def test_a_run_is_whole_or_the_old_one_at_every_kill(tmp_path: Path, how: str) -> None:
+    done = subprocess.run([sys.executable, "-c", KILLED_AT_EVERY_CALL, str(tmp_path), how],
+                          text=True, capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    calls = done.stdout.splitlines()
+    assert len(calls) > 15
+    absent = [line.split()[2] == "True" for line in calls]
+    # Where names cannot be exchanged there is one moment without the target; the next run ends it.
+    assert sum(absent) <= (0 if how == "exchanged" else 2)
+
+
+def test_names_are_exchanged_here(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    if not atomic.exchange_names(tmp_path / "a", tmp_path / "b"):
+        pytest.skip("this file system cannot")
+    assert [p.name for p in (tmp_path / "a").iterdir()] == ["b"]
+
+
+@pytest.mark.parametrize("fails", [1, 2])
+def test_a_rename_that_fails_leaves_the_old_run(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: int) -> None:
+    target = tmp_path / "run"
+    with atomic_folder(target) as aside:
+        (aside / "summary.json").write_text("old", encoding="utf-8")
+    monkeypatch.setattr(atomic, "exchange_names", lambda one, other: False)
+    calls = []
+    rename = os.rename
+
+    def failing(old: Path, new: Path) -> None:
+        calls.append(new)
+        if len(calls) == fails:
+            raise OSError(errno.EIO, "broken")
+        rename(old, new)
+
+    monkeypatch.setattr("os.rename", failing)
+    with pytest.raises(OSError, match="broken"), atomic_folder(target) as aside:
+        (aside / "summary.json").write_text("new", encoding="utf-8")
+    assert (target / "summary.json").read_text(encoding="utf-8") == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_only_what_dead_runs_left_is_removed(tmp_path: Path) -> None:
+    with atomic_folder(tmp_path / "mine") as alive:
+        (tmp_path / ".run.01234567.vppres-part").mkdir()
+        (tmp_path / ".page.html.01234567.vppres-part").write_text("half", encoding="utf-8")
+        (tmp_path / ".run.01234567.part").mkdir()  # of another program
+        (tmp_path / "vppres-part").mkdir()
+        elsewhere = tmp_path / "elsewhere"
+        elsewhere.mkdir()
+        (elsewhere / "precious").touch()
+        (tmp_path / ".link.01234567.vppres-part").symlink_to(elsewhere)
+        remove_leftovers(tmp_path)
+        assert alive.is_dir()
+        assert (elsewhere / "precious").exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        ".link.01234567.vppres-part", ".run.01234567.part", "elsewhere", "mine", "vppres-part"]
+
+
+def test_scratch_folders_go_and_so_do_those_of_killed_runs(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    (tmp_path / ".scratch.01234567.vppres-part").mkdir()
+    with scratch_folder() as folder:
+        assert list(tmp_path.iterdir()) == [folder]
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- targets ------------------------------------------------------------------------------------
+
+def test_links_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError) as caught:
+        check_target(link)
+    assert str(caught.value) == (f"{link}: is a symbolic link that leads nowhere. "
+                                 "Remove it, or choose another name.")
+    thesis = tmp_path / "thesis"
+    thesis.mkdir()
+    (thesis / "chapter").touch()
+    link.unlink()
+    link.symlink_to(thesis)
+    with pytest.raises(InputError) as caught:
+        check_target(link)
+    assert str(caught.value) == (
+        f"{link}: links to {thesis}, which is not a run folder (it has no summary.json). "
+        "Choose another folder, or remove this one.")
+    with pytest.raises(InputError) as caught:
+        check_file(link)
+    assert str(caught.value) == (f"{link}: is a symbolic link. Name the file itself, or choose "
+                                 "another name.")
+    with pytest.raises(InputError) as caught:
+        check_file(thesis)
+    assert str(caught.value) == f"{thesis}: exists and is not a file. Choose another name."
+
+
+def test_a_link_to_a_run_is_followed(tmp_path: Path) -> None:
+    run = tmp_path / "disk" / "run"
+    link = tmp_path / "link"
+    with atomic_folder(run) as aside:
+        (aside / "summary.json").write_text("old", encoding="utf-8")
+    link.symlink_to(run)
+    with atomic_folder(link) as aside:
+        (aside / "summary.json").write_text("new", encoding="utf-8")
+    assert link.is_symlink()
+    assert (run / "summary.json").read_text(encoding="utf-8") == "new"
+    assert [p.name for p in run.parent.iterdir()] == ["run"]
+
+
+def test_names_that_no_file_system_takes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be written \\(File name too long\\)"):
+        check_target(tmp_path / ("x" * 300))
+
+
+def test_folders_of_a_sweep_stay_in_it() -> None:
+    names = [folder_name(name, value) for name in ("tiers.../../x", "tiers./x", "tiers.x")
+             for value in (0.5, 1.0)] + [folder_name("tiers." + "y" * 300, 1)]
+    assert len(set(names)) == len(names)
+    assert all("/" not in name and len(name.encode()) < 255 for name in names)
+    assert names[-2] == "tiers.x=1"
+
+
+# --- a full disk ----------------------------------------------------------------------------------
+
+def full(*_: object, **__: object) -> None:
+    """What writing to a full disk does."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_says_so_and_keeps_the_old_run(tmp_path: Path) -> None:
+    target = tmp_path / "run"
+    with pytest.raises(StorageError) as caught, atomic_folder(target):
+        full()
+    assert str(caught.value) == (
+        f"{target}: the disk is full, or a quota is reached; nothing was written. "
+        "Free some space, or write to another disk.")
+    with atomic_folder(target) as aside:
+        (aside / "summary.json").write_text("old", encoding="utf-8")
+    with pytest.raises(StorageError) as caught, atomic_folder(target):
+        full()
+    assert "; what was there before is kept. " in str(caught.value)
+    assert (target / "summary.json").read_text(encoding="utf-8") == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_page_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(StorageError, match=r"page\.html: the disk is full, or a quota is"):
+        write_page(tmp_path / "page.html", "text")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("failure", "error", "words"), [
+    (OSError(errno.ENOSPC, "no space"), StorageError,
+     "the disk is full, or a quota is reached: figures and report were not written. "
+     "Free some space: {folder} holds the run; make its report with vppres report {folder}."),
+    (ValueError("$"), ReportError,
+     "figures and report could not be made (ValueError: $). "
+     "{folder} holds the run; make its report with vppres report {folder}."),
+])
+def test_a_day_is_kept_where_its_report_cannot_be_made(
+        tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception,
+        error: type[Exception], words: str) -> None:
+    run = run_day(tiny, RunOptions(horizon_h=0.0))
+    folder = tmp_path / "run"
+
+    def fail(*_: object) -> None:
+        raise failure
+
+    monkeypatch.setattr(run_folder, "save_figures", fail)
+    with pytest.raises(error) as caught:
+        write_run(run, folder, interactive=False)
+    assert str(caught.value) == f"{folder}: " + words.format(folder=folder)
+    assert not (folder / "report.html").exists()
+    kept = read_finished(folder)
+    assert kept.trajectory.steps["p_grid_kw"].tolist() == run.steps["p_grid_kw"].tolist()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
+def test_a_limit_of_size_is_met_like_a_full_disk(tmp_path: Path) -> None:
+    code = textwrap.dedent('''
+        import resource, sys
+        from pathlib import Path
+        from vppres.core.errors import StorageError
+        from vppres.io.atomic import atomic_folder
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        try:
+            with atomic_folder(sys.argv[1]) as aside:
+                (aside / "summary.json").write_text("x" * 5000)
+        except StorageError as error:
+            print(error)
+    ''')
+    target = tmp_path / "run"
+    done = subprocess.run([sys.executable, "-c", code, str(target)], text=True,
+                          capture_output=True, check=True)
+    assert done.stdout.startswith(f"{target}: the disk is full, or a quota is reached; ")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- signals --------------------------------------------------------------------------------------
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
+def test_sigterm_ends_a_run_like_ctrl_c(tiny_folder: Path, tmp_path: Path) -> None:
+    """Terminated while it computes: status 143, nothing left behind."""
+    place = tmp_path / "out"
+    place.mkdir()
+    code = textwrap.dedent('''
+        import os, signal, sys
+        import vppres.day.simulate as simulate
+        from vppres.cli.commands import main
+        step = simulate.Day.step
+
+        def killed(self, controller, t):
+            step(self, controller, t)
+            if t == 1:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        simulate.Day.step = killed
+        sys.argv = ["vppres", "run", sys.argv[1], "--out", sys.argv[2], "--horizon", "0"]
+        main()
+    ''')
+    done = subprocess.run([sys.executable, "-c", code, str(tiny_folder), str(place / "run")],
+                          text=True, capture_output=True)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == "Terminated; nothing was written.\n"
+    assert list(place.iterdir()) == []
+
+
+def test_atomic_text_is_whole_while_others_clean(tmp_path: Path) -> None:
+    for number in range(20):
+        atomic_write_text(tmp_path / "a.json", json.dumps(number))
+        remove_leftovers(tmp_path)
+    assert (tmp_path / "a.json").read_text(encoding="utf-8") == "19"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
+def test_killed_commands_leave_the_old_result_and_no_process(
+        tiny_folder: Path, tmp_path: Path) -> None:
+    """A small part of the study, in a process of its own since it makes copies of itself."""
+    done = subprocess.run([sys.executable, "-m", "experiments.kills", str(tiny_folder), "--kills",
+                           "5", "--out", str(tmp_path)], text=True, capture_output=True)
+    assert done.returncode == 0, (tmp_path / "kills.json").read_text(encoding="utf-8")
+    tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
+    assert tally["kills"] + tally["finished"] == 5
+    assert tally["old"] + tally["absent"] + tally["new"] == 5

@@ -1,0 +1,69 @@
+"""Names that others wrote: which characters they may hold, and how a message shows them."""
+
+from __future__ import annotations
+
+import unicodedata
+
+# Control, surrogate, unassigned and format characters and line separators steer terminals, break
+# XML, or make a name look like another one. The two joiners of Persian and Indic writing do not.
+_HIDDEN = {"Cc", "Cf", "Cs", "Cn", "Zl", "Zp"}
+_JOINERS = "\u200c\u200d"
+# A spreadsheet takes a cell that begins with one of these for a formula, and runs it.
+_FORMULA = "=+@-"
+
+
+def is_hidden(character: str) -> bool:
+    r"""Whether a character has no shape of its own.
+
+    >>> [is_hidden(c) for c in "a$ \x1b\u202e"]
+    [False, False, False, True, True]
+    """
+    return unicodedata.category(character) in _HIDDEN and character not in _JOINERS
+
+
+def visible(text: str) -> str:
+    r"""A text with its hidden characters written as escapes, safe to print.
+
+    >>> print(visible("a\x1b[2Jb"))
+    a\x1b[2Jb
+    """
+    if text.isprintable():
+        return text
+    return "".join(repr(c)[1:-1] if is_hidden(c) else c for c in text)
+
+
+def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
+    """What is wrong with a name that ends up in files, tables and figures, and its cure.
+
+    Dollar signs, brackets, slashes and markup are allowed: whoever shows a name shows it as it is.
+
+    Parameters
+    ----------
+    text : str
+        The name.
+    longest : int
+        Most characters.
+
+    Returns
+    -------
+    tuple of str, or None
+        Message and cure; None for a sound name.
+
+    Examples
+    --------
+    >>> flaw_of_name("C7 [north] $2", 100) is None
+    True
+    >>> flaw_of_name("=1+1", 100)[0]
+    "begins with '='"
+    """
+    if len(text) > longest:
+        return f"is longer than {longest} characters", "Shorten it."
+    hidden = next((c for c in text if is_hidden(c)), None)
+    if hidden is not None:
+        return (f"holds the character U+{ord(hidden):04X}, which cannot be shown",
+                "Write it with characters that can be seen.")
+    is_number = text[1:].isdecimal() and text[0] == "-"
+    if text[:1] and text[0] in _FORMULA and not is_number:
+        return (f"begins with '{text[0]}'", "Begin it with another character: spreadsheets take "
+                "such a cell for a formula.")
+    return None

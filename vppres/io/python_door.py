@@ -1,0 +1,102 @@
+"""A scenario that was built in Python, checked against the same table of attributes as files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from annotated_types import Ge, Le
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from vppres.core.errors import InputError, Problem
+from vppres.core.text import flaw_of_name
+from vppres.io import schema
+from vppres.io.messages import few, folded, shown
+from vppres.scenario.scenario import Scenario
+
+# Attributes that may have no value (a temperature at the start), or no limit.
+_MAY_BE_NAN = {"t_initial_c"}
+_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw"}
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Refuse names that cannot be shown and numbers that no equipment has.
+
+    Files are checked cell by cell when they are read; this asks the same of arrays.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Built in Python, or read.
+
+    Raises
+    ------
+    InputError
+        With every attribute that is out of its bounds, folded by kind.
+
+    Examples
+    --------
+    >>> from vppres.io import load_scenario
+    >>> check_scenario(load_scenario("uk-heatwave-2022"))
+    """
+    problems = folded([*_names(scenario), *_numbers(scenario)])
+    if problems:
+        raise InputError(problems)
+
+
+def _names(scenario: Scenario) -> Iterator[Problem]:
+    """Names that cannot be shown, drawn or written."""
+    customers = scenario.customers
+    pv = scenario.pv
+    batteries = scenario.batteries
+    texts: list[tuple[str, str, Iterable[object]]] = [
+        ("customers", "id", customers.id), ("customers", "tier", customers.tier),
+        ("pv", "id", pv.id), ("batteries", "id", batteries.id),
+        ("network", "buses", scenario.network.buses), ("scenario", "tiers", scenario.tiers)]
+    for table, field, names in texts:
+        for name in names:
+            flaw = flaw_of_name(str(name), schema.MAX_NAME_LENGTH)
+            if flaw:
+                yield Problem(table, flaw[0], flaw[1], field=field, value=shown(name))
+    flaw = flaw_of_name(scenario.title, schema.MAX_TITLE_LENGTH)
+    if flaw:
+        yield Problem("scenario", flaw[0], flaw[1], field="title", value=shown(scenario.title))
+
+
+def _numbers(scenario: Scenario) -> Iterator[Problem]:
+    """Numbers out of the bounds of the table of attributes."""
+    tables: list[tuple[str, object, type[BaseModel]]] = [
+        ("lines", scenario.network, schema.LineRow),
+        ("network", scenario.network, schema.NetworkSection),
+        ("customers", scenario.customers, schema.CustomerRow),
+        ("pv", scenario.pv, schema.PVRow),
+        ("batteries", scenario.batteries, schema.BatteryRow),
+        ("load_kw", scenario, schema.LoadSeries), ("pv_kw", scenario, schema.PVSeries),
+        ("system", scenario, schema.SystemSeries),
+        ("objective", scenario.objective, schema.ObjectiveSection)]
+    for table, owner, model in tables:
+        for name, field in model.model_fields.items():
+            if name in _MAY_BE_INFINITE or any(isinstance(m, (Ge, Le)) for m in field.metadata):
+                yield from _outside(table, name, field, getattr(owner, name))
+
+
+def _outside(table: str, name: str, field: FieldInfo, values: object) -> list[Problem]:
+    """The values of one attribute that are out of its bounds."""
+    array = np.atleast_1d(np.asarray(values, dtype=float))
+    low, high = schema.limits(field)
+    free = np.zeros(array.shape, dtype=bool)
+    if name in _MAY_BE_NAN:
+        free = np.isnan(array)
+    if name in _MAY_BE_INFINITE:
+        free = array == np.inf
+    # Not within, rather than outside: that of NaN is true.
+    bad = np.argwhere(~((array >= low) & (array <= high)) & ~free)
+
+    def problem(i: int) -> Problem:
+        place = tuple(int(k) for k in bad[i])
+        return Problem(table, f"must lie between {low:g} and {high:g}", schema.cure(field),
+                       row=place[0] if array.size > 1 else None, field=name,
+                       value=float(array[place]))
+
+    return few(range(len(bad)), problem)
