@@ -62,6 +62,7 @@ pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
 	$(PYTEST)
 
 durations: $(STAMP)  ## measure all tests: what `make quick` takes follows from tests/durations.csv
+	rm -f tests/durations.csv
 	$(PYTEST) --measure
 	$(PYTEST) --measure --quick
 

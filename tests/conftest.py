@@ -16,8 +16,8 @@ from vppres.scenario.scenario import Scenario
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of these tests: the size of one, and which of them run."""
-    parser.addoption("--fuzz", type=int, default=300, metavar="N",
-                     help="random mutations of a valid scenario folder (default: 300)")
+    parser.addoption("--fuzz", type=int, default=1000, metavar="N",
+                     help="random mutations of a valid scenario folder (default: 1000)")
     parser.addoption("--quick", action="store_true",
                      help="of every test function the cases that fit into a second, as measured")
     parser.addoption("--measure", action="store_true",

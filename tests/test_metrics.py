@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import platform
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.support.made_up_runs import (
@@ -132,6 +134,66 @@ def test_summary_tells_the_outage_from_the_connected_steps():
     summary = metrics.summarise(run)
     assert summary["served_share"] == {"critical": 0.5, "high": None, "low": 0.25}
     assert summary["served_share_connected"] == {"critical": 1.0, "high": None, "low": 0.75}
+
+
+def test_summary_by_hand():
+    summary = metrics.summarise(small_run(planned={"served": SERVED}))
+    digest, versions = summary.pop("input_digest"), summary.pop("versions")
+    assert len(digest) == 64
+    assert set(versions) == {"python", *metrics.PACKAGES}
+    assert summary.pop("resilience") == pytest.approx(1.1 / 2.6)
+    assert summary.pop("resilience_planned") == pytest.approx(1.1 / 2.6)
+    assert summary.pop("v_mean_of_min_ac_pu") == pytest.approx(0.965)
+    assert summary.pop("v_error_max_pu") == pytest.approx(0.04)
+    assert summary.pop("solve_s") == pytest.approx(
+        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0})
+    # a goes off and on again, b off and on, c off and on: one pair each.
+    assert summary == {
+        "served_share": {"critical": 0.5, "high": None, "low": 0.25},
+        "served_share_connected": {"critical": 1.0, "high": None, "low": 1.0},
+        "cost_gbp": pytest.approx(0.5 * (0.1 * 100 + 0.4 * 103)), "import_kwh": 101.5,
+        "pv_curtailed_kwh": 2.0, "v_min_ac_pu": 0.95, "v_max_ac_pu": 1.0,
+        "line_current_max_a": 0.0, "line_loading_max": None,
+        "island_import_max_kw": 102.0, "island_export_max_kw": 0.0,
+        "island_reactive_max_kvar": 2.0,
+        "switching_actions": 6, "actions_beyond_one_pair": 0, "switching_relaxed_steps": 0,
+        "setpoint_moves_kw": None, "corrections": 0, "fallbacks": 0, "fallbacks_by_kind": {},
+        "estimated_steps": 0, "ac_failures": 0, "ac_not_found": 0, "gap_max": 0.003,
+        "controller": "mpc", "horizon_h": 5.0, "solver": "highs", "method": "decomposed",
+        "seed": 7, "options": {"errors": {"load_bias": 0.1}, "thermal": "off"}}
+
+
+def test_operation_figures_by_hand():
+    run = small_run()
+    assert metrics.operation_figures(run)["fallbacks"] == 0
+    run = with_steps(run, "fallback", ["rule", "none", "rule", "previous_plan"])
+    run = with_steps(run, "estimated", ["soc of b4", "", "", "load"])
+    failed = [f"{metrics.NOBODY} because", "collapse", "", "collapse"]
+    figures = metrics.operation_figures(with_steps(run, "ac_failed", failed))
+    assert (figures["fallbacks"], figures["estimated_steps"]) == (3, 2)
+    assert (figures["ac_failures"], figures["ac_not_found"]) == (2, 1)
+    assert figures["fallbacks_by_kind"] == {"rule": 2, "previous_plan": 1}
+
+
+def test_reason_figures_by_hand():
+    explained = pd.DataFrame({
+        "item": ["customer", "customer", "battery", "step", "pv"],
+        "action": ["not_served", "not_served", "charge", "balance", "curtailed"],
+        "driver": ["energy", "unexplained", "price", "unexplained", "energy"]})
+    assert metrics.reason_figures(explained) == {
+        "explained_share": 0.75,
+        "drivers": {"not_served": {"energy": 1, "unexplained": 1}, "charge": {"price": 1},
+                    "curtailed": {"energy": 1}}}
+    nothing = metrics.reason_figures(explained[explained["item"] == "step"])
+    assert nothing == {"explained_share": None, "drivers": {}}
+    run = replace(small_run(), explanations=explained)
+    assert metrics.summarise(run)["explained_share"] == 0.75
+
+
+def test_versions_of_what_is_not_installed_are_none(monkeypatch):
+    monkeypatch.setattr(metrics, "PACKAGES", ("numpy", "no-such-package"))
+    assert metrics.versions() == {"python": platform.python_version(),
+                                  "numpy": np.__version__, "no-such-package": None}
 
 
 def test_summary_counts_corrections():
