@@ -23,7 +23,6 @@ from vppres.scenario.option_table import OPTIONS, Option, choices_of, section_op
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults
 from vppres.solve.dispatch import POLYGON_SIDES
-from vppres.solve.result import SolveLimits
 from vppres.studies import sweep_parameters
 
 PAGE = Path(__file__).parents[1] / "docs" / "command-line.md"
@@ -87,10 +86,6 @@ def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_p
 
 
 @pytest.mark.parametrize(("changes", "text"), [
-    ({"limits": SolveLimits(gap_rel=0.0)},
-     "options, gap = 0.0: must be positive. Give a number above 0."),
-    ({"limits": SolveLimits(time_s=float("inf"))},
-     "options, time-limit = inf: must be positive. Give a number above 0."),
     ({"thermal": "hot"}, "options, thermal = hot: is not known. Use one of: off, exact, euler."),
     ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
 ])
