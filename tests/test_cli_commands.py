@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -149,17 +148,13 @@ def test_validate_of_nothing_is_an_error() -> None:
     assert result.stderr.startswith("scenario nowhere: is neither a packaged scenario nor ")
 
 
-def test_validate_is_quick_and_loads_neither_solver_nor_power_flow() -> None:
+def test_validate_loads_neither_solver_nor_power_flow_nor_figures() -> None:
     heavy = ("cvxpy", "highspy", "matplotlib", "pandapower", "pyscipopt")
     code = ("import sys\nfrom vppres.cli.commands import app\n"
             "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
             f"print('loaded', [name for name in {heavy!r} if name in sys.modules])")
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert done.stdout.splitlines()[-1] == "loaded []"
-    # Time of the processor: the clock on the wall depends on what else runs.
-    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 2.0
 
 
 # JSON of run and scenarios
