@@ -266,6 +266,7 @@ def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
 def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> None:
     args = (site, paper.v, paper.p)
     named = total_balance(*args) | inverter_active(site, paper.v) | battery_room(*args)
+    assert isinstance(named["total_power_balance"], cp.constraints.Equality)
     assert_missed(named, {
         # import + export - (demand - self-consumption) - battery power
         "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
