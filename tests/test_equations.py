@@ -22,7 +22,8 @@ from vppres.control.guard.partial_fleet import site_with
 from vppres.core.arrays import Floats
 from vppres.model import formulas, objective
 from vppres.model.beyond_paper.physical import PhysicalParameters
-from vppres.model.constraints import Named
+from vppres.model.beyond_paper.switching import ColdDemand
+from vppres.model.constraints import Named, voltage_limits
 from vppres.model.data import Physics, WindowData
 from vppres.model.forms import Form, WindowModel, added_demand, with_demand
 from vppres.model.linearise import delta_offset
@@ -265,6 +266,7 @@ def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
 def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> None:
     args = (site, paper.v, paper.p)
     named = total_balance(*args) | inverter_active(site, paper.v) | battery_room(*args)
+    assert isinstance(named["total_power_balance"], cp.constraints.Equality)
     assert_missed(named, {
         # import + export - (demand - self-consumption) - battery power
         "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
@@ -367,6 +369,32 @@ def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProble
         assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
             np.array(VALUES[variable], float)), name
     assert dispatch.v_pu**2 == pytest.approx(np.array(VALUES["u"]))
+
+
+def test_cold_load_adds_demand_and_self_consumption(
+        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    cold = ColdDemand.create(site, STEPS)
+    cold.z.value = np.array([[1.0, 0.0], [0.0, 1.0]])
+    cold.P_cold.value = np.array([[3.0, 5.0], [7.0, 11.0]])
+    cold.Q_cold.value = np.array([[2.0, 4.0], [6.0, 8.0]])
+    cold.P_self_cold.value = np.array([[0.5, 1.5], [2.5, 3.5]])
+    added = added_demand(site, cold, None)
+    assert added is not None
+    named = with_demand(paper.subject_to, site, paper.v, paper.p, added, cold)
+    # The shop's at bus 2 and its deck's, then the home's at bus 3 and its roof's.
+    more = {"active_power_balance": [[0, 3, 0], [0, 0, 11]],
+            "reactive_power_balance": [[0, 2, 0], [0, 0, 8]],
+            "pv_self_consumption": [[0, 1.5], [2.5, 0]]}
+    for name, value in more.items():
+        assert missed(named[name]) == pytest.approx(np.array(MISSED[name]) - value), name
+    total = total_balance(site, paper.v, paper.p, added)["total_power_balance"]
+    assert missed(total) == pytest.approx([-16 - 3, -118 - 11])
+
+
+def test_voltage_limits_give_both_ways(site: Site, paper: PaperProblem) -> None:
+    named = voltage_limits(site, paper.v, paper.p, cp.Constant(0.05))
+    for name, constraint in named.items():
+        assert missed(constraint) == pytest.approx(np.array(MISSED[name]) - 0.05), name
 
 
 def tie_breakers(site: Site, data: WindowData, paper: PaperProblem,
