@@ -1,0 +1,141 @@
+"""Time limits hold in every stage: parts of time, patience, and windows that would never end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.instances import Instance, packaged, read_instances, window_data
+from experiments.random_feeders import random_window
+from vppres.core.errors import SolveError
+from vppres.model.site import Site
+from vppres.solve.deadline import Deadline, Patience, Stopwatch
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.injections import Reactance
+from vppres.solve.network.master import NetworkMaster
+from vppres.solve.result import SolveLimits, Status
+
+NEVER_CLOSED = "s039"
+"""Its search in the network finds nothing more after half a minute, and does not end in 100 s."""
+
+BUSY_S = 3.0
+"""What a machine that does other things at the same time may add to an answer."""
+
+
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time, in the hands of the test."""
+    time_s = [100.0]
+    monkeypatch.setattr("vppres.solve.deadline.time",
+                        SimpleNamespace(perf_counter=lambda: time_s[0]))
+    return time_s
+
+
+def instance(name: str) -> Instance:
+    return next(one for one in read_instances() if one.name == name)
+
+
+# The clock.
+
+
+def test_parts_of_a_deadline(now: list[float]) -> None:
+    window = Deadline(60.0)
+    now[0] += 20.0
+    search = window.part(0.5)
+    assert (window.left_s, window.spent_s, search.left_s) == (40.0, 20.0, 20.0)
+    assert window.within(5.0).left_s == 5.0
+    assert window.within(50.0).left_s == 40.0
+    assert window.later(3.0).left_s == 43.0
+    now[0] += 50.0
+    assert window.passed and search.passed
+    assert window.part(0.5).left_s == 0.0
+    assert window.later(3.0).left_s == -7.0
+
+
+def test_patience_ends_as_long_after_an_improvement_as_it_took(now: list[float]) -> None:
+    patience = Patience(Deadline(100.0), least_s=10.0)
+    now[0] += 9.0
+    patience.saw(best=1.0, bound=9.0)
+    assert patience.left_s == 10.0
+    now[0] += 9.0
+    patience.saw(best=1.0, bound=8.0)
+    assert patience.left_s == 18.0
+    now[0] += 17.0
+    patience.saw(best=0.5, bound=8.0)  # neither is better than what was seen
+    assert patience.left_s == 1.0
+    now[0] += 1.0
+    assert patience.passed
+    assert not patience.end.passed
+
+
+def test_patience_ends_with_the_time(now: list[float]) -> None:
+    patience = Patience(Deadline(15.0), least_s=10.0)
+    now[0] += 9.0
+    patience.saw(best=1.0, bound=9.0)
+    assert patience.left_s == 6.0
+
+
+# Stages.
+
+
+def test_search_in_the_network_ends_where_nothing_improves(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_S", 0.2)
+    site = Site.of(packaged())
+    data = window_data(instance(NEVER_CLOSED))
+    master = NetworkMaster(site, Reactance(site), data, Deadline(600.0))
+    outcome, served = master.service(Deadline(600.0))
+    assert outcome.status == Status.GAP_OPEN
+    assert outcome.solve_s < 300.0
+    assert served is not None
+    assert outcome.value < outcome.bound
+
+
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+@pytest.mark.parametrize("ohm", [1e6, 1e15])
+def test_line_that_carries_next_to_nothing_ends_by_name(method: str, ohm: float) -> None:
+    """Limits are met within a tolerance only, so that the same are violated again and again."""
+    case = random_window(4, stressed=True)
+    net = case.scenario.network
+    r_ohm = net.r_ohm.copy()
+    r_ohm[-1] = ohm
+    site = Site.of(replace(case.scenario, network=replace(net, r_ohm=r_ohm)))
+    watch = Stopwatch()
+    try:
+        answer = WindowSolver(site, method, limits=SolveLimits(time_s=2.0)).solve(case.data)
+    except SolveError as error:
+        assert str(error).startswith(f"The window of {case.data.n_steps} steps ")
+    else:
+        assert answer.status in (Status.OPTIMAL, Status.GAP_OPEN, Status.TIME_LIMIT)
+    assert watch.spent_s < 2.0 + BUSY_S
+
+
+@pytest.mark.parametrize("name", ["o040", "s010", "s020", "s036"])
+def test_a_hundredth_of_a_second_does_not_take_many(name: str) -> None:
+    """It took 6.7 s: every step on the way to the first answer had 5 s of its own."""
+    solver = WindowSolver(Site.of(packaged()), limits=SolveLimits(time_s=0.01))
+    data = window_data(instance(name))
+    ends = []
+    for _ in range(2):  # the first compiles
+        watch = Stopwatch()
+        try:
+            ends.append(str(solver.solve(data).status))
+        except SolveError as error:
+            ends.append(type(error).__name__)
+        spent_s = watch.spent_s
+    assert ends[-1] in ("optimal", "time_limit", "LimitError")
+    assert spent_s < 0.01 + 0.5 + BUSY_S
+
+
+def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
+    """Time is up at once: what is cheap is still finished, and nothing is proven."""
+    case = random_window(3)
+    solver = WindowSolver(Site.of(case.scenario), limits=SolveLimits(time_s=60.0))
+    solver.solve(case.data)
+    solver.limits = SolveLimits(time_s=1e-6)
+    answer = solver.solve(case.data)
+    assert np.isfinite(answer.objective)
+    assert answer.solve_s < 1.0 + BUSY_S
