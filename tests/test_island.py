@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from experiments.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
+from vppres.physics import nose, powerflow
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.island import (
     COLLAPSE,
@@ -219,3 +220,44 @@ def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(
     assert generation_less_use_kw(day, done, 0) == pytest.approx(0.0, abs=1e-4)
     if done.dark:
         assert not r.served.any()
+
+
+# Power flows that Newton's method does not find.
+
+
+@pytest.mark.parametrize("ohm", [1e-5, 1e-7, 1e-12])
+def test_an_island_settles_over_a_line_that_is_almost_a_switch(tiny: Scenario, ohm: float) -> None:
+    day = replace(tiny, load_kw=tiny.load_kw * 0.75)
+    plan = decision(day, battery_kw=[-30.0, -28.0])
+    weak = Network([1, 2, 2], [2, 3, 4], [0.3, ohm, 0.5], [0.2, ohm, 0.4], slack_bus=1,
+                   base_kv=11.0)
+    done = settle(replace(day, network=weak), plan, state([0.85, 0.85]))
+    assert not done.dark
+    assert not done.shed.any()
+    assert done.ac_failed == ""
+    assert generation_less_use_kw(day, done) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_an_island_whose_flow_is_not_found_keeps_its_customers(
+        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    day = replace(tiny, load_kw=tiny.load_kw * 0.75)
+    plan = decision(day, battery_kw=[-30.0, -28.0])
+    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(nose, "MAX_POINTS", 0)
+    done = settle(day, plan, state([0.85, 0.85]))
+    assert not done.dark
+    assert done.realised.served.all()
+    assert done.ac_failed.startswith("nobody shed: the AC power flow was not found: ")
+    # The balance without losses holds: 117 kW of demand, 47.5 kW of sun, 58 kW planned.
+    assert done.mismatch_kw == pytest.approx([117.0 - 47.5 - 58.0, 0.0], abs=1e-6)
+
+
+def test_an_island_whose_flow_is_not_found_sheds_what_the_balance_shows(
+        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    # 156 kW of demand against 47.5 kW of sun and 95 kW of the batteries: evidence without a flow.
+    plan = decision(tiny, battery_kw=[-30.0, -28.0])
+    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(nose, "MAX_POINTS", 0)
+    done = settle(tiny, plan, state([0.85, 0.85]))
+    assert done.shed.tolist() == [False, False, True]
+    assert not done.dark

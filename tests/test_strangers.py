@@ -227,7 +227,7 @@ def pipe(house: Path) -> Path:
 
 
 def long_file(house: Path) -> Path:
-    return master(house, "! " + "x" * (11 * 2**20))
+    return master(house, "! " + "x" * (6 * 2**20))
 
 
 def long_line(house: Path) -> Path:
@@ -248,7 +248,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "link out": (link_out, OUT),
     "link circle": (link_circle, OUT),
     "pipe": (pipe, "there is no such file"),
-    "long file": (long_file, "has more than 10 MB"),
+    "long file": (long_file, "has more than 5 MB"),
     "long line": (long_line, "zipv = x is not a number"),
     "many lines": (many_lines, "more lines like these"),
     "phases": (too_many_phases, "mill.dss: "),  # OpenDSS 0.14 does not survive it

@@ -16,8 +16,7 @@ from typing import Any
 
 ENGINES = ("dss_engine", "mat_engine")
 MEMORY_BYTES = 2 * 2**30
-# Of addresses: libraries and a feeder of some thousand buses take less than half of it.
-
+"""Of addresses: libraries and a feeder of some thousand buses take less than half of it."""
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,14 +43,15 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     return {"problems": problems} if problems else _tables()
 
 
-def _elements() -> list[str]:
-    """Enabled elements, as ``class.name`` in lower case."""
+@cache
+def _elements() -> tuple[str, ...]:
+    """Enabled elements of the finished circuit, as ``class.name`` in lower case."""
     found = []
     for name in dss.Circuit.AllElementNames():
         dss.Circuit.SetActiveElement(name)
         if dss.CktElement.Enabled():
             found.append(name.lower())
-    return found
+    return tuple(found)
 
 
 def _of(kind: str) -> Iterator[str]:

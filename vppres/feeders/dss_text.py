@@ -29,8 +29,8 @@ from vppres.io.messages import did_you_mean
 
 MOST_FILES = 100
 DEEPEST = 10
-LARGEST_BYTES = 10 * 2**20
-"""Of all files together: the largest published test feeders have some 3 MB."""
+LARGEST_BYTES = 5 * 2**20
+"""Of all files together. The largest published test feeders have some 3 MB."""
 
 MOST_COMMANDS = 200_000
 MOST_REFUSED = 500  # whoever has that many is not a network with a line too much
