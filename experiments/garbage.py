@@ -102,7 +102,7 @@ def run_one(seed: int, count: int = MEASUREMENTS) -> GarbageOutcome:
     """Give a controller of a random feeder measurement after measurement."""
     rng = np.random.default_rng([seed, 4711])
     scenario = random_scenario(seed, n_steps=STEPS)
-    options = RunOptions(horizon_h=0.0, guard=seed % 5 != 4,
+    options = RunOptions(horizon_h=0.0, isolate=False, guard=seed % 5 != 4,
                          mode="physical" if seed % 4 == 3 else "paper")
     controller = Controller.of(scenario, options)
     errors = Counter[str]()
@@ -142,7 +142,7 @@ def garbage(rng: Generator, scenario: Scenario, now: pd.Timestamp) -> Measuremen
         "load_kw": lambda: _table(rng, odd, scenario.customers.id,
                                   lambda: _extreme(rng, -10.0, 300.0, 1e6)),
         "pv_kw": lambda: _table(rng, odd, scenario.pv.id, lambda: _extreme(rng, -1.0, 100.0, 1e6)),
-        "price_gbp_per_kwh": lambda: _value(rng, odd, _extreme(rng, 0.0, 1.0, 1e4)),
+        "price_gbp_per_kwh": lambda: _value(rng, odd, _extreme(rng, -0.5, 1.0, 1e4)),
         "grid_limit_kw": lambda: _value(rng, odd, _extreme(rng, 0.0, 500.0, 1e9)),
         "eta_charge": lambda: _table(rng, odd, b.id, lambda: _extreme(rng, 0.1, 1.0)),
         "eta_discharge": lambda: _table(rng, odd, b.id, lambda: _extreme(rng, 0.1, 1.0)),

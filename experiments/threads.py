@@ -37,9 +37,13 @@ def day_of(seed: int, variant: int) -> Scenario:
     return replace(scenario, load_kw=scenario.load_kw * rng.uniform(0.3, 1.0, (STEPS, 1)))
 
 
-def answers(scenario: Scenario) -> list[Floats]:
-    """All set-points of a day whose plant does what it is told, one array a step."""
-    controller = Controller.of(scenario, RunOptions(horizon_h=scenario.grid.dt_h))
+def answers(scenario: Scenario, isolate: bool = False) -> list[Floats]:
+    """All set-points of a day whose plant does what it is told, one array a step.
+
+    Where windows are solved in this very process, controllers of a feeder share their problems.
+    """
+    controller = Controller.of(scenario, RunOptions(horizon_h=scenario.grid.dt_h,
+                                                    isolate=isolate))
     soc = dict(zip(scenario.batteries.id, scenario.batteries.soc_initial, strict=True))
     found = []
     for moment in controller.times:

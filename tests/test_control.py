@@ -131,7 +131,7 @@ def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
         "measurement, load_kw of shop = -1.0: must be a number not below 0. "
         "Correct the measurement.",
         "measurement, pv_kw of roof = nan: must be a number not below 0. Correct the measurement.",
-        "measurement, price_gbp_per_kwh = inf: must be a number not below 0. "
+        "measurement, price_gbp_per_kwh = inf: must be a finite number. "
         "Correct the measurement.",
         "measurement, grid_limit_kw = 2022-07-20 10:00:00+00:00: is not the beginning of a step. "
         + steps,

@@ -20,6 +20,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean, shown
+from vppres.io.schema import MAX_KW, MAX_PRICE
 from vppres.scenario.timegrid import TimeGrid
 
 WHERE = "measurement"
@@ -67,13 +68,14 @@ class Range:
 _NUMBER = "must be a number not below 0"
 _CORRECT = "Correct the measurement."
 _UNIT = "is more than any feeder has: check the unit"
-_POWER = Range(0.0, 1e6, _NUMBER, _CORRECT, _UNIT)
+_POWER = Range(0.0, MAX_KW, _NUMBER, _CORRECT, _UNIT)
 _SHARE = "must lie between 0 and 1"
 RANGES = {
     "soc": Range(0.0, 1.0, _SHARE, "Give a share, for example 0.5."),
     "load_kw": _POWER,
     "pv_kw": _POWER,
-    "price_gbp_per_kwh": Range(0.0, 1e4, _NUMBER, _CORRECT, "is more than any price"),
+    "price_gbp_per_kwh": Range(-MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT,
+                               "is more than any price"),
     "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
     "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
