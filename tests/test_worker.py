@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -18,19 +19,24 @@ import numpy as np
 import pytest
 
 from tests.support import failing_solvers as failing
+from tests.support.command_line import call
 from tests.support.failing_solvers import BAD_PRICE, bad
 from tests.support.small_windows import window
-from vppres.contract.decision import Decider
+from vppres.contract.decision import Decider, Decision
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.core.errors import InfeasibleError, InputError, SolveError, SolverLostError
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.options import RunOptions
-from vppres.day.simulate import Day
+from vppres.day.simulate import Day, run_day
 from vppres.io.find import load_scenario
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.isolated import IsolatedSolver, Worker, Workers
+from vppres.solve.isolated import IsolatedSolver, Worker, Workers, shared_workers
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
@@ -289,6 +295,71 @@ def test_two_threads_have_a_process_each(tiny: Scenario) -> None:
     # The kernel ends what it binds to a thread with the thread; these live on.
     assert all(worker.alive for worker in pool._idle)
     pool.close()
+
+
+SOC = {"big": 0.5, "small": 0.5}
+
+
+def test_a_live_controller_answers_while_its_solver_hangs(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=1.0, limits=SHORT))
+    assert controller.options.isolate
+    first = controller.step(Measurement(controller.times[0], SOC))
+    assert first.solve["fallback"] == "none"
+    pid = idle(shared_workers()).process.pid
+    os.kill(pid, signal.SIGSTOP)
+    second = controller.step(Measurement(controller.times[1], SOC))
+    assert second.solve["fallback"] == second.solve["status"] == "previous_plan"
+    assert re.match(LATE, second.solve["fallback_reason"])
+    assert gone(pid)
+    pids = shared_workers().pids
+    alone = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Workers, "ask", None)
+        assert alone.step(Measurement(alone.times[0], SOC)).solve["fallback"] == "none"
+    assert shared_workers().pids == pids
+
+
+def test_a_run_is_isolated_on_request_faults_included(tiny: Scenario) -> None:
+    faults = FaultPlan(solver={2: SolverOutage("killed")})
+    runs = [run_day(tiny, RunOptions(horizon_h=1.0, isolate=isolate), faults=faults)
+            for isolate in (None, True)]
+    words = ["none", "none", "previous_plan", "none", "none", "none"]
+    for run in runs:
+        assert run.steps["fallback"].tolist() == words
+        assert run.steps["fallback_reason"][2].startswith("SolverKilledError")
+    # Power flows start from the last one, so that days differ in their last bits.
+    assert runs[0].steps["objective"].to_numpy() == pytest.approx(
+        runs[1].steps["objective"].to_numpy(), rel=1e-9, nan_ok=True)
+    assert runs[1].options["isolate"] is True
+
+
+def test_the_command_line_isolates_on_request(tiny_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    call("run", tiny_folder, "--isolate", "--horizon", "0", "--out", out)
+    options = json.loads((out / "options.json").read_text(encoding="utf-8"))
+    assert options["options"]["isolate"] is True
+
+
+def test_windows_without_dispatch_are_widened_in_the_other_process(tiny: Scenario) -> None:
+    error = InfeasibleError("nothing")
+
+    class Refusing(MPCController):
+        def decide(self, observation: Observation) -> Decision:
+            if observation.t0 == 0:
+                raise error
+            return super().decide(observation)
+
+    def solver_of(site: Site) -> WindowSolver:
+        return IsolatedSolver(site)
+
+    guard = GuardedController(lambda site: Refusing(solver_of(site), tiny.grid, 1.0), solver_of,
+                              Site.of(tiny), GuardOptions(("critical", "high", "low")))
+    day = Day(tiny, RunOptions())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vppres.solve.ladder.run_conic", None)
+        patch.setattr("vppres.solve.slack.run_conic", None)
+        day.step(guard, 0)
+    assert day.recorder.records[0].steps["fallback"] == "voltage"
 
 
 SCRIPT_HEAD = """
