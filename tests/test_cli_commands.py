@@ -117,7 +117,7 @@ def test_all_problems_by_file_and_row(tiny_folder: Path) -> None:
     assert result.stdout.splitlines() == [
         "scenario.toml, time.steps = 0: must be at least 1. Give the number of steps.",
         "lines.csv, row 3, x_ohm = none: is not a number. Give the series reactance in ohm.",
-        "lines.csv, row 4, r_ohm = -0.5: must be greater than 0. "
+        "lines.csv, row 4, r_ohm = -0.5: must be at least 1e-07. "
         "Give the series resistance in ohm.",
         "3 problems."]
 
@@ -131,7 +131,8 @@ def test_problems_as_json(tiny_folder: Path) -> None:
         ("scenario.toml", None, "time.steps"), ("lines.csv", 3, "x_ohm"), ("lines.csv", 4, "r_ohm")]
     assert record["problems"][2] == {
         "file": "lines.csv", "row": 4, "field": "r_ohm", "value": "-0.5",
-        "message": "must be greater than 0", "cure": "Give the series resistance in ohm."}
+        "message": "must be at least 1e-07", "cure": "Give the series resistance in ohm.",
+        "more": 0}
 
 
 def test_single_problem_is_counted_in_words(tiny_folder: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from tests.support.tiny_day import tiny_scenario
 from vppres.cli.tables import figures_table, sweep_table
 from vppres.core.errors import Problem
 from vppres.day.metrics import summarise
@@ -36,8 +37,6 @@ TITLE = f"[/bold] {FORMULA} {TAG} [red]"
 @pytest.fixture(scope="module")
 def hostile() -> Scenario:
     """The tiny day with every name and the title changed."""
-    from conftest import tiny_scenario
-
     day = tiny_scenario()
     tier = {"critical": FORMULA, "high": MARKUP, "low": TAG}
     owner = {"hospital": FORMULA, "homes": TAG}

@@ -39,8 +39,9 @@ def test_a_day_with_prices_below_zero_is_certified_as_by_the_monolith(
     for method, run in runs.items():
         other = first["monolithic" if method == "decomposed" else "decomposed"]
         assert first[method]["bound"] >= other["objective"] - 1e-6
-        assert (run.steps["gap"] <= 1e-4).all()
-        assert (run.steps["bound"] >= run.steps["objective"] - 1e-6).all()
+        solved = run.steps.dropna(subset="gap")  # a plan of the whole day is solved once
+        assert (solved["gap"] <= 1e-4).all()
+        assert (solved["bound"] >= solved["objective"] - 1e-6).all()
     cost = {method: summarise(run)["cost_gbp"] for method, run in runs.items()}
     assert cost["decomposed"] == pytest.approx(cost["monolithic"], abs=0.05)
     assert summarise(runs["decomposed"])["served_share"] == summarise(
