@@ -71,9 +71,16 @@ def test_service_by_customer_by_hand():
     lost = metrics.service_by_customer(small_run())
     assert lost["id"].tolist() == ["a", "b", "c"]
     assert lost["bus"].tolist() == [2, 3, 4]
+    assert lost["tier"].tolist() == ["critical", "low", "low"]
     # Half-hour steps at 10, 20 and 40 kW.
     assert lost["unserved_h"].tolist() == [0.5, 0.5, 1.0]
     assert lost["unserved_kwh"].tolist() == [5.0, 10.0, 40.0]
+
+
+def test_customers_are_listed_in_the_order_of_the_scenario():
+    day = small_scenario()
+    names = replace(day, customers=replace(day.customers, id=["z", "b", "m"]))
+    assert metrics.service_by_customer(small_run(names))["id"].tolist() == ["z", "b", "m"]
 
 
 def test_import_and_cost_count_grid_available_steps_only():
