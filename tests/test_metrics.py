@@ -71,9 +71,16 @@ def test_service_by_customer_by_hand():
     lost = metrics.service_by_customer(small_run())
     assert lost["id"].tolist() == ["a", "b", "c"]
     assert lost["bus"].tolist() == [2, 3, 4]
+    assert lost["tier"].tolist() == ["critical", "low", "low"]
     # Half-hour steps at 10, 20 and 40 kW.
     assert lost["unserved_h"].tolist() == [0.5, 0.5, 1.0]
     assert lost["unserved_kwh"].tolist() == [5.0, 10.0, 40.0]
+
+
+def test_customers_are_listed_in_the_order_of_the_scenario():
+    day = small_scenario()
+    names = replace(day, customers=replace(day.customers, id=["z", "b", "m"]))
+    assert metrics.service_by_customer(small_run(names))["id"].tolist() == ["z", "b", "m"]
 
 
 def test_import_and_cost_count_grid_available_steps_only():
@@ -187,7 +194,9 @@ def test_reason_figures_by_hand():
     nothing = metrics.reason_figures(explained[explained["item"] == "step"])
     assert nothing == {"explained_share": None, "drivers": {}}
     run = replace(small_run(), explanations=explained)
-    assert metrics.summarise(run)["explained_share"] == 0.75
+    summary = metrics.summarise(run)
+    assert summary["explained_share"] == 0.75
+    assert summary["cost_gbp"] == metrics.cost_gbp(run)
 
 
 def test_versions_of_what_is_not_installed_are_none(monkeypatch):
@@ -205,6 +214,9 @@ def test_without_outage_what_is_about_the_outage_is_null():
     summary = metrics.summarise(small_run(small_scenario(outage=False)))
     assert summary["resilience"] is None
     assert set(summary["served_share"].values()) == {None}
+    assert metrics.island_figures(small_run(small_scenario(outage=False))) == {
+        "island_import_max_kw": None, "island_export_max_kw": None,
+        "island_reactive_max_kvar": None}
     assert summary["island_import_max_kw"] is None
     assert summary["import_kwh"] == pytest.approx(0.5 * (100 + 101 + 102 + 103))
 
@@ -213,6 +225,12 @@ def test_planned_resilience_by_hand():
     # The plan serves a and c in both outage steps: 1.2 / 1.3.
     run = small_run(planned={"served": [[True, False, True]] * 4})
     assert metrics.summarise(run)["resilience_planned"] == pytest.approx(1.2 / 1.3)
+
+
+def test_planned_resilience_needs_a_plan_and_an_outage():
+    assert metrics.resilience_planned(small_run()) is None
+    quiet = small_run(small_scenario(outage=False), planned={"served": SERVED})
+    assert metrics.resilience_planned(quiet) is None
 
 
 def test_planned_resilience_of_what_happened_is_the_resilience():

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from experiments.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
-from vppres.plant.plant import Plant, Realised
+from vppres.plant.plant import Plant, Powers, Realised
+from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 
@@ -125,6 +126,44 @@ def test_inverter_below_the_owners_demand_neither_overloads_nor_makes_energy(
     done = happened(small, 1, 0.5, decision(small))
     assert (done.pv_self_kw + done.pv_export_kw)[0] <= 21.0 + 1e-9
     assert (done.pv_self_kw + done.pv_export_kw + done.pv_curtailed_kw)[0] == pytest.approx(28.0)
+
+
+def test_reactive_limit_counts_what_passes_the_inverter(tiny: Scenario) -> None:
+    # 28 kW of sun, 20 kW for the owner and 8 kW exported: 40 kVA leave sqrt(40^2 - 28^2) kvar.
+    low = replace(tiny, load_kw=np.tile([20.0, 40.0, 50.0], (6, 1)))
+    plan = decision(low, battery_kw=[30.0, -15.0], pv_q_kvar=[35.0, 0.0], batt_q_kvar=[60.0, 35.0])
+    done = happened(low, 1, 0.5, plan)
+    assert (done.pv_self_kw[0], done.pv_export_kw[0]) == (20.0, 8.0)
+    assert done.pv_q_kvar == pytest.approx([np.sqrt(40.0**2 - 28.0**2), 0.0])
+    # Charging and discharging take their share of 60 and 35 kVA alike.
+    assert done.batt_q_kvar == pytest.approx([np.sqrt(60.0**2 - 30.0**2),
+                                              np.sqrt(35.0**2 - 15.0**2)])
+
+
+@pytest.mark.parametrize(("change", "clipped_kw"), [
+    ({"battery_kw": [0.0, -30.0]}, 30.0 - 21.0 * 0.95), ({"curtailed_kw": [9.0, 30.0]}, 11.0)])
+def test_largest_move_of_a_set_point_is_named(tiny: Scenario, change: dict[str, list[float]],
+                                              clipped_kw: float) -> None:
+    # 21 kWh above the lower limit give 19.95 kW; of 19 kW nothing is used where nobody is served.
+    done = happened(tiny, 1, 0.5, decision(tiny, served=False, **change))
+    assert done.clipped_kw == pytest.approx(clipped_kw)
+
+
+def test_demand_after_a_restoration_is_drawn_and_recorded(tiny: Scenario) -> None:
+    plant = Plant(tiny, rules=SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0))
+    off = plant.apply(0, decision(tiny, served=[False, True, True]), state(0.5))
+    plant.advance(0, state(0.5), off)
+    done = plant.apply(1, decision(tiny), state(0.5))
+    assert done.load_kw.tolist() == [2 * 62.0, 41.0, 48.0]
+    assert done.p_injection_kw == pytest.approx([0.0, -2 * 62.0 + 28.0, -41.0, -48.0 + 19.0])
+
+
+def test_rounding_cannot_lift_the_charge_above_its_limit(tiny: Scenario) -> None:
+    powers = Powers(np.ones(3, bool), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2),
+                    np.array([50.0, -30.0]), np.zeros(2))
+    done = Plant(tiny).realise(0, powers, state([0.8, 0.2]))
+    assert done.soc_end.tolist() == [0.85, 0.15]
+    assert done.clipped_kw == 0.0
 
 
 def test_injections_are_the_sum_at_each_bus(tiny: Scenario) -> None:
