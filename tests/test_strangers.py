@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import pickle
@@ -53,6 +54,7 @@ sys.addaudithook(_watch)
 def _libraries() -> None:
     """What the import of any network loads is loaded before anything is watched."""
     import_network(pp_networks.case33bw())
+    codecs.lookup("utf-8-sig")
 
 
 @pytest.fixture
@@ -235,7 +237,7 @@ def long_line(house: Path) -> Path:
 
 
 def many_lines(house: Path) -> Path:
-    return master(house, *["export voltages canary"] * 300_000)
+    return master(house, *["export voltages canary"] * 200_000)
 
 
 def too_many_phases(house: Path) -> Path:
