@@ -96,7 +96,7 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
 class Suggestions:
     """Cures for many unknown names: the first ones are compared with the known names.
 
-    A message lists no more than :data:`MAX_PROBLEMS_PER_KIND` mistakes of a kind, so that
+    A message lists no more than ``MAX_PROBLEMS_PER_KIND`` mistakes of a kind, so that
     comparing more of them would be work for nothing.
 
     Parameters

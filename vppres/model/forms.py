@@ -4,12 +4,12 @@
 constraints by name and says what it drops, replaces and adds:
 
 ======================== ==========================================================================
-relaxed, fixed service   other variables in the same constraints (:class:`Variables`)
+relaxed, fixed service   other variables in the same constraints (``Variables``)
 :func:`with_demand`      balances with demand that the paper has not: cold load, losses
 :func:`with_polygons`    polygons for the inverters' discs
 :func:`without_network`  sums for flows, reactive power and voltages
-switching rules          rows on service alone (:class:`SwitchingModel`)
-physical mode            reference bus and headroom (:class:`PhysicalParameters`)
+switching rules          rows on service alone (``SwitchingModel``)
+physical mode            reference bus and headroom (``PhysicalParameters``)
 ======================== ==========================================================================
 
 Elastic limits (:mod:`vppres.model.elastic`) and held levels (:mod:`vppres.model.tie_breakers`) are

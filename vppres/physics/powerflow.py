@@ -88,7 +88,7 @@ class ACResult:
         What the source at the reference bus gives: the import, unless an island was solved.
     converged : bool
         Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
-        in :attr:`NotFoundError.best`.
+        in ``NotFoundError.best``.
     """
 
     v_pu: Floats

@@ -25,7 +25,7 @@ from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
 """Largest power that the source of the power flow may still give once the set has shared it; more
-only where the power flow itself is less exact (:attr:`ACPowerFlow.tolerance_kva`)."""
+only where the power flow itself is less exact (``ACPowerFlow.tolerance_kva``)."""
 
 COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island is dark."""
