@@ -356,8 +356,8 @@ def test_windows_without_dispatch_are_widened_in_the_other_process(tiny: Scenari
                               Site.of(tiny), GuardOptions(("critical", "high", "low")))
     day = Day(tiny, RunOptions())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vppres.solve.ladder.run_conic", None)
-        patch.setattr("vppres.solve.slack.run_conic", None)
+        patch.setattr(WindowSolver, "solve", None)
+        patch.setattr(WindowSolver, "least_slack", None)
         day.step(guard, 0)
     assert day.recorder.records[0].steps["fallback"] == "voltage"
 
