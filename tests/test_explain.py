@@ -179,7 +179,7 @@ LIMITS = {
     "energy and power": {"energy_kwh": 50.0, "power_kw": 35.0},
     "inverter": {"energy_kwh": 100.0, "inverter_kva": 40.0},
     "voltage": {"energy_kwh": 90.0, "r_ohm": 3.0},
-    "power": {"energy_kwh": 150.0, "power_kw": 35.0},
+    "power": {"energy_kwh": 140.0, "power_kw": 35.0},
 }
 
 
