@@ -32,7 +32,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", "{day}", "--out", "{place}/target", "--horizon", "0", "--quiet"),
     "sweep": ("sweep", "{day}", "--param", "horizon", "--values", "0,1", "--jobs", "2", "--quiet",
               "--out", "{place}/target"),
-    "new": ("new", "case33bw", "{place}/target", "--step-minutes", "240"),
+    "new": ("new", "case33bw", "{place}/target", "--step-minutes", "240", "--outage",
+            "12:00..20:00"),
     "report": ("report", "{runs}/one", "--out", "{place}/target.html"),
     "compare": ("compare", "{runs}/one", "{runs}/two", "--out", "{place}/target.html"),
 }
@@ -155,6 +156,8 @@ class Study:
 
     def _look(self, case: str, kind: str, target: Path, before: str | None, status: int) -> None:
         after = content(target)
+        if status not in (0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM):
+            self.tally.faults.append(f"{case}: ended by itself")
         if status == 0:
             self.tally.finished += 1
         else:

@@ -40,7 +40,7 @@ def check_scenario(scenario: Scenario) -> None:
     >>> from vppres.io import load_scenario
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
-    problems = folded([*_names(scenario), *_numbers(scenario)])
+    problems = folded([*_names(scenario), *_numbers(scenario), *_limits(scenario)])
     if problems:
         raise InputError(problems)
 
@@ -79,6 +79,16 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         for name, field in model.model_fields.items():
             if name in _MAY_BE_INFINITE or any(isinstance(m, (Ge, Le)) for m in field.metadata):
                 yield from _outside(table, name, field, getattr(owner, name))
+
+
+def _limits(scenario: Scenario) -> Iterator[Problem]:
+    """Limits of the state of charge that leave nothing between them."""
+    batteries = scenario.batteries
+    for i in np.flatnonzero(~(batteries.soc_min < batteries.soc_max)):
+        yield Problem(f"battery {batteries.id[i]}",
+                      f"must be less than soc_max ({batteries.soc_max[i]:g})",
+                      "Correct one of the limits.", field="soc_min",
+                      value=float(batteries.soc_min[i]))
 
 
 def _outside(table: str, name: str, field: FieldInfo, values: object) -> list[Problem]:

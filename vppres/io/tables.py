@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 
 from vppres.core.errors import Problem
@@ -183,6 +182,8 @@ def _check_ragged(file: str, rows: list[list[str]], lines: list[int]) -> list[Pr
 
 
 def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
+    import pyarrow.parquet as pq  # slow to load, and most folders have none
+
     try:
         content = pq.ParquetFile(path).metadata
         # A small file can say that one value repeats without end: ask before reading.

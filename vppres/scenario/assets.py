@@ -117,7 +117,8 @@ class Batteries:
         low = self.soc_min
         high = self.soc_max
         given = self.soc_initial
-        outside = np.maximum(low - given, given - high)
+        sound = (low >= 0.0) & (low < high) & (high <= 1.0)  # other limits have their own check
+        outside = np.where(sound, np.maximum(low - given, given - high), 0.0)
         problems = [
             Problem(f"battery {self.id[i]}", f"must lie between soc_min ({low[i]:g}) and soc_max "
                     f"({high[i]:g})", "Correct the state of charge at the start or the limits.",
@@ -125,7 +126,7 @@ class Batteries:
             for i in np.flatnonzero(~(outside <= SOC_ROUNDING))]
         if problems:
             raise InputError(problems)
-        clipped = np.clip(given, low, high)
+        clipped = np.where(sound, np.clip(given, low, high), given)
         object.__setattr__(self, "soc_initial", freeze(clipped))
         return tuple(
             f"The state of charge of battery {self.id[i]} at the start, {given[i]:.9g}, is a "
