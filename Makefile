@@ -51,6 +51,7 @@ quick: $(STAMP)  ## lint, types, layers and the quick tests, within a minute
 
 lint: $(STAMP)  ## style of all Python files (ruff)
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 
 types: $(STAMP)  ## types of the package (mypy, strict)
 	$(BIN)/mypy

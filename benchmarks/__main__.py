@@ -91,8 +91,13 @@ def worker(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     return findings.worker_section(row), findings.worker_bars(row)
 
 
-PARTS: dict[str, Part] = {"windows": windows, "day": day, "scaling": scaling,
-                          "throughput": throughput, "worker": worker}
+PARTS: dict[str, Part] = {
+    "windows": windows,
+    "day": day,
+    "scaling": scaling,
+    "throughput": throughput,
+    "worker": worker,
+}
 
 
 def run(names: list[str], plan: Plan) -> tuple[list[Section], str]:
@@ -110,41 +115,61 @@ def run(names: list[str], plan: Plan) -> tuple[list[Section], str]:
     """
     unknown = [name for name in names if name not in PARTS]
     if unknown:
-        raise InputError(Problem("benchmarks", "is not known", f"Use one of: {', '.join(PARTS)}.",
-                                 field="only", value=unknown[0]))
+        raise InputError(
+            Problem(
+                "benchmarks",
+                "is not known",
+                f"Use one of: {', '.join(PARTS)}.",
+                field="only",
+                value=unknown[0],
+            )
+        )
     begin = time.perf_counter()
     sections = []
     bars = []
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         for name in names or PARTS:
             section, found = PARTS[name](plan, bar)
             sections.append(section)
             bars += found
-    summary = Section("What must be shown", "Each bar with the measured value.",
-                      (bar_table(bars),))
+    summary = Section("What must be shown", "Each bar with the measured value.", (bar_table(bars),))
     minutes = (time.perf_counter() - begin) / 60.0
-    effort = (f"A {'quick' if plan.quick else 'full'} run of {minutes:.1f} min on {cpu_count()} "
-              f"cores, time limit {plan.time_s:g} s.")
+    effort = (
+        f"A {'quick' if plan.quick else 'full'} run of {minutes:.1f} min on {cpu_count()} "
+        f"cores, time limit {plan.time_s:g} s."
+    )
     sections.insert(0, summary)
     write_report(sections, plan.folder, effort)
     return sections, effort
 
 
 def main(
-    only: Annotated[list[str] | None, typer.Option(
-        metavar="PART", help="Run this part alone; may be repeated.")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="PART", help="Run this part alone; may be repeated.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few instances, sizes and days.")] = False,
-    time_limit: Annotated[float | None, typer.Option(
-        metavar="S", help="Time limit of a solve; 60 s, quick 5 s.")] = None,
-    jobs: Annotated[int, typer.Option(
-        metavar="N", help="Processes of windows and throughput; -1 is one for each core.")] = -1,
-    results: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder of report, tables and finished rows.")] = Path("results/bench"),
-    to_docs: Annotated[bool, typer.Option(
-        "--publish", help="Put the tables into docs/benchmarks.md.")] = False,
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Time limit of a solve; 60 s, quick 5 s.")
+    ] = None,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Processes of windows and throughput; -1 is one for each core."
+        ),
+    ] = -1,
+    results: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder of report, tables and finished rows.")
+    ] = Path("results/bench"),
+    to_docs: Annotated[
+        bool, typer.Option("--publish", help="Put the tables into docs/benchmarks.md.")
+    ] = False,
 ) -> None:
     """Measure the solving methods."""
     seconds = time_limit or (5.0 if quick else 60.0)

@@ -65,9 +65,11 @@ def watched() -> Iterator[Clock]:
         finally:
             clock.library_s += time.perf_counter() - begin
 
-    with (patch.object(Certificate, "note", noted),
-          patch.object(ProgramSolution, "of", timed_direct),
-          patch.object(SolvingChain, "solve_via_data", timed)):
+    with (
+        patch.object(Certificate, "note", noted),
+        patch.object(ProgramSolution, "of", timed_direct),
+        patch.object(SolvingChain, "solve_via_data", timed),
+    ):
         yield clock
 
 

@@ -41,8 +41,10 @@ def error_settings(seeds: int, quick: bool = False) -> list[tuple[str, RunOption
         config = read_config(name, quick)
         for level in config["levels"]:
             errors = ForecastErrors(**{config["field"]: level})
-            found += [(f"{config['field']} {level:g}", RunOptions(errors=errors, seed=seed))
-                      for seed in range(min(seeds, config["error_seeds"]))]
+            found += [
+                (f"{config['field']} {level:g}", RunOptions(errors=errors, seed=seed))
+                for seed in range(min(seeds, config["error_seeds"]))
+            ]
     return found
 
 
@@ -50,17 +52,23 @@ def timed_day(options: RunOptions) -> tuple[Row, Trajectory]:
     """Run a day and say what it took; a step is everything from observation to record."""
     ends = [time.perf_counter()]
     with watched() as clock:
-        trajectory = run_day(packaged(), options,
-                             lambda done, total: ends.append(time.perf_counter()))
+        trajectory = run_day(
+            packaged(), options, lambda done, total: ends.append(time.perf_counter())
+        )
     steps_s = np.diff(ends)
     total_s = ends[-1] - ends[0]
-    return {"total_s": total_s, "step_median_s": float(np.median(steps_s)),
-            "step_p95_s": float(np.quantile(steps_s, 0.95)), "step_max_s": float(steps_s.max()),
-            "outside_share": 1.0 - clock.library_s / total_s,
-            "plan_s": float(trajectory.steps["solve_s"].max()),
-            "gap_max": float(trajectory.steps["gap"].max()), "steps_s": steps_s.tolist(),
-            "stages_s": dict(clock.stages_s), "compiled": _compiled(trajectory).tolist(),
-            }, trajectory
+    return {
+        "total_s": total_s,
+        "step_median_s": float(np.median(steps_s)),
+        "step_p95_s": float(np.quantile(steps_s, 0.95)),
+        "step_max_s": float(steps_s.max()),
+        "outside_share": 1.0 - clock.library_s / total_s,
+        "plan_s": float(trajectory.steps["solve_s"].max()),
+        "gap_max": float(trajectory.steps["gap"].max()),
+        "steps_s": steps_s.tolist(),
+        "stages_s": dict(clock.stages_s),
+        "compiled": _compiled(trajectory).tolist(),
+    }, trajectory
 
 
 def _compiled(trajectory: Trajectory) -> np.ndarray:
@@ -74,16 +82,17 @@ def ideal_runs(controller: str) -> list[Row]:
     rows = []
     for run in range(1 + LATER_RUNS):
         row, _ = timed_day(RunOptions(controller=controller))
-        rows.append({**row, "run": "first" if run == 0 else "later",
-                     "memory_mb": peak_memory_mb()})
+        rows.append({**row, "run": "first" if run == 0 else "later", "memory_mb": peak_memory_mb()})
     return rows
 
 
 def error_days(seeds: int, quick: bool) -> list[Row]:
     """All error settings one after the other, problems compiled by an ideal day before."""
     timed_day(RunOptions())
-    return [{**timed_day(options)[0], "setting": name, "seed": options.seed}
-            for name, options in error_settings(seeds, quick)]
+    return [
+        {**timed_day(options)[0], "setting": name, "seed": options.seed}
+        for name, options in error_settings(seeds, quick)
+    ]
 
 
 def run_days(folder: Path, seeds: int, quick: bool, bar: Progress) -> dict[str, pd.DataFrame]:
@@ -92,22 +101,30 @@ def run_days(folder: Path, seeds: int, quick: bool, bar: Progress) -> dict[str, 
     store = Store(folder / "rows")
     ideal = []
     for controller in ("mpc", "full-horizon"):
-        found = store.row({"bench": "ideal", "controller": controller},
-                          partial(_in_column, "runs", ideal_runs, controller))
+        found = store.row(
+            {"bench": "ideal", "controller": controller},
+            partial(_in_column, "runs", ideal_runs, controller),
+        )
         ideal += [{"controller": controller, **row} for row in found["runs"]]
         bar.advance(task)
-    found = store.row({"bench": "errors", "seeds": seeds, "quick": quick},
-                      partial(_in_column, "days", error_days, seeds, quick))
+    found = store.row(
+        {"bench": "errors", "seeds": seeds, "quick": quick},
+        partial(_in_column, "days", error_days, seeds, quick),
+    )
     bar.advance(task)
     settings = pd.DataFrame(found["days"])
     steps = settings[["setting", "seed", "steps_s", "compiled"]].explode(["steps_s", "compiled"])
     steps = steps.rename(columns={"steps_s": "step_s"}).astype({"step_s": float, "compiled": bool})
-    return {"ideal": pd.DataFrame(ideal).drop(columns=["steps_s", "compiled"]),
-            "settings": settings.drop(columns=["steps_s", "compiled"]), "steps": steps}
+    return {
+        "ideal": pd.DataFrame(ideal).drop(columns=["steps_s", "compiled"]),
+        "settings": settings.drop(columns=["steps_s", "compiled"]),
+        "steps": steps,
+    }
 
 
-def _in_column(column: str, work: Callable[P, list[Row]], *args: P.args,
-               **options: P.kwargs) -> Row:
+def _in_column(
+    column: str, work: Callable[P, list[Row]], *args: P.args, **options: P.kwargs
+) -> Row:
     """The rows of some work in a process of its own, as one entry of a row."""
     return {column: in_fresh_process(work, *args, **options)}
 
@@ -120,13 +137,25 @@ def day_table(ideal: pd.DataFrame) -> pd.DataFrame:
 
 def step_table(steps: pd.DataFrame) -> pd.DataFrame:
     """Steps of all error settings, with and without those that compiled a problem."""
-    return pd.DataFrame([_spread(name, part["step_s"]) for name, part in (
-        ("all steps", steps), ("steps without compilation", steps[~steps["compiled"]]))])
+    return pd.DataFrame(
+        [
+            _spread(name, part["step_s"])
+            for name, part in (
+                ("all steps", steps),
+                ("steps without compilation", steps[~steps["compiled"]]),
+            )
+        ]
+    )
 
 
 def _spread(name: str, seconds: pd.Series[Any]) -> dict[str, Any]:
-    return {"steps": name, "count": len(seconds), "median_s": seconds.median(),
-            "p95_s": seconds.quantile(0.95), "max_s": seconds.max()}
+    return {
+        "steps": name,
+        "count": len(seconds),
+        "median_s": seconds.median(),
+        "p95_s": seconds.quantile(0.95),
+        "max_s": seconds.max(),
+    }
 
 
 def stage_table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -134,7 +163,10 @@ def stage_table(rows: pd.DataFrame) -> pd.DataFrame:
     total = pd.DataFrame(list(rows["stages_s"])).sum().sort_values(ascending=False)
     total = total.groupby(total.index.str.partition(":").get_level_values(0)).sum()
     total = total.sort_values(ascending=False)
-    return pd.DataFrame({"stage": total.index, "seconds": total.to_numpy(),
-                         "share": (total / total.sum()).to_numpy()})
-
-
+    return pd.DataFrame(
+        {
+            "stage": total.index,
+            "seconds": total.to_numpy(),
+            "share": (total / total.sum()).to_numpy(),
+        }
+    )

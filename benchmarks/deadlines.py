@@ -43,8 +43,14 @@ def measure(site: Site, data: WindowData, time_s: float) -> dict[str, object]:
     """How long after its limit a window is answered, and with what."""
     cold_s, _ = late(site, data, time_s)
     late_s, ending = late(site, data, time_s)
-    return {"buses": site.network.n_buses, "steps": data.n_steps, "limit_s": time_s,
-            "ending": ending, "cold_s": cold_s, "late_s": late_s}
+    return {
+        "buses": site.network.n_buses,
+        "steps": data.n_steps,
+        "limit_s": time_s,
+        "ending": ending,
+        "cold_s": cold_s,
+        "late_s": late_s,
+    }
 
 
 def late(site: Site, data: WindowData, time_s: float) -> tuple[float, str]:
@@ -60,8 +66,10 @@ def late(site: Site, data: WindowData, time_s: float) -> tuple[float, str]:
 
 def main(
     every: Annotated[int, typer.Option(metavar="N", help="Every N-th instance.")] = 1,
-    limits: Annotated[list[float] | None, typer.Option(
-        "--limit", metavar="S", help="Time limit; may be repeated.")] = None,
+    limits: Annotated[
+        list[float] | None,
+        typer.Option("--limit", metavar="S", help="Time limit; may be repeated."),
+    ] = None,
     large: Annotated[bool, typer.Option(help="Windows of 1,021 buses too.")] = True,
 ) -> None:
     """Measure how far answers come after their time limit, in this process."""
@@ -71,8 +79,11 @@ def main(
             rows += [measure(site, data, time_s) for time_s in limits or LIMITS_S]
     found = pd.DataFrame(rows)
     table = found.groupby(["buses", "limit_s", "ending"]).agg(
-        count=("late_s", "size"), late_median_s=("late_s", "median"), late_max_s=("late_s", "max"),
-        cold_max_s=("cold_s", "max"))
+        count=("late_s", "size"),
+        late_median_s=("late_s", "median"),
+        late_max_s=("late_s", "max"),
+        cold_max_s=("cold_s", "max"),
+    )
     typer.echo(table.round(3).to_string())
 
 

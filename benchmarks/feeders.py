@@ -24,8 +24,14 @@ from vppres.scenario.timegrid import TimeGrid
 
 CASE69 = Path(vppres.__file__).parent / "feeders" / "data" / "case69.csv"
 BASE_KV = 12.66
-FEEDERS = {33: ("33", 1), 69: ("69", 1), 115: ("115", 1), 273: ("69", 4), 545: ("69", 8),
-           1021: ("69", 15)}
+FEEDERS = {
+    33: ("33", 1),
+    69: ("69", 1),
+    115: ("115", 1),
+    273: ("69", 4),
+    545: ("69", 8),
+    1021: ("69", 15),
+}
 """Feeder and number of its copies, joined at the slack bus, by number of buses."""
 SIZE_SCATTER = 0.3
 """Standard deviation of the logarithm of device sizes around their share of the load."""
@@ -45,8 +51,12 @@ class Feeder:
         def moved(bus: pd.Series[int], copy: int) -> pd.Series[int]:
             return bus.where(bus == 1, bus + copy * width)
 
-        lines = [self.lines.assign(from_bus=moved(self.lines["from_bus"], i),
-                                   to_bus=moved(self.lines["to_bus"], i)) for i in range(copies)]
+        lines = [
+            self.lines.assign(
+                from_bus=moved(self.lines["from_bus"], i), to_bus=moved(self.lines["to_bus"], i)
+            )
+            for i in range(copies)
+        ]
         loads = [self.load_kw.set_axis(self.load_kw.index + i * width) for i in range(copies)]
         return Feeder(pd.concat(lines, ignore_index=True), pd.concat(loads))
 
@@ -72,8 +82,15 @@ def feeder_scenario(n_buses: int, seed: int = 0) -> Scenario:
         If there is no feeder of that size.
     """
     if n_buses not in FEEDERS:
-        raise InputError(Problem("feeders", "has no feeder", "Use one of: "
-                                 f"{', '.join(map(str, FEEDERS))}.", field="buses", value=n_buses))
+        raise InputError(
+            Problem(
+                "feeders",
+                "has no feeder",
+                f"Use one of: {', '.join(map(str, FEEDERS))}.",
+                field="buses",
+                value=n_buses,
+            )
+        )
     name, copies = FEEDERS[n_buses]
     feeder = base_feeder(name).joined(copies)
     day = packaged()
@@ -83,10 +100,16 @@ def feeder_scenario(n_buses: int, seed: int = 0) -> Scenario:
     pv = _pv(rng, nominal_kw, customers, day)
     load_kw = day.load_kw.sum(axis=1)[:, None] * nominal_kw / _nominal_kw()
     return replace(
-        day, name=f"feeder-{n_buses}", title=f"The packaged day on {n_buses} buses",
+        day,
+        name=f"feeder-{n_buses}",
+        title=f"The packaged day on {n_buses} buses",
         network=_network(feeder, customers, load_kw.max(axis=0), day.network.v_min_pu),
-        customers=customers, pv=pv, batteries=_batteries(rng, nominal_kw, customers, day),
-        load_kw=load_kw, pv_kw=day.pv_kw.sum(axis=1)[:, None] / day.pv.p_max_kw.sum() * pv.p_max_kw)
+        customers=customers,
+        pv=pv,
+        batteries=_batteries(rng, nominal_kw, customers, day),
+        load_kw=load_kw,
+        pv_kw=day.pv_kw.sum(axis=1)[:, None] / day.pv.p_max_kw.sum() * pv.p_max_kw,
+    )
 
 
 @cache
@@ -97,22 +120,33 @@ def base_feeder(name: str) -> Feeder:
     """
     if name == "69":
         table = pd.read_csv(CASE69, comment="#")
-        return Feeder(table[["from_bus", "to_bus", "r_ohm", "x_ohm"]],
-                      table[table["p_kw"] > 0].set_index("to_bus")["p_kw"])
-    net = (pandapower.networks.case33bw() if name == "33"
-           else pandapower.networks.create_kerber_dorfnetz())
+        return Feeder(
+            table[["from_bus", "to_bus", "r_ohm", "x_ohm"]],
+            table[table["p_kw"] > 0].set_index("to_bus")["p_kw"],
+        )
+    net = (
+        pandapower.networks.case33bw()
+        if name == "33"
+        else pandapower.networks.create_kerber_dorfnetz()
+    )
     line = net.line[net.line["in_service"]]
     # The slack bus of the village is the low-voltage side of its transformer.
     slack = int(net.trafo["lv_bus"].iloc[0]) if len(net.trafo) else 0
     buses = np.unique([slack, *line["from_bus"], *line["to_bus"]])
     number = {int(bus): i + 2 for i, bus in enumerate(b for b in buses if b != slack)} | {slack: 1}
     load_kw = mw_to_kw(net.load.groupby("bus")["p_mw"].sum())
-    load = pd.Series(load_kw * (_nominal_kw() / 32 * len(load_kw) / load_kw.sum()),
-                     index=[number[b] for b in net.load.groupby("bus")["p_mw"].sum().index])
-    lines = pd.DataFrame({
-        "from_bus": line["from_bus"].map(number), "to_bus": line["to_bus"].map(number),
-        "r_ohm": line["r_ohm_per_km"] * line["length_km"],
-        "x_ohm": line["x_ohm_per_km"] * line["length_km"]})
+    load = pd.Series(
+        load_kw * (_nominal_kw() / 32 * len(load_kw) / load_kw.sum()),
+        index=[number[b] for b in net.load.groupby("bus")["p_mw"].sum().index],
+    )
+    lines = pd.DataFrame(
+        {
+            "from_bus": line["from_bus"].map(number),
+            "to_bus": line["to_bus"].map(number),
+            "r_ohm": line["r_ohm_per_km"] * line["length_km"],
+            "x_ohm": line["x_ohm_per_km"] * line["length_km"],
+        }
+    )
     return Feeder(lines.reset_index(drop=True), load)
 
 
@@ -129,9 +163,15 @@ def _network(feeder: Feeder, customers: Customers, peak_kw: Floats, v_min_pu: fl
     lines = feeder.lines
 
     def scaled(factor: float) -> Network:
-        return Network(lines["from_bus"].to_numpy(), lines["to_bus"].to_numpy(),
-                       (lines["r_ohm"] * factor).to_numpy(), (lines["x_ohm"] * factor).to_numpy(),
-                       slack_bus=1, base_kv=BASE_KV, v_min_pu=v_min_pu)
+        return Network(
+            lines["from_bus"].to_numpy(),
+            lines["to_bus"].to_numpy(),
+            (lines["r_ohm"] * factor).to_numpy(),
+            (lines["x_ohm"] * factor).to_numpy(),
+            slack_bus=1,
+            base_kv=BASE_KV,
+            v_min_pu=v_min_pu,
+        )
 
     return scaled(wanted / _largest_drop_pu2(scaled(1.0), customers, peak_kw))
 
@@ -152,9 +192,13 @@ def _customers(rng: Generator, feeder: Feeder, day: Scenario) -> Customers:
     count = len(feeder.load_kw)
     weights = dict(zip(day.customers.tier, day.customers.weight, strict=True))
     tier = rng.permutation(np.resize(rng.permutation(day.customers.tier), count))
-    return Customers(id=_names("c", range(count)), bus=feeder.load_kw.index.to_numpy(object),
-                     tier=tier, weight=np.array([weights[t] for t in tier]),
-                     power_factor=rng.choice(day.customers.power_factor, count))
+    return Customers(
+        id=_names("c", range(count)),
+        bus=feeder.load_kw.index.to_numpy(object),
+        tier=tier,
+        weight=np.array([weights[t] for t in tier]),
+        power_factor=rng.choice(day.customers.power_factor, count),
+    )
 
 
 def _names(letter: str, numbers: Iterable[int]) -> Names:
@@ -170,29 +214,52 @@ def _sizes(rng: Generator, nominal_kw: Floats, total: float) -> Floats:
 def _pv(rng: Generator, nominal_kw: Floats, customers: Customers, day: Scenario) -> PVSystems:
     """The packaged day's share of owners and PV power per nominal load."""
     count = len(nominal_kw)
-    owners = np.sort(rng.choice(count, round(count * len(day.pv) / len(day.customers)),
-                                replace=False))
+    owners = np.sort(
+        rng.choice(count, round(count * len(day.pv) / len(day.customers)), replace=False)
+    )
     total = day.pv.p_max_kw.sum() * nominal_kw.sum() / _nominal_kw()
     p_max_kw = _sizes(rng, nominal_kw[owners], total)
-    return PVSystems(id=_names("p", owners), customer=customers.id[owners],
-                     p_max_kw=p_max_kw, s_max_kva=p_max_kw * rng.uniform(1.0, 1.3, len(owners)))
+    return PVSystems(
+        id=_names("p", owners),
+        customer=customers.id[owners],
+        p_max_kw=p_max_kw,
+        s_max_kva=p_max_kw * rng.uniform(1.0, 1.3, len(owners)),
+    )
 
 
-def _batteries(rng: Generator, nominal_kw: Floats, customers: Customers,
-               day: Scenario) -> Batteries:
+def _batteries(
+    rng: Generator, nominal_kw: Floats, customers: Customers, day: Scenario
+) -> Batteries:
     """A battery for each customer with the packaged day's energy and power per nominal load."""
     b = day.batteries
     count = len(nominal_kw)
     energy = _sizes(rng, nominal_kw, b.energy_kwh.sum() * nominal_kw.sum() / _nominal_kw())
     power = energy * b.p_max_kw.sum() / b.energy_kwh.sum()
     alike = np.resize(np.arange(len(b)), count)
-    names = ("soc_min", "soc_max", "soc_initial", "eta_charge", "eta_discharge",
-             "r_theta_c_per_kw", "c_theta_kwh_per_c", "alpha_charge_per_c2",
-             "alpha_discharge_per_c2", "r_int_ohm", "beta_per_c", "u_batt_v", "t_ref_c",
-             "t_initial_c")
-    return Batteries(id=_names("b", range(count)), bus=customers.bus, energy_kwh=energy,
-                     p_max_kw=power, s_max_kva=power * rng.uniform(1.05, 1.4, count),
-                     **{name: getattr(b, name)[alike] for name in names})
+    names = (
+        "soc_min",
+        "soc_max",
+        "soc_initial",
+        "eta_charge",
+        "eta_discharge",
+        "r_theta_c_per_kw",
+        "c_theta_kwh_per_c",
+        "alpha_charge_per_c2",
+        "alpha_discharge_per_c2",
+        "r_int_ohm",
+        "beta_per_c",
+        "u_batt_v",
+        "t_ref_c",
+        "t_initial_c",
+    )
+    return Batteries(
+        id=_names("b", range(count)),
+        bus=customers.bus,
+        energy_kwh=energy,
+        p_max_kw=power,
+        s_max_kva=power * rng.uniform(1.05, 1.4, count),
+        **{name: getattr(b, name)[alike] for name in names},
+    )
 
 
 def with_days(day: Scenario, days: int) -> Scenario:
@@ -210,6 +277,12 @@ def with_step(day: Scenario, step_minutes: float) -> Scenario:
 
 def _with_rows(day: Scenario, grid: TimeGrid, rows: Wholes) -> Scenario:
     """The day's steps in another order or number."""
-    return replace(day, grid=grid, load_kw=day.load_kw[rows], pv_kw=day.pv_kw[rows],
-                   price_gbp_per_kwh=day.price_gbp_per_kwh[rows],
-                   temperature_c=day.temperature_c[rows], grid_limit_kw=day.grid_limit_kw[rows])
+    return replace(
+        day,
+        grid=grid,
+        load_kw=day.load_kw[rows],
+        pv_kw=day.pv_kw[rows],
+        price_gbp_per_kwh=day.price_gbp_per_kwh[rows],
+        temperature_c=day.temperature_c[rows],
+        grid_limit_kw=day.grid_limit_kw[rows],
+    )

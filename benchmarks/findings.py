@@ -32,22 +32,33 @@ def window_section(rows: pd.DataFrame) -> Section:
     """Certificates, agreement, ratios and profiles."""
     seconds = profiles.times(rows)
     methods = [str(method) for method in seconds]
-    general = [m for m in methods if m.startswith("decomposed")
-               or (m.endswith("16-gon") and not _licensed(m))]
+    general = [
+        m
+        for m in methods
+        if m.startswith("decomposed") or (m.endswith("16-gon") and not _licensed(m))
+    ]
     figures = {"profile": profiles.draw_profile(seconds[general], "All instances")}
     for form in ("16-gon", "4-gon", "cones"):
         of_form = [m for m in methods if m.startswith("decomposed") or m.endswith(form)]
         admitted = [m for m in of_form if seconds[m].notna().any()]
         if any(_licensed(m) for m in admitted):
             figures[f"profile_{form}"] = profiles.draw_profile(
-                seconds[admitted], f"Windows that the licences admit, {form}")
-    text = ("Tables: certificates of the decomposed method; what binds in the stressed instances; "
-            "the objective against each monolith; times as multiples of the decomposed method's "
-            "on all instances, then on the ordinary windows at H = 5 that meet the outage; the "
-            "cost level at H = 5 without an outage.")
-    tables = (profiles.certificates(rows), profiles.stress(rows), profiles.agreement(rows),
-              profiles.ratios(rows), profiles.ratios(profiles.outage_windows(rows)),
-              profiles.cost_levels(rows))
+                seconds[admitted], f"Windows that the licences admit, {form}"
+            )
+    text = (
+        "Tables: certificates of the decomposed method; what binds in the stressed instances; "
+        "the objective against each monolith; times as multiples of the decomposed method's "
+        "on all instances, then on the ordinary windows at H = 5 that meet the outage; the "
+        "cost level at H = 5 without an outage."
+    )
+    tables = (
+        profiles.certificates(rows),
+        profiles.stress(rows),
+        profiles.agreement(rows),
+        profiles.ratios(rows),
+        profiles.ratios(profiles.outage_windows(rows)),
+        profiles.cost_levels(rows),
+    )
     return Section("Windows", text, tables, figures)
 
 
@@ -56,24 +67,41 @@ def window_bars(rows: pd.DataFrame) -> list[Bar]:
     agree = profiles.agreement(rows)
     certs = profiles.certificates(rows)
     costs = profiles.cost_levels(rows)
-    found = [Bar("same objective as the monolith, 1e-4 relative",
-                 f"largest shortfall {agree['below'].max():.1e}",
-                 bool((agree["below"] <= profiles.AGREEMENT_REL).all()) if len(agree) else None)]
+    found = [
+        Bar(
+            "same objective as the monolith, 1e-4 relative",
+            f"largest shortfall {agree['below'].max():.1e}",
+            bool((agree["below"] <= profiles.AGREEMENT_REL).all()) if len(agree) else None,
+        )
+    ]
     for group, least in (("ordinary", 1.0), ("stressed", STRESSED_SHARE)):
         part = certs[(certs["group"] == group) & (certs["steps"] == "all")]
         share = float(part["share"].sum()) if len(part) else np.nan
-        found.append(Bar(f"{group} instances certified within 10 s: {least:.0%}",
-                         f"{share:.1%} of {int(part['instances'].sum())}",
-                         share >= least if len(part) else None))
+        found.append(
+            Bar(
+                f"{group} instances certified within 10 s: {least:.0%}",
+                f"{share:.1%} of {int(part['instances'].sum())}",
+                share >= least if len(part) else None,
+            )
+        )
     stress = profiles.stress(rows)
     solved = _only(stress, "stressed instances")
     binding = _only(stress, "either")
-    found.append(Bar(f"stressed instances in which voltages bind or PV is curtailed: {BINDING}",
-                     f"{binding:g} of {solved:g}", binding >= BINDING if solved >= BINDING
-                     else None))
+    found.append(
+        Bar(
+            f"stressed instances in which voltages bind or PV is curtailed: {BINDING}",
+            f"{binding:g} of {solved:g}",
+            binding >= BINDING if solved >= BINDING else None,
+        )
+    )
     worst = costs["largest"].max()
-    found.append(Bar("cost level at H = 5 without an outage: 0.1 %", f"largest {worst:.2%}",
-                     bool(worst <= 1e-3) if len(costs) else None))
+    found.append(
+        Bar(
+            "cost level at H = 5 without an outage: 0.1 %",
+            f"largest {worst:.2%}",
+            bool(worst <= 1e-3) if len(costs) else None,
+        )
+    )
     return found + _ratio_bars(rows)
 
 
@@ -82,8 +110,9 @@ def _ratio_bars(rows: pd.DataFrame) -> list[Bar]:
     whole = profiles.ratios(rows)
     found = []
     for solver in ("highs", "scip"):
-        found.append(_ratio_bar(table, f"monolithic/{solver}/16-gon", MIN_RATIO,
-                                "outage windows at H = 5"))
+        found.append(
+            _ratio_bar(table, f"monolithic/{solver}/16-gon", MIN_RATIO, "outage windows at H = 5")
+        )
     for method in whole["method"]:
         if _licensed(method):
             found.append(_ratio_bar(whole, method, 1.0, "windows that the licence admits"))
@@ -97,9 +126,12 @@ def _ratio_bar(table: pd.DataFrame, method: str, least: float, where: str) -> Ba
         return Bar(claim, "no instance", None)
     median, low, high = (float(row[f"ratio {q}"].iloc[0]) for q in ("median", "p5", "p95"))
     undecided = median < least <= float(row["median at most"].iloc[0])
-    return Bar(claim, f"{median:.1f} ({low:.1f} to {high:.1f})"
-               + (", cut off by the time limit" if undecided else ""),
-               None if undecided else median >= least)
+    return Bar(
+        claim,
+        f"{median:.1f} ({low:.1f} to {high:.1f})"
+        + (", cut off by the time limit" if undecided else ""),
+        None if undecided else median >= least,
+    )
 
 
 def _licensed(method: str) -> bool:
@@ -109,11 +141,19 @@ def _licensed(method: str) -> bool:
 def day_section(tables: dict[str, pd.DataFrame]) -> Section:
     """The closed loop."""
     later = tables["ideal"][tables["ideal"]["run"] == "later"]
-    text = ("Tables: the ideal day, first run (which compiles) and median of the later ones; steps "
-            "of all error settings; where the time of the later ideal MPC days goes.")
-    return Section("A day at H = 5", text, (
-        day_table(tables["ideal"]), step_table(tables["steps"]),
-        stage_table(later[later["controller"] == "mpc"])))
+    text = (
+        "Tables: the ideal day, first run (which compiles) and median of the later ones; steps "
+        "of all error settings; where the time of the later ideal MPC days goes."
+    )
+    return Section(
+        "A day at H = 5",
+        text,
+        (
+            day_table(tables["ideal"]),
+            step_table(tables["steps"]),
+            stage_table(later[later["controller"] == "mpc"]),
+        ),
+    )
 
 
 def day_bars(tables: dict[str, pd.DataFrame]) -> list[Bar]:
@@ -127,67 +167,115 @@ def day_bars(tables: dict[str, pd.DataFrame]) -> list[Bar]:
         _at_most("a step over all error settings, p95", _only(steps, "p95_s"), STEP_P95_S, "s"),
         _at_most("a step over all error settings, worst", _only(steps, "max_s"), STEP_MAX_S, "s"),
         _at_most("the ideal 24-step plan", _only(plan, "plan_s"), PLAN_S, "s"),
-        _at_most("share of a day outside the solvers", _only(mpc, "outside_share"),
-                 OUTSIDE_SHARE, ""),
+        _at_most(
+            "share of a day outside the solvers", _only(mpc, "outside_share"), OUTSIDE_SHARE, ""
+        ),
     ]
 
 
 def scaling_section(rows: pd.DataFrame) -> Section:
     """Cost against size."""
-    columns = ["axis", "size", "n_steps", "windows", "certified", "first_s", "median_s", "mean_s",
-               "max_s", "gap_max", "memory_mb", "library_share", "main_stage"]
-    text = ("Each point in a process of its own: six windows that meet the outage, in random "
-            "states, along the buses with a time limit of 8 s. The first solve compiles. Exponents "
-            "are least-squares fits in logarithms with 95 % intervals.")
-    return Section("Scaling", text, (rows[columns], exponents(rows)),
-                   {"scaling": draw_scaling(rows)})
+    columns = [
+        "axis",
+        "size",
+        "n_steps",
+        "windows",
+        "certified",
+        "first_s",
+        "median_s",
+        "mean_s",
+        "max_s",
+        "gap_max",
+        "memory_mb",
+        "library_share",
+        "main_stage",
+    ]
+    text = (
+        "Each point in a process of its own: six windows that meet the outage, in random "
+        "states, along the buses with a time limit of 8 s. The first solve compiles. Exponents "
+        "are least-squares fits in logarithms with 95 % intervals."
+    )
+    return Section(
+        "Scaling", text, (rows[columns], exponents(rows)), {"scaling": draw_scaling(rows)}
+    )
 
 
 def scaling_bars(rows: pd.DataFrame) -> list[Bar]:
     """What must be shown of size."""
     fits = exponents(rows)
     medians = fits[fits["quantity"] == "median_s"]
-    found = [_at_most(f"exponent in {axis} (median time)",
-                      _only(medians[medians["axis"] == axis], "exponent"), EXPONENT, "")
-             for axis in ("buses", "steps")]
+    found = [
+        _at_most(
+            f"exponent in {axis} (median time)",
+            _only(medians[medians["axis"] == axis], "exponent"),
+            EXPONENT,
+            "",
+        )
+        for axis in ("buses", "steps")
+    ]
     large = rows[(rows["axis"] == "buses") & (rows["size"] >= 1000)]
     if len(large):
         worst_s, gap = (float(large[name].max(skipna=False)) for name in ("max_s", "gap_max"))
         proven = f"{large['certified'].sum()} of {large['windows'].sum()} certified"
-        found.append(Bar(
-            f"a step of about 1,000 buses at H = 5, worst: at most {STEP_1000_BUSES_S:g} s",
-            f"{worst_s:.3g} s, {proven} in the limit, largest gap {gap:.1e}",
-            worst_s <= STEP_1000_BUSES_S))
+        found.append(
+            Bar(
+                f"a step of about 1,000 buses at H = 5, worst: at most {STEP_1000_BUSES_S:g} s",
+                f"{worst_s:.3g} s, {proven} in the limit, largest gap {gap:.1e}",
+                worst_s <= STEP_1000_BUSES_S,
+            )
+        )
     return found
 
 
 def throughput_section(row: Row) -> Section:
     """Many days at once."""
-    return Section("Throughput", "MPC days at H = 5 with the reproduction's errors and new seeds, "
-                   "on all cores, one thread for each process.", (throughput_table(row),))
+    return Section(
+        "Throughput",
+        "MPC days at H = 5 with the reproduction's errors and new seeds, "
+        "on all cores, one thread for each process.",
+        (throughput_table(row),),
+    )
 
 
 def throughput_bars(row: Row) -> list[Bar]:
     """What must be shown of many days."""
     table = throughput_table(row)
-    return [_at_most("1,000 MPC days (extrapolated)",
-                     _only(table, "min for 1,000 days (extrapolated)"),
-                     THOUSAND_DAYS_MIN, "min")]
+    return [
+        _at_most(
+            "1,000 MPC days (extrapolated)",
+            _only(table, "min for 1,000 days (extrapolated)"),
+            THOUSAND_DAYS_MIN,
+            "min",
+        )
+    ]
 
 
 def worker_section(row: Row) -> Section:
     """What isolation costs."""
-    return Section("A process of its own", "Every step of the ideal day at H = 5, solved in the "
-                   "controller's process and in one of its own in turn, problems compiled before. "
-                   "The processor's time of both processes together.", (worker_table(row),))
+    return Section(
+        "A process of its own",
+        "Every step of the ideal day at H = 5, solved in the "
+        "controller's process and in one of its own in turn, problems compiled before. "
+        "The processor's time of both processes together.",
+        (worker_table(row),),
+    )
 
 
 def worker_bars(row: Row) -> list[Bar]:
     """What must be shown of isolation."""
-    return [_at_most("a step solved in a process of its own, against in the same: ratio, median",
-                     row["ratio_median"], ISOLATION_RATIO, ""),
-            Bar("the same answers in both", f"{row['equal']} of {row['steps']} steps",
-                row["equal"] == row["steps"])]
+    return [
+        _at_most(
+            "a step solved in a process of its own, against in the same: ratio, median",
+            row["ratio_median"],
+            ISOLATION_RATIO,
+            "",
+        ),
+        Bar(
+            "the same answers in both",
+            f"{row['equal']} of {row['steps']} steps",
+            row["equal"] == row["steps"],
+        ),
+    ]
 
 
 def _only(table: pd.DataFrame, column: str) -> float:
@@ -197,5 +285,6 @@ def _only(table: pd.DataFrame, column: str) -> float:
 
 
 def _at_most(what: str, value: float, limit: float, unit: str) -> Bar:
-    return Bar(f"{what}: at most {limit:g} {unit}".rstrip(), f"{value:.3g} {unit}".rstrip(),
-               value <= limit)
+    return Bar(
+        f"{what}: at most {limit:g} {unit}".rstrip(), f"{value:.3g} {unit}".rstrip(), value <= limit
+    )

@@ -72,7 +72,7 @@ class Instance:
     @cached_property
     def place(self) -> str:
         """Where the window lies: before, across, inside or after the outage."""
-        dark = packaged().outage[self.t0:self.t0 + self.steps]
+        dark = packaged().outage[self.t0 : self.t0 + self.steps]
         if dark.all():
             return "inside"
         if dark.any():
@@ -82,8 +82,9 @@ class Instance:
     @property
     def errors(self) -> ForecastErrors:
         """Forecast errors."""
-        return ForecastErrors(self.load_bias, self.load_alpha_per_h, self.pv_bias,
-                              self.pv_alpha_per_h)
+        return ForecastErrors(
+            self.load_bias, self.load_alpha_per_h, self.pv_bias, self.pv_alpha_per_h
+        )
 
 
 @cache
@@ -103,16 +104,31 @@ def read_instances(file: Path = FILE) -> list[Instance]:
     table = pd.read_csv(file)
     expected = [f.name for f in fields(Instance)]
     if list(table.columns) != expected:
-        raise InputError(Problem(file.name, "has other columns than an instance",
-                                 f"Write exactly: {', '.join(expected)}."))
-    rows: list[dict[str, Any]] = [{str(k): v for k, v in row.items()}
-                                  for row in table.to_dict("records")]
+        raise InputError(
+            Problem(
+                file.name,
+                "has other columns than an instance",
+                f"Write exactly: {', '.join(expected)}.",
+            )
+        )
+    rows: list[dict[str, Any]] = [
+        {str(k): v for k, v in row.items()} for row in table.to_dict("records")
+    ]
     instances = [Instance(**row) for row in rows]
-    problems = [p.in_file(file.name) for i, instance in enumerate(instances)
-                for p in _problems(i, instance)]
-    problems += [Problem(file.name, "is given twice", "Give every instance its own name.",
-                         row=int(row) + 2, field="name", value=instances[row].name)
-                 for row in np.flatnonzero(table["name"].duplicated())]
+    problems = [
+        p.in_file(file.name) for i, instance in enumerate(instances) for p in _problems(i, instance)
+    ]
+    problems += [
+        Problem(
+            file.name,
+            "is given twice",
+            "Give every instance its own name.",
+            row=int(row) + 2,
+            field="name",
+            value=instances[row].name,
+        )
+        for row in np.flatnonzero(table["name"].duplicated())
+    ]
     if problems:
         raise InputError(problems)
     return instances
@@ -123,29 +139,51 @@ def _problems(row: int, instance: Instance) -> list[Problem]:
     last = packaged().grid.n_steps
     found = []
     if instance.group not in GROUPS:
-        found.append(Problem("instances", "is not a known group", f"Use one of: "
-                             f"{', '.join(GROUPS)}.", row=row, field="group",
-                             value=instance.group))
+        found.append(
+            Problem(
+                "instances",
+                "is not a known group",
+                f"Use one of: {', '.join(GROUPS)}.",
+                row=row,
+                field="group",
+                value=instance.group,
+            )
+        )
     if not (instance.t0 >= 0 and 1 <= instance.steps <= last - instance.t0):
-        found.append(Problem("instances", "does not fit into the day",
-                             f"t0 + steps may be at most {last}.", row=row, field="steps",
-                             value=instance.steps))
+        found.append(
+            Problem(
+                "instances",
+                "does not fit into the day",
+                f"t0 + steps may be at most {last}.",
+                row=row,
+                field="steps",
+                value=instance.steps,
+            )
+        )
     return found
 
 
 def window_data(instance: Instance) -> WindowData:
     """The window that an instance stands for."""
     day = packaged()
-    scaled = replace(day, load_kw=day.load_kw * instance.load_factor,
-                     pv_kw=day.pv_kw * instance.pv_factor)
+    scaled = replace(
+        day, load_kw=day.load_kw * instance.load_factor, pv_kw=day.pv_kw * instance.pv_factor
+    )
     steps = range(instance.t0, instance.t0 + instance.steps)
     forecast = Forecaster(scaled, instance.errors, instance.error_seed).at(instance.t0, steps)
     b = day.batteries
-    soc = np.random.default_rng(instance.soc_seed).uniform(instance.soc_low, instance.soc_high,
-                                                           len(b))
+    soc = np.random.default_rng(instance.soc_seed).uniform(
+        instance.soc_low, instance.soc_high, len(b)
+    )
     point = operating_point(instance.t0 - 1) if instance.offset and instance.t0 > 0 else None
-    seen = Observation(instance.t0, forecast, np.clip(soc, b.soc_min, b.soc_max), b.eta_charge,
-                       b.eta_discharge, point)
+    seen = Observation(
+        instance.t0,
+        forecast,
+        np.clip(soc, b.soc_min, b.soc_max),
+        b.eta_charge,
+        b.eta_discharge,
+        point,
+    )
     return WindowData.of(seen, Site.of(day), "lossless")
 
 

@@ -35,18 +35,26 @@ DAYLIGHT = range(8, 16)
 def draw(seed: int = SEED) -> list[Instance]:
     """All instances, the ordinary ones first."""
     rng = np.random.default_rng(seed)
-    ordinary = [_ordinary(rng, f"o{i + 1:03d}", steps, t0)
-                for i, (steps, t0) in enumerate(_windows(rng, ORDINARY, PLACES))]
-    stressed = [_stressed(rng, i, steps, t0)
-                for i, (steps, t0) in enumerate(_windows(rng, STRESSED, STRESSED_PLACES))]
+    ordinary = [
+        _ordinary(rng, f"o{i + 1:03d}", steps, t0)
+        for i, (steps, t0) in enumerate(_windows(rng, ORDINARY, PLACES))
+    ]
+    stressed = [
+        _stressed(rng, i, steps, t0)
+        for i, (steps, t0) in enumerate(_windows(rng, STRESSED, STRESSED_PLACES))
+    ]
     return ordinary + stressed
 
 
-def _windows(rng: Generator, counts: dict[int, int],
-             places: tuple[str, ...]) -> list[tuple[int, int]]:
+def _windows(
+    rng: Generator, counts: dict[int, int], places: tuple[str, ...]
+) -> list[tuple[int, int]]:
     """Numbers of steps with a first step each, spread over the places around the outage."""
-    return [(steps, _first_step(rng, steps, place)) for steps, count in counts.items()
-            for place, _ in zip(cycle(places), range(count), strict=False)]
+    return [
+        (steps, _first_step(rng, steps, place))
+        for steps, count in counts.items()
+        for place, _ in zip(cycle(places), range(count), strict=False)
+    ]
 
 
 def _first_step(rng: Generator, steps: int, place: str) -> int:
@@ -56,19 +64,29 @@ def _first_step(rng: Generator, steps: int, place: str) -> int:
     end = int(outage[-1]) + 1
     first = 6 if steps <= 12 else 0  # the nights alone are easy
     fits = list(range(first, 25 - steps))
-    wanted = {"before": [t for t in fits if t + steps <= begin],
-              "inside": [t for t in fits if t >= begin and t + steps <= end],
-              "after": [t for t in fits if t >= end],
-              "across": [t for t in fits if t < end < t + steps or t < begin < t + steps]}[place]
+    wanted = {
+        "before": [t for t in fits if t + steps <= begin],
+        "inside": [t for t in fits if t >= begin and t + steps <= end],
+        "after": [t for t in fits if t >= end],
+        "across": [t for t in fits if t < end < t + steps or t < begin < t + steps],
+    }[place]
     return int(rng.choice(wanted or fits))
 
 
 def _ordinary(rng: Generator, name: str, steps: int, t0: int) -> Instance:
     """The packaged day in a random state; every other one with forecast errors."""
     low = rng.uniform(0.15, 0.7)
-    return Instance(name, "ordinary", t0, steps, **_state(rng, low, low + 0.15),
-                    load_factor=1.0, pv_factor=1.0, **_errors(rng, int(name[1:]) % 2 == 0),
-                    offset=int(rng.integers(2)))
+    return Instance(
+        name,
+        "ordinary",
+        t0,
+        steps,
+        **_state(rng, low, low + 0.15),
+        load_factor=1.0,
+        pv_factor=1.0,
+        **_errors(rng, int(name[1:]) % 2 == 0),
+        offset=int(rng.integers(2)),
+    )
 
 
 def _stressed(rng: Generator, i: int, steps: int, t0: int) -> Instance:
@@ -77,24 +95,47 @@ def _stressed(rng: Generator, i: int, steps: int, t0: int) -> Instance:
     errors = _errors(rng, i % 2 == 1)
     if i % 4 == 3:
         t0 = min(int(rng.choice(DAYLIGHT)), 24 - steps)
-        return Instance(name, "stressed", t0, steps, **_state(rng, 0.8, 0.85),
-                        load_factor=_rounded(rng, *LIGHT_LOAD), pv_factor=1.0, **errors,
-                        offset=int(rng.integers(2)))
+        return Instance(
+            name,
+            "stressed",
+            t0,
+            steps,
+            **_state(rng, 0.8, 0.85),
+            load_factor=_rounded(rng, *LIGHT_LOAD),
+            pv_factor=1.0,
+            **errors,
+            offset=int(rng.integers(2)),
+        )
     low = rng.uniform(0.15, 0.7)
-    return Instance(name, "stressed", t0, steps, **_state(rng, low, low + 0.15),
-                    load_factor=_rounded(rng, *HEAVY_LOAD),
-                    pv_factor=_rounded(rng, 0.3, 1.0), **errors, offset=int(rng.integers(2)))
+    return Instance(
+        name,
+        "stressed",
+        t0,
+        steps,
+        **_state(rng, low, low + 0.15),
+        load_factor=_rounded(rng, *HEAVY_LOAD),
+        pv_factor=_rounded(rng, 0.3, 1.0),
+        **errors,
+        offset=int(rng.integers(2)),
+    )
 
 
 def _state(rng: Generator, low: float, high: float) -> dict[str, Any]:
-    return {"soc_low": round(low, 2), "soc_high": round(high, 2),
-            "soc_seed": int(rng.integers(1_000_000))}
+    return {
+        "soc_low": round(low, 2),
+        "soc_high": round(high, 2),
+        "soc_seed": int(rng.integers(1_000_000)),
+    }
 
 
 def _errors(rng: Generator, wrong: bool) -> dict[str, Any]:
     """Forecast errors of load and PV, of the sizes that the reproduction has."""
-    levels = {"load_bias": BIASES, "load_alpha_per_h": ALPHAS_PER_H, "pv_bias": BIASES,
-              "pv_alpha_per_h": ALPHAS_PER_H}
+    levels = {
+        "load_bias": BIASES,
+        "load_alpha_per_h": ALPHAS_PER_H,
+        "pv_bias": BIASES,
+        "pv_alpha_per_h": ALPHAS_PER_H,
+    }
     drawn = {name: float(rng.choice(choices)) for name, choices in levels.items()}
     seed = int(rng.integers(1_000_000))
     return {**(drawn if wrong else dict.fromkeys(levels, 0.0)), "error_seed": seed}

@@ -58,8 +58,10 @@ def profile(seconds: pd.DataFrame, factors: np.ndarray) -> pd.DataFrame:
     common = seconds.dropna()
     best = common.min(axis=1)
     ratio = common.div(best, axis=0).fillna(np.inf)  # inf / inf: nobody solved it
-    return pd.DataFrame({method: [(ratio[method] <= factor).mean() for factor in factors]
-                         for method in common}, index=pd.Index(factors, name="factor"))
+    return pd.DataFrame(
+        {method: [(ratio[method] <= factor).mean() for factor in factors] for method in common},
+        index=pd.Index(factors, name="factor"),
+    )
 
 
 def draw_profile(seconds: pd.DataFrame, title: str) -> Figure:
@@ -71,8 +73,14 @@ def draw_profile(seconds: pd.DataFrame, title: str) -> Figure:
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     ax = figure.subplots()
     for i, method in enumerate(shares):
-        ax.step(factors, shares[method], where="post", label=method,
-                color=COLOURS[i % len(COLOURS)], linestyle=("-", "--", ":")[i % 3])
+        ax.step(
+            factors,
+            shares[method],
+            where="post",
+            label=method,
+            color=COLOURS[i % len(COLOURS)],
+            linestyle=("-", "--", ":")[i % 3],
+        )
     ax.set_xscale("log")
     ax.set_ylim(-0.02, 1.02)
     ax.set_xlabel("Time as a multiple of the fastest method's")
@@ -96,30 +104,40 @@ def ratios(rows: pd.DataFrame, base: str = BASE) -> pd.DataFrame:
     found = []
     for method, part in rows[rows["method"] != base].groupby("method"):
         admitted = part[(part["status"] != NOT_ADMITTED) & part["instance"].isin(base_s.index)]
-        spent = admitted["solve_s"].where(admitted["status"] == "optimal",
-                                          admitted[["solve_s", "limit_s"]].max(axis=1))
+        spent = admitted["solve_s"].where(
+            admitted["status"] == "optimal", admitted[["solve_s", "limit_s"]].max(axis=1)
+        )
         ratio = spent.to_numpy() / base_s[admitted["instance"]].to_numpy()
         spread = np.quantile(ratio, [0.05, 0.5, 0.95]) if len(ratio) else np.full(3, np.nan)
         open_end = np.sort(np.where(admitted["status"] == "optimal", ratio, np.inf))
-        found.append({"method": method, "instances": len(admitted),
-                      "unsolved": int((admitted["status"] != "optimal").sum()),
-                      "not admitted": int((part["status"] == NOT_ADMITTED).sum()),
-                      "ratio p5": spread[0], "ratio median": spread[1], "ratio p95": spread[2],
-                      "median at most": open_end[len(ratio) // 2] if len(ratio) else np.nan,
-                      "share slower": float((ratio > 1).mean()) if len(ratio) else np.nan})
+        found.append(
+            {
+                "method": method,
+                "instances": len(admitted),
+                "unsolved": int((admitted["status"] != "optimal").sum()),
+                "not admitted": int((part["status"] == NOT_ADMITTED).sum()),
+                "ratio p5": spread[0],
+                "ratio median": spread[1],
+                "ratio p95": spread[2],
+                "median at most": open_end[len(ratio) // 2] if len(ratio) else np.nan,
+                "share slower": float((ratio > 1).mean()) if len(ratio) else np.nan,
+            }
+        )
     return pd.DataFrame(found)
 
 
 def outage_windows(rows: pd.DataFrame) -> pd.DataFrame:
     """Ordinary windows at H = 5 that meet the outage."""
-    return rows[(rows["group"] == "ordinary") & (rows["steps"] == H5_STEPS)
-                & rows["place"].isin(OUTAGE_PLACES)]
+    return rows[
+        (rows["group"] == "ordinary")
+        & (rows["steps"] == H5_STEPS)
+        & rows["place"].isin(OUTAGE_PLACES)
+    ]
 
 
 def certified(rows: pd.DataFrame) -> pd.Series:
     """Whether each row is certified to both gaps in time."""
-    return ((rows["gap"] <= GAP_REL) & (rows["gap_abs"] <= GAP_ABS)
-            & (rows["solve_s"] <= CERTIFY_S))
+    return (rows["gap"] <= GAP_REL) & (rows["gap_abs"] <= GAP_ABS) & (rows["solve_s"] <= CERTIFY_S)
 
 
 def certificates(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
@@ -129,10 +147,15 @@ def certificates(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
     whole = mine.assign(steps="all")
     groups = pd.concat([mine, whole]).groupby(["group", "steps"], sort=False)
     table = groups.agg(
-        instances=("instance", "count"), certified=("certified", "sum"),
-        share=("certified", "mean"), worst_gap=("gap", "max"), worst_gap_abs=("gap_abs", "max"),
-        median_s=("solve_s", "median"), p95_s=("solve_s", lambda s: s.quantile(0.95)),
-        max_s=("solve_s", "max"))
+        instances=("instance", "count"),
+        certified=("certified", "sum"),
+        share=("certified", "mean"),
+        worst_gap=("gap", "max"),
+        worst_gap_abs=("gap_abs", "max"),
+        median_s=("solve_s", "median"),
+        p95_s=("solve_s", lambda s: s.quantile(0.95)),
+        max_s=("solve_s", "max"),
+    )
     return table.reset_index()
 
 
@@ -141,8 +164,16 @@ def stress(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
     mine = rows[(rows["method"] == method) & (rows["group"] == "stressed")]
     low = mine["v_min_pu"] <= packaged().network.v_min_pu + AT_LIMIT_PU
     lost = mine["curtailed_kwh"] > CURTAILED_KWH
-    return pd.DataFrame([{"stressed instances": len(mine), "at the voltage limit": int(low.sum()),
-                          "curtailed": int(lost.sum()), "either": int((low | lost).sum())}])
+    return pd.DataFrame(
+        [
+            {
+                "stressed instances": len(mine),
+                "at the voltage limit": int(low.sum()),
+                "curtailed": int(lost.sum()),
+                "either": int((low | lost).sum()),
+            }
+        ]
+    )
 
 
 def agreement(rows: pd.DataFrame, base: str = BASE) -> pd.DataFrame:
@@ -159,20 +190,35 @@ def agreement(rows: pd.DataFrame, base: str = BASE) -> pd.DataFrame:
         both = part.join(mine["value"].rename("mine"), how="inner")
         scale = both["value"].abs().clip(lower=1e-9)
         less = (both["value"] - both["mine"]) / scale
-        found.append({"method": method, "instances": len(both),
-                      "below": float(less.max()), "above": float((-less).max()),
-                      "above bound": float(((both["mine"] - both["bound"]) / scale).max()),
-                      "agree": int((less <= AGREEMENT_REL).sum())})
+        found.append(
+            {
+                "method": method,
+                "instances": len(both),
+                "below": float(less.max()),
+                "above": float((-less).max()),
+                "above bound": float(((both["mine"] - both["bound"]) / scale).max()),
+                "agree": int((less <= AGREEMENT_REL).sum()),
+            }
+        )
     columns = ["method", "instances", "below", "above", "above bound", "agree"]
     return pd.DataFrame(found, columns=columns)
 
 
 def cost_levels(rows: pd.DataFrame, method: str = BASE) -> pd.DataFrame:
     """Largest share by which the cost could be lower, at H = 5 in windows without an outage."""
-    mine = rows[(rows["method"] == method) & (rows["steps"] == H5_STEPS)
-                & ~rows["place"].isin(OUTAGE_PLACES)]
+    mine = rows[
+        (rows["method"] == method)
+        & (rows["steps"] == H5_STEPS)
+        & ~rows["place"].isin(OUTAGE_PLACES)
+    ]
     share = mine["cost_gap_gbp"] / mine["cost_gbp"].clip(lower=1e-9)
-    table = mine.assign(share=share).groupby("group").agg(
-        instances=("share", "count"), largest=("share", "max"),
-        within=("share", lambda s: int((s <= 1e-3).sum())))
+    table = (
+        mine.assign(share=share)
+        .groupby("group")
+        .agg(
+            instances=("share", "count"),
+            largest=("share", "max"),
+            within=("share", lambda s: int((s <= 1e-3).sum())),
+        )
+    )
     return table.rename(columns={"within": "within 0.1 %"}).reset_index()

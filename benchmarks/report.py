@@ -63,8 +63,12 @@ def write_report(sections: Sequence[Section], folder: Path, effort: str) -> Path
     for section in sections:
         for name, figure in section.figures.items():
             save_figure(figure, figures / name)
-    values = {"sections": sections, "effort": effort, "machine": machine(),
-              "versions": {k: v for k, v in versions().items() if v}}
+    values = {
+        "sections": sections,
+        "effort": effort,
+        "machine": machine(),
+        "versions": {k: v for k, v in versions().items() if v},
+    }
     for file in (MARKDOWN, HTML):
         environment = _environment(figures, escape=file == HTML)
         atomic_write_text(folder / file, environment.get_template(f"{file}.j2").render(values))
@@ -89,8 +93,13 @@ def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
     """
     text = document.read_text(encoding="utf-8")
     if BEGIN not in text or END not in text:
-        raise InputError(Problem(document.name, "has no marks for the results",
-                                 f"Write {BEGIN} and {END} around them."))
+        raise InputError(
+            Problem(
+                document.name,
+                "has no marks for the results",
+                f"Write {BEGIN} and {END} around them.",
+            )
+        )
     parts = [f"{effort} {_packages()}"]
     for section in sections:
         parts += [f"### {section.title}", section.text, *map(markdown_table, section.tables)]
@@ -121,8 +130,10 @@ def markdown_table(table: pd.DataFrame) -> str:
     | 6 | 25.12 |
     """
     lines = ["| " + " | ".join(map(str, table.columns)) + " |", "|---" * len(table.columns) + "|"]
-    lines += ["| " + " | ".join(cell(value).replace("|", "\\|") for value in row) + " |"
-              for row in table.itertuples(index=False)]
+    lines += [
+        "| " + " | ".join(cell(value).replace("|", "\\|") for value in row) + " |"
+        for row in table.itertuples(index=False)
+    ]
     return "\n".join(lines)
 
 

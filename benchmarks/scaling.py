@@ -30,9 +30,15 @@ from vppres.solve.result import SolveLimits
 Axis = Literal["buses", "steps", "minutes"]
 
 SIZES: dict[Axis, tuple[int, ...]] = {
-    "buses": tuple(FEEDERS), "steps": (1, 2, 3, 6, 12, 24, 36, 48), "minutes": (60, 15, 5)}
+    "buses": tuple(FEEDERS),
+    "steps": (1, 2, 3, 6, 12, 24, 36, 48),
+    "minutes": (60, 15, 5),
+}
 QUICK_SIZES: dict[Axis, tuple[int, ...]] = {
-    "buses": (33, 69, 115), "steps": (1, 3, 6), "minutes": (60, 15)}
+    "buses": (33, 69, 115),
+    "steps": (1, 3, 6),
+    "minutes": (60, 15),
+}
 H5_HOURS = 6
 FIRST_HOURS = (8, 10, 12)
 """Windows begin before and at the outage of 12:00: all of them meet it."""
@@ -76,9 +82,18 @@ def windows_of(case: Case, day: Scenario) -> list[WindowData]:
         for mean in STATES:
             rows = slice(round(hour / day.grid.dt_h), round(hour / day.grid.dt_h) + steps)
             soc = rng.uniform(mean - 0.1, mean + 0.1, len(b))
-            found.append(WindowData(day.load_kw[rows], day.pv_kw[rows],
-                                    day.price_gbp_per_kwh[rows], day.grid_limit_kw[rows], soc,
-                                    b.eta_charge, b.eta_discharge, delta))
+            found.append(
+                WindowData(
+                    day.load_kw[rows],
+                    day.pv_kw[rows],
+                    day.price_gbp_per_kwh[rows],
+                    day.grid_limit_kw[rows],
+                    soc,
+                    b.eta_charge,
+                    b.eta_discharge,
+                    delta,
+                )
+            )
     return found
 
 
@@ -95,13 +110,20 @@ def measure(case: Case) -> Row:
         solved = [_timed(solver, data) for data in windows]
         wall_s = time.perf_counter() - begin
     seconds = [row["solve_s"] for row in solved]
-    return {"n_steps": case.n_steps(day), "windows": len(windows),
-            "certified": sum(row["status"] == "optimal" for row in solved),
-            "first_s": first["solve_s"], "median_s": float(np.median(seconds)),
-            "mean_s": float(np.mean(seconds)), "max_s": max(seconds),
-            "gap_max": max(row["gap"] for row in solved), "memory_mb": peak_memory_mb(),
-            "library_share": clock.library_s / wall_s, "stages_s": dict(clock.stages_s),
-            "main_stage": _largest(clock)}
+    return {
+        "n_steps": case.n_steps(day),
+        "windows": len(windows),
+        "certified": sum(row["status"] == "optimal" for row in solved),
+        "first_s": first["solve_s"],
+        "median_s": float(np.median(seconds)),
+        "mean_s": float(np.mean(seconds)),
+        "max_s": max(seconds),
+        "gap_max": max(row["gap"] for row in solved),
+        "memory_mb": peak_memory_mb(),
+        "library_share": clock.library_s / wall_s,
+        "stages_s": dict(clock.stages_s),
+        "main_stage": _largest(clock),
+    }
 
 
 def _point(case: Case) -> Row:
@@ -109,8 +131,13 @@ def _point(case: Case) -> Row:
     try:
         return in_fresh_process(measure, case)
     except (MemoryError, BrokenProcessPool):
-        return {"n_steps": case.n_steps(case.scenario()), "windows": 0, "certified": 0,
-                "main_stage": OUT_OF_MEMORY, "stages_s": {}}
+        return {
+            "n_steps": case.n_steps(case.scenario()),
+            "windows": 0,
+            "certified": 0,
+            "main_stage": OUT_OF_MEMORY,
+            "stages_s": {},
+        }
 
 
 def _timed(solver: WindowSolver, data: WindowData) -> Row:
@@ -128,12 +155,16 @@ def _largest(clock: Clock) -> str:
     return max(clock.stages_s, key=lambda stage: clock.stages_s[stage], default="")
 
 
-def run_scaling(folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float,
-                bar: Progress) -> pd.DataFrame:
+def run_scaling(
+    folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float, bar: Progress
+) -> pd.DataFrame:
     """One row for each point, each measured in a process of its own."""
     limits = {"buses": min(time_s, STEP_LIMIT_S)}
-    cases = [Case(axis, size, limits.get(axis, time_s))
-             for axis, values in sizes.items() for size in values]
+    cases = [
+        Case(axis, size, limits.get(axis, time_s))
+        for axis, values in sizes.items()
+        for size in values
+    ]
     task = bar.add_task("scaling", total=len(cases))
     store = Store(folder / "rows")
     rows = []
@@ -182,8 +213,16 @@ def exponents(rows: pd.DataFrame) -> pd.DataFrame:
         size = part["size"] if axis == "buses" else part["n_steps"]
         for quantity in ("median_s", "mean_s", "first_s", "memory_mb"):
             fit = exponent(size.to_numpy(float), part[quantity].to_numpy(float))
-            found.append({"axis": axis, "quantity": quantity, "exponent": fit.value,
-                          "low": fit.low, "high": fit.high, "points": fit.points})
+            found.append(
+                {
+                    "axis": axis,
+                    "quantity": quantity,
+                    "exponent": fit.value,
+                    "low": fit.low,
+                    "high": fit.high,
+                    "points": fit.points,
+                }
+            )
     return pd.DataFrame(found)
 
 

@@ -38,9 +38,14 @@ HEADROOM = 0.1
 """Share of the inverters that physical windows keep free, the default of a run."""
 
 RUNGS = {
-    "full": "whole problem", "full_outer": "whole problem", "relaxed": "whole problem, relaxed",
-    "network_service": "in the network", "aggregate": "all terms at once",
-    "binary_service": "binaries", "service": "counts"}
+    "full": "whole problem",
+    "full_outer": "whole problem",
+    "relaxed": "whole problem, relaxed",
+    "network_service": "in the network",
+    "aggregate": "all terms at once",
+    "binary_service": "binaries",
+    "service": "counts",
+}
 """Stages that decide who is served, the last to be tried first, and the rung of the ladder that
 each belongs to."""
 OPEN = "left open"
@@ -60,9 +65,11 @@ def cases() -> Iterator[Case]:
     """All windows: 124 instances, 200 random ones, 50 with rules, 32 in physical mode."""
     for instance in read_instances():
         yield Case("benchmark", instance.name, partial(_of_instance, instance))
-    for group, make, counts in (("random", random_window, (100, 100)),
-                                ("switching rules", ruled_window, (30, 20)),
-                                ("physical", physical_window, (16, 16))):
+    for group, make, counts in (
+        ("random", random_window, (100, 100)),
+        ("switching rules", ruled_window, (30, 20)),
+        ("physical", physical_window, (16, 16)),
+    ):
         for stressed, count in zip((False, True), counts, strict=True):
             for seed in range(count):
                 name = f"{'stressed ' if stressed else ''}{seed}"
@@ -74,8 +81,9 @@ def _of_instance(instance: Instance) -> tuple[Site, WindowData]:
     return Site.of(packaged()), window_data(instance)
 
 
-def _of_window(make: Callable[[int, bool], Window], seed: int,
-               stressed: bool) -> tuple[Site, WindowData]:
+def _of_window(
+    make: Callable[[int, bool], Window], seed: int, stressed: bool
+) -> tuple[Site, WindowData]:
     """Site and data of a random window."""
     case = make(seed, stressed)
     return Site.of(case.scenario), case.data
@@ -111,10 +119,16 @@ def measure(case: Case, time_s: float) -> dict[str, object]:
         return row | {"rung": "proven infeasible", "status": type(error).__name__}
     certified = str(answer.status) == "optimal"
     return row | {
-        "rung": rung(answer.stages, data) if certified else OPEN, "status": str(answer.status),
-        "objective": answer.objective, "bound": answer.bound, "cost_gbp": answer.terms.f2,
-        "cost_gap_gbp": answer.cost_gap_gbp, "service_gap": answer.service_gap,
-        "solve_s": answer.solve_s, "stages": " ".join(answer.stages)}
+        "rung": rung(answer.stages, data) if certified else OPEN,
+        "status": str(answer.status),
+        "objective": answer.objective,
+        "bound": answer.bound,
+        "cost_gbp": answer.terms.f2,
+        "cost_gap_gbp": answer.cost_gap_gbp,
+        "service_gap": answer.service_gap,
+        "solve_s": answer.solve_s,
+        "stages": " ".join(answer.stages),
+    }
 
 
 def rung(stages: tuple[str, ...], data: WindowData) -> str:
@@ -136,8 +150,9 @@ def rung(stages: tuple[str, ...], data: WindowData) -> str:
 
 def table(rows: pd.DataFrame) -> pd.DataFrame:
     """Windows of each group that each rung closed, and their share of all."""
-    counted = rows.pivot_table(index="rung", columns="group", values="window", aggfunc="count",
-                               fill_value=0, sort=False)
+    counted = rows.pivot_table(
+        index="rung", columns="group", values="window", aggfunc="count", fill_value=0, sort=False
+    )
     counted["all"] = counted.sum(axis=1)
     counted["share"] = (counted["all"] / len(rows)).map("{:.1%}".format)
     return counted.sort_values("all", ascending=False).reset_index()
@@ -148,33 +163,39 @@ def publish(rows: pd.DataFrame, time_s: float, document: Path = DOCUMENT) -> Non
     text = document.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
-    words = (f"{len(rows)} windows, {rows['solve_s'].sum():.0f} s in all, at most {time_s:g} s "
-             "each:")
+    words = f"{len(rows)} windows, {rows['solve_s'].sum():.0f} s in all, at most {time_s:g} s each:"
     found = f"{before}{BEGIN}\n{words}\n\n{markdown(table(rows))}\n{END}{after}"
     atomic_write_text(document, found)
 
 
 def markdown(counted: pd.DataFrame) -> str:
     """A table in Markdown."""
-    lines = ["| closed by | " + " | ".join(counted.columns[1:]) + " |",
-             "|---" * len(counted.columns) + "|"]
-    lines += ["| " + " | ".join(str(value) for value in row) + " |"
-              for row in counted.itertuples(index=False)]
+    lines = [
+        "| closed by | " + " | ".join(counted.columns[1:]) + " |",
+        "|---" * len(counted.columns) + "|",
+    ]
+    lines += [
+        "| " + " | ".join(str(value) for value in row) + " |"
+        for row in counted.itertuples(index=False)
+    ]
     return "\n".join(lines)
 
 
 def main(
     time_limit: Annotated[float, typer.Option(metavar="S", help="Limit of a window.")] = 20.0,
-    results: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder of the rows.")] = Path("results/stages"),
-    to_docs: Annotated[bool, typer.Option(
-        "--publish", help="Put the table into docs/method.md.")] = False,
+    results: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the rows.")] = Path(
+        "results/stages"
+    ),
+    to_docs: Annotated[
+        bool, typer.Option("--publish", help="Put the table into docs/method.md.")
+    ] = False,
 ) -> None:
     """Count which stage closed each window, in this process."""
     with plain_errors("Nothing"):
         found = list(cases())
-        rows = pd.DataFrame([measure(case, time_limit)
-                             for case in track(found, "windows", transient=True)])
+        rows = pd.DataFrame(
+            [measure(case, time_limit) for case in track(found, "windows", transient=True)]
+        )
         results.mkdir(parents=True, exist_ok=True)
         rows.to_csv(results / "rows.csv", index=False)
         if to_docs:

@@ -52,25 +52,37 @@ def run_throughput(folder: Path, days: int, processes: int, bar: Progress) -> Ro
                     bar.advance(task)
         return rates(ends, seconds, processes)
 
-    return Store(folder / "rows").row({"bench": "throughput", "days": days,
-                                       "processes": processes}, measure)
+    return Store(folder / "rows").row(
+        {"bench": "throughput", "days": days, "processes": processes}, measure
+    )
 
 
 def rates(ends: list[float], seconds: list[float], processes: int) -> Row:
     """Rates over the whole run, and over its days after the first of each process."""
     warm = min(processes, len(ends) - 1)
     later = (len(ends) - warm) / (ends[-1] - ends[warm - 1]) if warm else len(ends) / ends[-1]
-    return {"wall_s": ends[-1], "days_per_min": 60.0 * len(ends) / ends[-1],
-            "days_per_min_warm": 60.0 * later, "day_median_s": pd.Series(seconds).median(),
-            "day_max_s": max(seconds)}
+    return {
+        "wall_s": ends[-1],
+        "days_per_min": 60.0 * len(ends) / ends[-1],
+        "days_per_min_warm": 60.0 * later,
+        "day_median_s": pd.Series(seconds).median(),
+        "day_max_s": max(seconds),
+    }
 
 
 def throughput_table(row: Row) -> pd.DataFrame:
     """What was measured, and what 1,000 days would take at that rate."""
     start_s = row["wall_s"] - row["days"] / row["days_per_min_warm"] * 60.0
     whole_min = max(start_s, 0.0) / 60.0 + DAYS / row["days_per_min_warm"]
-    return pd.DataFrame([{
-        "days measured": row["days"], "processes": row["processes"], "wall_s": row["wall_s"],
-        "days per minute": row["days_per_min"],
-        "days per minute, compiled": row["days_per_min_warm"],
-        "min for 1,000 days (extrapolated)": whole_min}])
+    return pd.DataFrame(
+        [
+            {
+                "days measured": row["days"],
+                "processes": row["processes"],
+                "wall_s": row["wall_s"],
+                "days per minute": row["days_per_min"],
+                "days per minute, compiled": row["days_per_min_warm"],
+                "min for 1,000 days (extrapolated)": whole_min,
+            }
+        ]
+    )

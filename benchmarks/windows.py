@@ -64,7 +64,8 @@ class Method:
 
 # Other forms than 16-gons are for the licences: cones and squares make smaller problems.
 METHODS = (
-    Method("decomposed", "highs"), Method("decomposed", "scip"),
+    Method("decomposed", "highs"),
+    Method("decomposed", "scip"),
     *(Method("monolithic", solver, 16) for solver in ("highs", "scip")),
     *(Method("monolithic", solver, 16, 3) for solver in LICENSED),
     *(Method("monolithic", solver, 4, 3) for solver in ("highs", "scip", *LICENSED)),
@@ -123,13 +124,20 @@ class Bench:
                 answer = solver.solve(data)
         except SolveError as error:
             return {"status": type(error).__name__, "solve_s": time.perf_counter() - begin}
-        return {"status": str(answer.status), "solve_s": answer.solve_s,
-                "compile_s": max(first_s - answer.solve_s, 0.0),
-                "value": answer.terms.upper_levels(self.site.weights), "bound": answer.bound,
-                "gap": answer.gap, "gap_abs": answer.gap_abs, "cost_gbp": answer.terms.f2,
-                "cost_gap_gbp": answer.cost_gap_gbp, "curtailed_kwh": answer.terms.f3,
-                "v_min_pu": float(answer.dispatch.v_pu[:, 1:].min()),
-                "stages": " ".join(answer.stages)}
+        return {
+            "status": str(answer.status),
+            "solve_s": answer.solve_s,
+            "compile_s": max(first_s - answer.solve_s, 0.0),
+            "value": answer.terms.upper_levels(self.site.weights),
+            "bound": answer.bound,
+            "gap": answer.gap,
+            "gap_abs": answer.gap_abs,
+            "cost_gbp": answer.terms.f2,
+            "cost_gap_gbp": answer.cost_gap_gbp,
+            "curtailed_kwh": answer.terms.f3,
+            "v_min_pu": float(answer.dispatch.v_pu[:, 1:].min()),
+            "stages": " ".join(answer.stages),
+        }
 
     def _monolithic(self, instance: Instance, method: Method, limits: SolveLimits) -> Row:
         """One solve of service, cost and curtailment as weighted, to the same gap."""
@@ -143,26 +151,43 @@ class Bench:
         whole = self.site.customers.weight.sum() * self.site.dt_h * instance.steps
         begin = time.perf_counter()
         try:
-            outcome = run(model.problem, spec, limits.absolute(whole), limits.time_s,
-                          scale=objective_scale(self.site))
+            outcome = run(
+                model.problem,
+                spec,
+                limits.absolute(whole),
+                limits.time_s,
+                scale=objective_scale(self.site),
+            )
         except Exception as error:  # a licensed solver's own class, which may not be installed
             if method.solver not in LICENSED:
                 raise
-            return {"status": NOT_ADMITTED, "solve_s": time.perf_counter() - begin,
-                    "reason": str(error)}
-        refused = (method.solver in LICENSED and outcome.solve_s < FAST_REFUSAL_S
-                   and outcome.status == Status.NUMERICAL)
-        return {"status": NOT_ADMITTED if refused else str(outcome.status),
-                "solve_s": outcome.solve_s, "compile_s": compile_s, "value": outcome.value,
-                "bound": outcome.bound, "gap_abs": max(outcome.bound - outcome.value, 0.0),
-                "gap": max(outcome.bound - outcome.value, 0.0) / max(abs(outcome.value), 1e-9)}
+            return {
+                "status": NOT_ADMITTED,
+                "solve_s": time.perf_counter() - begin,
+                "reason": str(error),
+            }
+        refused = (
+            method.solver in LICENSED
+            and outcome.solve_s < FAST_REFUSAL_S
+            and outcome.status == Status.NUMERICAL
+        )
+        return {
+            "status": NOT_ADMITTED if refused else str(outcome.status),
+            "solve_s": outcome.solve_s,
+            "compile_s": compile_s,
+            "value": outcome.value,
+            "bound": outcome.bound,
+            "gap_abs": max(outcome.bound - outcome.value, 0.0),
+            "gap": max(outcome.bound - outcome.value, 0.0) / max(abs(outcome.value), 1e-9),
+        }
 
     def _model(self, method: Method, steps: int) -> WindowModel:
         """The monolithic problem; only the last length of a method is kept, to save memory."""
         if (method, steps) not in self.models:
             self.models = {key: m for key, m in self.models.items() if key[1] == steps}
-            self.models[method, steps] = WindowModel(self.site, steps,
-                                                     Form(polygon_sides=method.sides))
+            self.models[method, steps] = WindowModel(
+                self.site, steps, Form(polygon_sides=method.sides)
+            )
         return self.models[method, steps]
 
 
@@ -183,8 +208,9 @@ def installed_methods() -> list[Method]:
 _BENCH: list[Bench] = []
 
 
-def measure_all(instance: Instance, methods: Iterable[Method], limits: Limits,
-                folder: Path) -> list[Row]:
+def measure_all(
+    instance: Instance, methods: Iterable[Method], limits: Limits, folder: Path
+) -> list[Row]:
     """All methods on one instance, one after the other, so that they share what disturbs them."""
     if not _BENCH:
         _BENCH.append(Bench(Site.of(packaged())))
@@ -195,13 +221,15 @@ def measure_all(instance: Instance, methods: Iterable[Method], limits: Limits,
         solve = limits.of(method, instance.steps)
         key = {"instance": instance.name, "method": method.label, "limit_s": solve.time_s}
         row = Store(folder).row(key, partial(_BENCH[0].measure, instance, method, solve))
-        rows.append({**row, "group": instance.group, "steps": instance.steps,
-                     "place": instance.place})
+        rows.append(
+            {**row, "group": instance.group, "steps": instance.steps, "place": instance.place}
+        )
     return rows
 
 
-def run_windows(instances: list[Instance], limits: Limits, folder: Path, processes: int,
-                bar: Progress) -> pd.DataFrame:
+def run_windows(
+    instances: list[Instance], limits: Limits, folder: Path, processes: int, bar: Progress
+) -> pd.DataFrame:
     """One row for each instance and method that is installed; finished rows are not run again."""
     methods = installed_methods()
     # Equal lengths follow each other: a process then keeps few problems compiled.

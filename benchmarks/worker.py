@@ -71,7 +71,9 @@ def _equal(one: StepRecord, other: StepRecord) -> bool:
     tables = ("customers", "pv", "batteries", "buses", "lines")
     return one.steps["objective"] == other.steps["objective"] and all(
         values.tobytes() == getattr(other, table)[name].tobytes()
-        for table in tables for name, values in getattr(one, table).items())
+        for table in tables
+        for name, values in getattr(one, table).items()
+    )
 
 
 def _cpu_s() -> float:
@@ -86,21 +88,31 @@ def summary(steps: pd.DataFrame) -> Row:
     """Medians of the steps, of the ratios of each pair, and the ratio of the sums."""
     ratio = steps["there_s"] / steps["here_s"]
     cpu = steps["there_cpu_s"] / steps["here_cpu_s"]
-    return {"steps": len(steps), "equal": int(steps["equal"].sum()),
-            "here_median_s": float(steps["here_s"].median()),
-            "there_median_s": float(steps["there_s"].median()),
-            "ratio_median": float(ratio.median()),
-            "ratio_of_sums": float(steps["there_s"].sum() / steps["here_s"].sum()),
-            "cpu_ratio_median": float(cpu.median()),
-            "cpu_ratio_of_sums": float(steps["there_cpu_s"].sum() / steps["here_cpu_s"].sum())}
+    return {
+        "steps": len(steps),
+        "equal": int(steps["equal"].sum()),
+        "here_median_s": float(steps["here_s"].median()),
+        "there_median_s": float(steps["there_s"].median()),
+        "ratio_median": float(ratio.median()),
+        "ratio_of_sums": float(steps["there_s"].sum() / steps["here_s"].sum()),
+        "cpu_ratio_median": float(cpu.median()),
+        "cpu_ratio_of_sums": float(steps["there_cpu_s"].sum() / steps["here_cpu_s"].sum()),
+    }
 
 
 def worker_table(row: Row) -> pd.DataFrame:
     """What was measured."""
-    return pd.DataFrame([{
-        "steps": row["steps"], "equal answers": row["equal"],
-        "in this process, median s": row["here_median_s"],
-        "in another, median s": row["there_median_s"], "ratio, median": row["ratio_median"],
-        "ratio of sums": row["ratio_of_sums"],
-        "processor's time, ratio, median": row["cpu_ratio_median"],
-        "processor's time, ratio of sums": row["cpu_ratio_of_sums"]}])
+    return pd.DataFrame(
+        [
+            {
+                "steps": row["steps"],
+                "equal answers": row["equal"],
+                "in this process, median s": row["here_median_s"],
+                "in another, median s": row["there_median_s"],
+                "ratio, median": row["ratio_median"],
+                "ratio of sums": row["ratio_of_sums"],
+                "processor's time, ratio, median": row["cpu_ratio_median"],
+                "processor's time, ratio of sums": row["cpu_ratio_of_sums"],
+            }
+        ]
+    )

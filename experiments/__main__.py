@@ -44,28 +44,39 @@ def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Pa
     """
     unknown = [name for name in names if name not in ALL]
     if unknown:
-        raise InputError(Problem("experiments", "is not known",
-                                 f"Use one of: {', '.join(ALL)}.", field="only",
-                                 value=unknown[0]))
+        raise InputError(
+            Problem(
+                "experiments",
+                "is not known",
+                f"Use one of: {', '.join(ALL)}.",
+                field="only",
+                value=unknown[0],
+            )
+        )
     begin = time.perf_counter()
     configs = {name: read_config(name, quick) for name in names or EXPERIMENTS}
     jobs = [job for name, config in configs.items() for job in ALL[name].jobs(config)]
     results, computed = run_jobs(jobs, folder / "cache", processes)
     solve_s = sum(day.summary["solve_s"]["total"] for day in results.values())
-    effort = Effort(len(results), computed, time.perf_counter() - begin, solve_s,
-                    processes_for(processes))
+    effort = Effort(
+        len(results), computed, time.perf_counter() - begin, solve_s, processes_for(processes)
+    )
     write_report(configs, results, effort, folder)
     return folder / MARKDOWN
 
 
 def main(
-    only: Annotated[list[str] | None, typer.Option(
-        metavar="NAME", help="Run this experiment alone; may be repeated.")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Run this experiment alone; may be repeated."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer levels and seeds.")] = False,
-    jobs: Annotated[int, typer.Option(
-        metavar="N", help="Days that run at a time; -1 is one for each core.")] = -1,
-    results: Annotated[Path, typer.Option(
-        metavar="DIR", help="Folder of report, figures and cache.")] = Path("results"),
+    jobs: Annotated[
+        int, typer.Option(metavar="N", help="Days that run at a time; -1 is one for each core.")
+    ] = -1,
+    results: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder of report, figures and cache.")
+    ] = Path("results"),
 ) -> None:
     """Reproduce the paper's figures and tables, or run further experiments by name."""
     with plain_errors("Days that were finished"):

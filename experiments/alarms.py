@@ -37,8 +37,18 @@ from vppres.scenario.scenario import Scenario
 MATERIAL = 0.05
 """Frozen readings further off than this share (of demand, PV power or capacity) do harm."""
 
-HEADINGS = ("reading", "steps read right", "false alarms", "share", "steps read wrong", "missed",
-            "share", "wrong by more than 5 %", "missed", "share")
+HEADINGS = (
+    "reading",
+    "steps read right",
+    "false alarms",
+    "share",
+    "steps read wrong",
+    "missed",
+    "share",
+    "wrong by more than 5 %",
+    "missed",
+    "share",
+)
 
 
 @dataclass(frozen=True)
@@ -63,8 +73,9 @@ class Alarms:
     material_missed: int = 0
 
     def __add__(self, other: Alarms) -> Alarms:
-        return Alarms(*(a + b for a, b in zip(asdict(self).values(), asdict(other).values(),
-                                              strict=True)))
+        return Alarms(
+            *(a + b for a, b in zip(asdict(self).values(), asdict(other).values(), strict=True))
+        )
 
     @classmethod
     def of(cls, off: Floats, alarm: Flags) -> Alarms:
@@ -84,8 +95,19 @@ class Alarms:
         """
         wrong = off > 0.0
         material = off > MATERIAL
-        return cls(*(int(np.sum(flags)) for flags in (
-            ~wrong, ~wrong & alarm, wrong, wrong & ~alarm, material, material & ~alarm)))
+        return cls(
+            *(
+                int(np.sum(flags))
+                for flags in (
+                    ~wrong,
+                    ~wrong & alarm,
+                    wrong,
+                    wrong & ~alarm,
+                    material,
+                    material & ~alarm,
+                )
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -97,8 +119,9 @@ class AlarmDay:
     counts: dict[str, Alarms]
 
 
-def counted(scenario: Scenario, faults: FaultPlan,
-            records: Sequence[StepRecord]) -> dict[str, Alarms]:
+def counted(
+    scenario: Scenario, faults: FaultPlan, records: Sequence[StepRecord]
+) -> dict[str, Alarms]:
     """Alarms of a day with faults, by quantity.
 
     Parameters
@@ -110,14 +133,20 @@ def counted(scenario: Scenario, faults: FaultPlan,
     records : sequence of StepRecord
         Its steps, as far as it went.
     """
-    return {quantity: Alarms.of(readings_off(scenario, faults, records, quantity),
-                                np.array([_alarm(record.steps["estimated"], quantity)
-                                          for record in records], dtype=np.bool_))
-            for quantity in QUANTITIES}
+    return {
+        quantity: Alarms.of(
+            readings_off(scenario, faults, records, quantity),
+            np.array(
+                [_alarm(record.steps["estimated"], quantity) for record in records], dtype=np.bool_
+            ),
+        )
+        for quantity in QUANTITIES
+    }
 
 
-def readings_off(scenario: Scenario, faults: FaultPlan, records: Sequence[StepRecord],
-                 quantity: Quantity) -> Floats:
+def readings_off(
+    scenario: Scenario, faults: FaultPlan, records: Sequence[StepRecord], quantity: Quantity
+) -> Floats:
     """How far frozen readings are from the truth in each step, as a share, shape (T,).
 
     Of the day's largest total for demand and PV power; of capacity, and of the worst battery, for
@@ -138,8 +167,9 @@ def readings_off(scenario: Scenario, faults: FaultPlan, records: Sequence[StepRe
 
 
 def _alarm(estimated: str, quantity: str) -> bool:
-    return any(text.startswith(f"{quantity} ") and "(frozen" in text
-               for text in estimated.split("; "))
+    return any(
+        text.startswith(f"{quantity} ") and "(frozen" in text for text in estimated.split("; ")
+    )
 
 
 def alarm_rows(counts: Iterable[dict[str, Alarms]]) -> list[tuple[object, ...]]:
@@ -148,9 +178,20 @@ def alarm_rows(counts: Iterable[dict[str, Alarms]]) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for quantity in QUANTITIES:
         total = sum((day[quantity] for day in days), Alarms())
-        rows.append((quantity, total.right, total.false, _share(total.false, total.right),
-                     total.wrong, total.missed, _share(total.missed, total.wrong), total.material,
-                     total.material_missed, _share(total.material_missed, total.material)))
+        rows.append(
+            (
+                quantity,
+                total.right,
+                total.false,
+                _share(total.false, total.right),
+                total.wrong,
+                total.missed,
+                _share(total.missed, total.wrong),
+                total.material,
+                total.material_missed,
+                _share(total.material_missed, total.material),
+            )
+        )
     return rows
 
 
@@ -166,17 +207,22 @@ def run_one(seed: int) -> AlarmDay:
     rng = np.random.default_rng([seed, 60870])
     scenario = small_day(rng, seed)
     quantity = QUANTITIES[seed % len(QUANTITIES)]
-    count = {"soc": len(scenario.batteries), "load": len(scenario.customers),
-             "pv": len(scenario.pv)}[quantity]
+    count = {
+        "soc": len(scenario.batteries),
+        "load": len(scenario.customers),
+        "pv": len(scenario.pv),
+    }[quantity]
     start = int(rng.integers(0, scenario.grid.n_steps - 3))
     some = tuple(int(i) for i in np.flatnonzero(rng.random(count) < 0.5))
-    fault = MeasurementFault(quantity, True, start, start + int(rng.integers(2, 7)),
-                             None if rng.random() < 0.5 else some)
+    fault = MeasurementFault(
+        quantity, True, start, start + int(rng.integers(2, 7)), None if rng.random() < 0.5 else some
+    )
     faults = FaultPlan(measurements=(fault,))
     load_bias, pv_bias = (float(x) for x in rng.uniform(-0.3, 0.3, 2))
     load_alpha, pv_alpha = (float(x) for x in rng.uniform(0.0, 0.3, 2))
-    options = RunOptions(horizon_h=2.0, seed=seed, errors=ForecastErrors(
-        load_bias, load_alpha, pv_bias, pv_alpha))
+    options = RunOptions(
+        horizon_h=2.0, seed=seed, errors=ForecastErrors(load_bias, load_alpha, pv_bias, pv_alpha)
+    )
     injector = FaultInjector(faults, scenario)
     guard = make_controller(scenario, options, injector)
     day = Day(scenario, options, injector)
@@ -188,11 +234,15 @@ def run_one(seed: int) -> AlarmDay:
 def write_report(days: Sequence[AlarmDay], wall_s: float, folder: Path) -> Path:
     """Write ``alarms.json``, ``.md`` and ``.html``; returns the Markdown file."""
     record = {"days": [asdict(day) for day in days], "wall_s": wall_s, "versions": versions()}
-    text = "\n\n".join([
-        markdown_table(HEADINGS, alarm_rows(day.counts for day in days)),
-        f"{len(days)} days of twelve hours on random feeders; one kind of reading freezes on each, "
-        f"for two to six hours, all readings or about half of them. Forecasts are off by up to "
-        f"30 % and 30 % an hour. {wall_s / 60:.1f} min; {machine()}."])
+    text = "\n\n".join(
+        [
+            markdown_table(HEADINGS, alarm_rows(day.counts for day in days)),
+            f"{len(days)} days of twelve hours on random feeders; one kind of reading freezes on "
+            "each, "
+            f"for two to six hours, all readings or about half of them. Forecasts are off by up to "
+            f"30 % and 30 % an hour. {wall_s / 60:.1f} min; {machine()}.",
+        ]
+    )
     return write_pages(folder, "alarms", "Frozen readings", text, record)
 
 

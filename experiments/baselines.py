@@ -29,8 +29,13 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots import BLUE, draw_grid, save_figure
 
-CONTROLLERS = {"mpc": "MPC, H = 5 h", "full-horizon": "full horizon", "reserve": "reserve by rule",
-               "idle": "no control", "perfect": "perfect information"}
+CONTROLLERS = {
+    "mpc": "MPC, H = 5 h",
+    "full-horizon": "full horizon",
+    "reserve": "reserve by rule",
+    "idle": "no control",
+    "perfect": "perfect information",
+}
 CONFIDENCE = 0.95
 RESAMPLES = 9999
 TABLE_WIDTH = 120
@@ -85,10 +90,18 @@ def run_seed(seed: int) -> list[Run]:
         begin = time.process_time()
         run = run_day(day, RunOptions(controller=controller, errors=errors_of(seed), seed=seed))
         figures = summarise(run)
-        runs.append(Run(
-            seed, controller, figures["resilience"], figures["cost_gbp"],
-            figures["served_share"][day.tiers[0]], float(run.steps["gap_service"].max()) / whole,
-            figures["fallbacks"], time.process_time() - begin))
+        runs.append(
+            Run(
+                seed,
+                controller,
+                figures["resilience"],
+                figures["cost_gbp"],
+                figures["served_share"][day.tiers[0]],
+                float(run.steps["gap_service"].max()) / whole,
+                figures["fallbacks"],
+                time.process_time() - begin,
+            )
+        )
     return runs
 
 
@@ -106,10 +119,17 @@ class Estimate:
         mean = float(np.mean(values))
         if len(values) < 2 or np.ptp(values) == 0.0:
             return cls(mean, mean, mean)
-        found = stats.bootstrap((values,), np.mean, n_resamples=RESAMPLES, method="percentile",
-                                confidence_level=CONFIDENCE, rng=np.random.default_rng(0))
-        return cls(mean, float(found.confidence_interval.low),
-                   float(found.confidence_interval.high))
+        found = stats.bootstrap(
+            (values,),
+            np.mean,
+            n_resamples=RESAMPLES,
+            method="percentile",
+            confidence_level=CONFIDENCE,
+            rng=np.random.default_rng(0),
+        )
+        return cls(
+            mean, float(found.confidence_interval.low), float(found.confidence_interval.high)
+        )
 
     def text(self, form: str) -> str:
         """Mean and interval in a format."""
@@ -118,8 +138,13 @@ class Estimate:
 
 def column(runs: Sequence[Run], controller: str, value: Callable[[Run], float]) -> Floats:
     """A value of each day of a controller, in the order of the seeds."""
-    return np.array([value(run) for run in sorted(runs, key=lambda run: run.seed)
-                     if run.controller == controller])
+    return np.array(
+        [
+            value(run)
+            for run in sorted(runs, key=lambda run: run.seed)
+            if run.controller == controller
+        ]
+    )
 
 
 def figure(runs: Sequence[Run]) -> Figure:
@@ -128,21 +153,29 @@ def figure(runs: Sequence[Run]) -> Figure:
     axes = drawn.subplots(1, 2, sharey=True)
     values: Mapping[str, Callable[[Run], float]] = {
         "resilience": lambda run: run.resilience,
-        "cost of imported energy (GBP)": lambda run: run.cost_gbp}
+        "cost of imported energy (GBP)": lambda run: run.cost_gbp,
+    }
     names = list(CONTROLLERS)[::-1]
     for ax, (label, value) in zip(axes, values.items(), strict=True):
         for row, name in enumerate(names):
             found = column(runs, name, value)
             mean = Estimate.of(found)
             ax.plot(found, np.full(len(found), row - 0.2), ".", color="#8A8A8A", markersize=4)
-            ax.errorbar(mean.mean, row, xerr=[[mean.mean - mean.low], [mean.high - mean.mean]],
-                        fmt="o", color=BLUE, capsize=4)
+            ax.errorbar(
+                mean.mean,
+                row,
+                xerr=[[mean.mean - mean.low], [mean.high - mean.mean]],
+                fmt="o",
+                color=BLUE,
+                capsize=4,
+            )
         ax.set_xlabel(label)
         draw_grid(ax, axis="x")
     axes[0].set_yticks(range(len(names)), [CONTROLLERS[name] for name in names])
     days = len({run.seed for run in runs})
-    drawn.suptitle(f"The same {days} days: every day (grey), mean and 95 % interval (blue)",
-                   fontsize=11)
+    drawn.suptitle(
+        f"The same {days} days: every day (grey), mean and 95 % interval (blue)", fontsize=11
+    )
     return drawn
 
 
@@ -151,8 +184,9 @@ def write_report(runs: Sequence[Run], wall_s: float, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     save_figure(figure(runs), folder / "baselines")
     record = {"runs": [asdict(run) for run in runs], "wall_s": wall_s, "versions": versions()}
-    return write_pages(folder, "baselines", "The MPC beside the baselines", _text(runs, wall_s),
-                       record)
+    return write_pages(
+        folder, "baselines", "The MPC beside the baselines", _text(runs, wall_s), record
+    )
 
 
 def _text(runs: Sequence[Run], wall_s: float) -> str:
@@ -161,23 +195,42 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
     rows = []
     for name, words in CONTROLLERS.items():
         served = column(runs, name, lambda run: run.resilience)
-        rows.append((
-            words, Estimate.of(served).text(".4f"), Estimate.of(best - served).text(".4f"),
-            Estimate.of(column(runs, name, lambda run: run.cost_gbp)).text(",.0f"),
-            f"{column(runs, name, lambda run: run.critical_share).mean():.3f}",
-            f"{column(runs, name, lambda run: run.process_s).mean():.1f}"))
+        rows.append(
+            (
+                words,
+                Estimate.of(served).text(".4f"),
+                Estimate.of(best - served).text(".4f"),
+                Estimate.of(column(runs, name, lambda run: run.cost_gbp)).text(",.0f"),
+                f"{column(runs, name, lambda run: run.critical_share).mean():.3f}",
+                f"{column(runs, name, lambda run: run.process_s).mean():.1f}",
+            )
+        )
     gap = column(runs, "perfect", lambda run: run.resilience_gap).max()
     fallbacks = sum(run.fallbacks for run in runs)
-    return "\n\n".join([
-        markdown_table(("controller", "resilience", "regret to perfect information", "cost (GBP)",
-                        "critical served", "processor time of a day (s)"), rows),
-        "![Resilience and cost](baselines.svg)",
-        f"Means over {len(best)} days with 95 % intervals (bootstrap over the days). A day is one "
-        f"of {DRAWINGS} drawings of the paper's, with its outage; load and PV forecasts have "
-        "random biases (up to 10 % and 20 %) and random errors (5 % per hour). Perfect information "
-        "is the full horizon on the actual day; what its certificates leave open is at most "
-        f"{gap:.1e} of resilience. Steps with a fallback: {fallbacks}. Wall time "
-        f"{wall_s / 60:.1f} min, {machine()}."])
+    return "\n\n".join(
+        [
+            markdown_table(
+                (
+                    "controller",
+                    "resilience",
+                    "regret to perfect information",
+                    "cost (GBP)",
+                    "critical served",
+                    "processor time of a day (s)",
+                ),
+                rows,
+            ),
+            "![Resilience and cost](baselines.svg)",
+            f"Means over {len(best)} days with 95 % intervals (bootstrap over the days). A day "
+            "is one "
+            f"of {DRAWINGS} drawings of the paper's, with its outage; load and PV forecasts have "
+            "random biases (up to 10 % and 20 %) and random errors (5 % per hour). Perfect "
+            "information "
+            "is the full horizon on the actual day; what its certificates leave open is at most "
+            f"{gap:.1e} of resilience. Steps with a fallback: {fallbacks}. Wall time "
+            f"{wall_s / 60:.1f} min, {machine()}.",
+        ]
+    )
 
 
 def main(

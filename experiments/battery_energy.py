@@ -26,10 +26,12 @@ from experiments.runner import Results
 
 LABEL = "fig:1c"
 TITLE = "Total battery energy and electricity price"
-PAPER = ("Batteries charge in hours 0 to 2, most at hour 2, and discharge in hours 3 to 6, at hour "
-         "6 against the local price peak. At hour 7 the MPC sees the outage; from then on both "
-         "controllers charge fast and are near the maximum by hour 11. In the outage the discharge "
-         "is modest at first, faster in hours 16 to 18, and ends near the minimum.")
+PAPER = (
+    "Batteries charge in hours 0 to 2, most at hour 2, and discharge in hours 3 to 6, at hour "
+    "6 against the local price peak. At hour 7 the MPC sees the outage; from then on both "
+    "controllers charge fast and are near the maximum by hour 11. In the outage the discharge "
+    "is modest at first, faster in hours 16 to 18, and ends near the minimum."
+)
 
 ALERT_HOUR = 7
 NEAR = 0.05
@@ -47,8 +49,15 @@ def figure(config: Config, results: Results) -> Figure:
     limit(energy, highest, "SoC 0.85")
     limit(energy, lowest, "SoC 0.15")
     energy.axvline(ALERT_HOUR, color="#888888", linewidth=0.8, linestyle=":")
-    energy.text(ALERT_HOUR - 0.1, 0.04, "alert", rotation=90, ha="right", fontsize=8,
-                transform=energy.get_xaxis_transform())
+    energy.text(
+        ALERT_HOUR - 0.1,
+        0.04,
+        "alert",
+        rotation=90,
+        ha="right",
+        fontsize=8,
+        transform=energy.get_xaxis_transform(),
+    )
     over_steps(price, days[MPC].series("price_gbp_per_kwh"), SERIES["price"])
     energy.set_ylabel("Stored energy (kWh)")
     energy.set_ylim(bottom=0.0)
@@ -59,8 +68,11 @@ def figure(config: Config, results: Results) -> Figure:
 
 def rows(config: Config, results: Results) -> list[Row]:
     """R8 to R11 for each controller."""
-    return [row for name, day in ideal.days(config, results).items()
-            for row in (*_before_the_alert(name, day), *_from_the_alert_on(name, day))]
+    return [
+        row
+        for name, day in ideal.days(config, results).items()
+        for row in (*_before_the_alert(name, day), *_from_the_alert_on(name, day))
+    ]
 
 
 def ours(config: Config, results: Results) -> str:
@@ -69,18 +81,22 @@ def ours(config: Config, results: Results) -> str:
     mpc = days[MPC].series("energy_kwh")
     full = days[FULL].series("energy_kwh")
     first, last = outage_hours(days[MPC])
-    return (f"Both charge to {mpc[3]:,.0f} and {full[3]:,.0f} kWh by the end of hour 2 and sell at "
-            f"hour 6. The MPC enters the outage with {mpc[first]:,.0f} kWh and leaves it with "
-            f"{mpc[last]:,.0f} kWh, the full horizon with {full[first]:,.0f} and "
-            f"{full[last]:,.0f} kWh; the limits are "
-            f"{numbers(energy_limits_kwh(), ',.0f').replace(', ', ' and ')} kWh.")
+    return (
+        f"Both charge to {mpc[3]:,.0f} and {full[3]:,.0f} kWh by the end of hour 2 and sell at "
+        f"hour 6. The MPC enters the outage with {mpc[first]:,.0f} kWh and leaves it with "
+        f"{mpc[last]:,.0f} kWh, the full horizon with {full[first]:,.0f} and "
+        f"{full[last]:,.0f} kWh; the limits are "
+        f"{numbers(energy_limits_kwh(), ',.0f').replace(', ', ' and ')} kWh."
+    )
 
 
 def energy_limits_kwh() -> tuple[float, float]:
     """Least and most energy that the batteries may hold together."""
     batteries = scenario(Day()).batteries
-    return (float(batteries.energy_kwh @ batteries.soc_min),
-            float(batteries.energy_kwh @ batteries.soc_max))
+    return (
+        float(batteries.energy_kwh @ batteries.soc_min),
+        float(batteries.energy_kwh @ batteries.soc_max),
+    )
 
 
 def _before_the_alert(name: str, day: DayResult) -> list[Row]:
@@ -88,12 +104,26 @@ def _before_the_alert(name: str, day: DayResult) -> list[Row]:
     night = charge_kw[:3]
     morning = charge_kw[3:7]
     return [
-        asserted("R8", {"no hour discharges": bool((night > -NOISE_KW).all()),
-                        "most at hour 2": int(night.argmax()) == 2},
-                 f"{numbers(night, ',.0f')} kW in hours 0 to 2", name, day.evidence),
-        asserted("R9", {"net discharge over hours 3 to 6": morning.sum() < 0,
-                        "largest at hour 6": int(morning.argmin()) == 3},
-                 f"{numbers(morning, ',.0f')} kW in hours 3 to 6", name, day.evidence),
+        asserted(
+            "R8",
+            {
+                "no hour discharges": bool((night > -NOISE_KW).all()),
+                "most at hour 2": int(night.argmax()) == 2,
+            },
+            f"{numbers(night, ',.0f')} kW in hours 0 to 2",
+            name,
+            day.evidence,
+        ),
+        asserted(
+            "R9",
+            {
+                "net discharge over hours 3 to 6": morning.sum() < 0,
+                "largest at hour 6": int(morning.argmin()) == 3,
+            },
+            f"{numbers(morning, ',.0f')} kW in hours 3 to 6",
+            name,
+            day.evidence,
+        ),
     ]
 
 
@@ -103,19 +133,31 @@ def _from_the_alert_on(name: str, day: DayResult) -> list[Row]:
     first, last = outage_hours(day)
     lowest, highest = energy_limits_kwh()
     near = NEAR * (highest - lowest)
-    early = charge_kw[first:first + 4]
-    late = charge_kw[first + 4:last]
+    early = charge_kw[first : first + 4]
+    late = charge_kw[first + 4 : last]
     alert = charge_kw[ALERT_HOUR:first]
     return [
-        asserted("R10", {"charges at hour 7": alert[0] > NOISE_KW,
-                         "hour 7 is the fastest": int(alert.argmax()) == 0,
-                         "near the maximum at the end of hour 11":
-                             energy_kwh[first] > highest - near},
-                 f"{numbers(alert, ',.0f')} kW in hours 7 to 11; {energy_kwh[first]:,.0f} of "
-                 f"{highest:,.0f} kWh", name, day.evidence),
-        asserted("R11", {"slower in hours 12 to 15 than after": -early.mean() < -late.mean(),
-                         "near the minimum at the end": energy_kwh[last] < lowest + near},
-                 f"{numbers(-charge_kw[first:last], ',.0f')} kW from hour 12 on; "
-                 f"{energy_kwh[last]:,.0f} kWh at the end (least: {lowest:,.0f})", name,
-                 day.evidence),
+        asserted(
+            "R10",
+            {
+                "charges at hour 7": alert[0] > NOISE_KW,
+                "hour 7 is the fastest": int(alert.argmax()) == 0,
+                "near the maximum at the end of hour 11": energy_kwh[first] > highest - near,
+            },
+            f"{numbers(alert, ',.0f')} kW in hours 7 to 11; {energy_kwh[first]:,.0f} of "
+            f"{highest:,.0f} kWh",
+            name,
+            day.evidence,
+        ),
+        asserted(
+            "R11",
+            {
+                "slower in hours 12 to 15 than after": -early.mean() < -late.mean(),
+                "near the minimum at the end": energy_kwh[last] < lowest + near,
+            },
+            f"{numbers(-charge_kw[first:last], ',.0f')} kW from hour 12 on; "
+            f"{energy_kwh[last]:,.0f} kWh at the end (least: {lowest:,.0f})",
+            name,
+            day.evidence,
+        ),
     ]

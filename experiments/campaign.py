@@ -103,8 +103,13 @@ def run_one(seed: int) -> DayOutcome:
     """Run the day of a seed with its faults, then judge it."""
     drawn = random_day(seed)
     faults = FaultPlan.draw(drawn.scenario, seed)
-    options = RunOptions(horizon_h=HORIZONS_H[seed % len(HORIZONS_H)], errors=drawn.errors,
-                         seed=seed, protect_critical=True, limits=SolveLimits(time_s=20.0))
+    options = RunOptions(
+        horizon_h=HORIZONS_H[seed % len(HORIZONS_H)],
+        errors=drawn.errors,
+        seed=seed,
+        protect_critical=True,
+        limits=SolveLimits(time_s=20.0),
+    )
     begin = time.process_time()
     day, to_judge, error = _play(drawn, faults, options)
     process_s = time.process_time() - begin
@@ -112,19 +117,31 @@ def run_one(seed: int) -> DayOutcome:
     finished = day.recorder.finish(options.as_record()) if not error else None
     kinds = Counter(record.steps["fallback"] for record in records)
     return DayOutcome(
-        seed=seed, scenario=drawn.scenario.name, steps=len(records), error=error,
-        resilience=None if finished is None else resilience(finished), fallbacks=dict(kinds),
-        faults={"solver": len(faults.solver), "measurements": len(faults.measurements),
-                "trips": len(faults.trips), "pv_forecast": int(faults.pv_bias != 0)},
+        seed=seed,
+        scenario=drawn.scenario.name,
+        steps=len(records),
+        error=error,
+        resilience=None if finished is None else resilience(finished),
+        fallbacks=dict(kinds),
+        faults={
+            "solver": len(faults.solver),
+            "measurements": len(faults.measurements),
+            "trips": len(faults.trips),
+            "pv_forecast": int(faults.pv_bias != 0),
+        },
         estimated=sum(record.steps["estimated"] != "" for record in records),
         ac_failures=sum(record.steps["ac_failed"] != "" for record in records),
         unnamed=sum(_unnamed(record) for record in records),
-        judged=len(to_judge), violations=judge(drawn, to_judge), process_s=process_s,
-        alarms=counted(drawn.scenario, faults, records))
+        judged=len(to_judge),
+        violations=judge(drawn, to_judge),
+        process_s=process_s,
+        alarms=counted(drawn.scenario, faults, records),
+    )
 
 
-def _play(drawn: RandomDay, faults: FaultPlan,
-          options: RunOptions) -> tuple[Day, list[StepToJudge], str]:
+def _play(
+    drawn: RandomDay, faults: FaultPlan, options: RunOptions
+) -> tuple[Day, list[StepToJudge], str]:
     """The day as far as it went, its steps to judge, and what ended it."""
     injector = FaultInjector(faults, drawn.scenario)
     guard = make_controller(drawn.scenario, options, injector)
@@ -145,7 +162,8 @@ def _play(drawn: RandomDay, faults: FaultPlan,
 
 def _unnamed(record: StepRecord) -> bool:
     return record.steps["fallback"] not in FALLBACKS or (
-        (record.steps["fallback"] != "none") != (record.steps["fallback_reason"] != ""))
+        (record.steps["fallback"] != "none") != (record.steps["fallback_reason"] != "")
+    )
 
 
 def judge(drawn: RandomDay, steps: Sequence[StepToJudge]) -> list[str]:
@@ -158,8 +176,10 @@ def judge(drawn: RandomDay, steps: Sequence[StepToJudge]) -> list[str]:
         possible = weight @ _best_alone(scenario.tiers[0], Site.of(scenario), step.known)
         served = weight @ step.served
         if possible > served + WEIGHT_TOLERANCE:
-            found.append(f"step {step.t}: {served:g} of the critical weight served, "
-                         f"{possible:g} possible; {step.known.estimated or 'all measured'}")
+            found.append(
+                f"step {step.t}: {served:g} of the critical weight served, "
+                f"{possible:g} possible; {step.known.estimated or 'all measured'}"
+            )
     return found
 
 
@@ -177,8 +197,11 @@ def _best_alone(tier: str, site: Site, known: Known) -> np.ndarray:
 
 def write_report(outcomes: Sequence[DayOutcome], wall_s: float, folder: Path) -> Path:
     """Write ``campaign.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    record = {"days": [asdict(outcome) for outcome in outcomes], "wall_s": wall_s,
-              "versions": versions()}
+    record = {
+        "days": [asdict(outcome) for outcome in outcomes],
+        "wall_s": wall_s,
+        "versions": versions(),
+    }
     return write_pages(folder, "campaign", "Days full of faults", _text(outcomes, wall_s), record)
 
 
@@ -194,32 +217,48 @@ def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:
     seconds = np.array([outcome.process_s for outcome in outcomes])
     violations = [f"day {o.seed}, {text}" for o in outcomes for text in o.violations]
     summary = [
-        ("days", count), ("days that finished", sum(not o.error for o in outcomes)),
-        ("steps", steps), ("steps with a fallback", steps - kinds["none"]),
+        ("days", count),
+        ("days that finished", sum(not o.error for o in outcomes)),
+        ("steps", steps),
+        ("steps with a fallback", steps - kinds["none"]),
         ("fallbacks without a name or a reason", sum(o.unnamed for o in outcomes)),
         ("steps with estimated measurements or a battery out", sum(o.estimated for o in outcomes)),
         ("steps without AC solution", sum(o.ac_failures for o in outcomes)),
         ("steps that shed a critical customer", sum(o.judged for o in outcomes)),
         ("of them, steps that could have served more critical weight", len(violations)),
-        ("processor time of a day, median and longest (s)",
-         f"{np.median(seconds):.1f}, {seconds.max():.1f}"),
-        ("wall time of the campaign (min)", f"{wall_s / 60:.1f}")]
-    by_kind = [(kind, kinds[kind], days_with[kind], f"{kinds[kind] / max(steps, 1):.2%}")
-               for kind in FALLBACKS]
-    fault_days = [(name, sum(o.faults[name] > 0 for o in outcomes))
-                  for name in ("solver", "measurements", "trips", "pv_forecast")]
+        (
+            "processor time of a day, median and longest (s)",
+            f"{np.median(seconds):.1f}, {seconds.max():.1f}",
+        ),
+        ("wall time of the campaign (min)", f"{wall_s / 60:.1f}"),
+    ]
+    by_kind = [
+        (kind, kinds[kind], days_with[kind], f"{kinds[kind] / max(steps, 1):.2%}")
+        for kind in FALLBACKS
+    ]
+    fault_days = [
+        (name, sum(o.faults[name] > 0 for o in outcomes))
+        for name in ("solver", "measurements", "trips", "pv_forecast")
+    ]
     failures = [f"day {o.seed}: {o.error}" for o in outcomes if o.error]
     bad = "\n".join(f"- {text}" for text in [*failures, *violations]) or "None."
-    return "\n\n".join([
-        markdown_table(("", ""), summary), "## Fallbacks by kind",
-        markdown_table(("kind", "steps", "days", "share of steps"), by_kind),
-        "## Days with faults", markdown_table(("fault", "days"), fault_days),
-        "## Alarms of frozen readings",
-        markdown_table(HEADINGS, alarm_rows(outcome.alarms for outcome in outcomes)),
-        "## Days that ended early, and critical customers shed without need", bad,
-        "Each step that shed a critical customer is solved again afterwards, alone, from what was "
-        f"known in it, with the first tier above everything else ({', '.join(JUDGE)}). "
-        f"{machine()}."])
+    return "\n\n".join(
+        [
+            markdown_table(("", ""), summary),
+            "## Fallbacks by kind",
+            markdown_table(("kind", "steps", "days", "share of steps"), by_kind),
+            "## Days with faults",
+            markdown_table(("fault", "days"), fault_days),
+            "## Alarms of frozen readings",
+            markdown_table(HEADINGS, alarm_rows(outcome.alarms for outcome in outcomes)),
+            "## Days that ended early, and critical customers shed without need",
+            bad,
+            "Each step that shed a critical customer is solved again afterwards, alone, from what "
+            "was "
+            f"known in it, with the first tier above everything else ({', '.join(JUDGE)}). "
+            f"{machine()}.",
+        ]
+    )
 
 
 def main(

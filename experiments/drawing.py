@@ -37,8 +37,9 @@ PUBLISHED_RANGE = "#E4E4E4"
 def panels(heights: tuple[float, ...], height_in: float, title: str) -> tuple[Figure, list[Axes]]:
     """Panels above each other that share their horizontal axis."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False,
-                                height_ratios=heights)[:, 0])
+    axes = list(
+        figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    )
     for ax in axes:
         draw_grid(ax)
     figure.suptitle(title, fontsize=11)
@@ -59,8 +60,15 @@ def day_axis(axes: list[Axes], day: DayResult) -> None:
     first, last = outage_hours(day)
     for ax in axes:
         ax.axvspan(first, last, color="#F6DCD3", zorder=0)
-    axes[0].text((first + last) / 2, 1.01, "outage", ha="center", va="bottom", fontsize=8,
-                 transform=axes[0].get_xaxis_transform())
+    axes[0].text(
+        (first + last) / 2,
+        1.01,
+        "outage",
+        ha="center",
+        va="bottom",
+        fontsize=8,
+        transform=axes[0].get_xaxis_transform(),
+    )
     axes[-1].set_xlim(0, DAY_H)
     axes[-1].set_xticks(range(0, DAY_H + 1, 2))
     axes[-1].set_xlabel("Hour of 19 July 2022 (UTC)")
@@ -75,8 +83,9 @@ def over_steps(ax: Axes, values: Floats, line: Mapping[str, Any], label: str = "
 def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
     """A horizontal limit with its name at the right."""
     ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
-    ax.text(1.005, value, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8,
-            color=GREY)
+    ax.text(
+        1.005, value, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8, color=GREY
+    )
 
 
 def outage_hours(day: DayResult) -> tuple[int, int]:

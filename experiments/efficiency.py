@@ -26,10 +26,12 @@ from vppres.physics.thermal import ThermalScheme
 
 LABEL = "fig:3, tab:eff"
 TITLE = "Time-varying battery efficiency"
-PAPER = ("With efficiencies that fall as cells heat, the full horizon stores about 150 kWh less "
-         "than it planned by hour 11 and reaches R = 0.81. The MPC, with H = 6, sees the "
-         "efficiencies, charges more, holds more energy before and in the outage, and reaches "
-         "0.90. It imports 60854.07 kWh, the full horizon 60691.72 kWh.")
+PAPER = (
+    "With efficiencies that fall as cells heat, the full horizon stores about 150 kWh less "
+    "than it planned by hour 11 and reaches R = 0.81. The MPC, with H = 6, sees the "
+    "efficiencies, charges more, holds more energy before and in the outage, and reaches "
+    "0.90. It imports 60854.07 kWh, the full horizon 60691.72 kWh."
+)
 
 OUTAGE = 12
 """The outage begins: stored energy at this instant is that of the end of hour 11."""
@@ -37,8 +39,10 @@ OUTAGE = 12
 
 def jobs(config: Config) -> list[Job]:
     """Both controllers in every temperature scheme, and further drawings of the full horizon."""
-    return [*(job for scheme in schemes(config) for job in pair(config, scheme).values()),
-            *_drawn(config)]
+    return [
+        *(job for scheme in schemes(config) for job in pair(config, scheme).values()),
+        *_drawn(config),
+    ]
 
 
 def schemes(config: Config) -> list[ThermalScheme]:
@@ -48,18 +52,24 @@ def schemes(config: Config) -> list[ThermalScheme]:
 
 def pair(config: Config, scheme: ThermalScheme) -> dict[str, Job]:
     """The day of each controller in one scheme."""
-    return {MPC: Job(options=RunOptions(horizon_h=float(config["horizon_h"]), thermal=scheme)),
-            FULL: Job(options=RunOptions(controller="full-horizon", thermal=scheme))}
+    return {
+        MPC: Job(options=RunOptions(horizon_h=float(config["horizon_h"]), thermal=scheme)),
+        FULL: Job(options=RunOptions(controller="full-horizon", thermal=scheme)),
+    }
 
 
 def figure(config: Config, results: Results) -> Figure:
     """Stored energy above, mean charging efficiency below."""
     days = _days(config, results, config["scheme"])
-    picture, (energy, efficiency) = panels((3, 1.3), 5.8, "Battery energy with heating, "
-                                           f"{config['scheme']} temperature step")
+    picture, (energy, efficiency) = panels(
+        (3, 1.3), 5.8, f"Battery energy with heating, {config['scheme']} temperature step"
+    )
     for name, day in days.items():
-        energy.plot(day.series("energy_kwh"), label="MPC" if name == MPC else
-                    "full horizon, actual", **LINES[name])
+        energy.plot(
+            day.series("energy_kwh"),
+            label="MPC" if name == MPC else "full horizon, actual",
+            **LINES[name],
+        )
         over_steps(efficiency, day.series("eta_charge"), LINES[name])
     energy.plot(days[FULL].planned["energy_kwh"], label="full horizon, planned", **PLANNED)
     limit(efficiency, 0.95, "nominal")
@@ -72,8 +82,11 @@ def figure(config: Config, results: Results) -> Figure:
 
 def rows(config: Config, results: Results) -> list[Row]:
     """R19, R20, R21 and R24 in every scheme."""
-    packaged = [row for scheme in schemes(config)
-                for row in _rows_of(scheme, _days(config, results, scheme))]
+    packaged = [
+        row
+        for scheme in schemes(config)
+        for row in _rows_of(scheme, _days(config, results, scheme))
+    ]
     return [*packaged, *_rows_of_drawings(config, results)]
 
 
@@ -82,12 +95,14 @@ def ours(config: Config, results: Results) -> str:
     days = _days(config, results, config["scheme"])
     mpc = days[MPC]
     full = days[FULL]
-    return (f"With the {config['scheme']} step the full horizon stores {shortfall_kwh(full):,.0f} "
-            "kWh less than planned at the end of hour 11 and reaches R = "
-            f"{full.resilience:.3f}; the MPC reaches {mpc.resilience:.3f}. They import "
-            f"{full.summary['import_kwh']:,.0f} and {mpc.summary['import_kwh']:,.0f} kWh. The "
-            "hottest cell of the MPC's day has "
-            f"{mpc.series('temperature_max_c').max():,.0f} °C.")
+    return (
+        f"With the {config['scheme']} step the full horizon stores {shortfall_kwh(full):,.0f} "
+        "kWh less than planned at the end of hour 11 and reaches R = "
+        f"{full.resilience:.3f}; the MPC reaches {mpc.resilience:.3f}. They import "
+        f"{full.summary['import_kwh']:,.0f} and {mpc.summary['import_kwh']:,.0f} kWh. The "
+        "hottest cell of the MPC's day has "
+        f"{mpc.series('temperature_max_c').max():,.0f} °C."
+    )
 
 
 def shortfall_kwh(day: DayResult) -> float:
@@ -112,10 +127,20 @@ def _rows_of_drawings(config: Config, results: Results) -> list[Row]:
     resilience = np.array([day.resilience for day in found])
     short_kwh = np.array([shortfall_kwh(day) for day in found])
     return [
-        measured("R19b", float(np.median(resilience)), ".3f", case,
-                 f"Spread: {resilience.min():.3f} to {resilience.max():.3f}."),
-        measured("R21", float(np.median(short_kwh)), ".0f", case,
-                 f"Spread: {short_kwh.min():.0f} to {short_kwh.max():.0f}."),
+        measured(
+            "R19b",
+            float(np.median(resilience)),
+            ".3f",
+            case,
+            f"Spread: {resilience.min():.3f} to {resilience.max():.3f}.",
+        ),
+        measured(
+            "R21",
+            float(np.median(short_kwh)),
+            ".0f",
+            case,
+            f"Spread: {short_kwh.min():.0f} to {short_kwh.max():.0f}.",
+        ),
     ]
 
 
@@ -142,7 +167,9 @@ def _reason(full: DayResult) -> str:
     hottest = full.series("temperature_max_c")
     eta = full.series("eta_charge")
     followed = sum(full.series("outage") > full.series("corrected"))
-    return (f"{full.why_corrected()} {followed:.0f} hours of the outage follow the plan and are "
-            f"served as planned. Hottest cell before the outage: "
-            f"{hottest[:OUTAGE].max():,.0f} °C; mean charging efficiency at its lowest: "
-            f"{eta[:OUTAGE].min():.3f}.")
+    return (
+        f"{full.why_corrected()} {followed:.0f} hours of the outage follow the plan and are "
+        f"served as planned. Hottest cell before the outage: "
+        f"{hottest[:OUTAGE].max():,.0f} °C; mean charging efficiency at its lowest: "
+        f"{eta[:OUTAGE].min():.3f}."
+    )

@@ -74,9 +74,16 @@ class Point:
 
 def jobs(config: Config) -> list[Job]:
     """All days of a figure: ideal ones, both controllers on every seed, further drawings."""
-    return [ideal.mpc(5), ideal.FULL_HORIZON,
-            *(job for level in config["levels"] for name in CONTROLLERS
-              for job in (*_seeded(config, name, level), *_drawn(config, name, level)))]
+    return [
+        ideal.mpc(5),
+        ideal.FULL_HORIZON,
+        *(
+            job
+            for level in config["levels"]
+            for name in CONTROLLERS
+            for job in (*_seeded(config, name, level), *_drawn(config, name, level))
+        ),
+    ]
 
 
 def points(config: Config, results: Results, name: str) -> list[Point]:
@@ -95,8 +102,9 @@ def figure(config: Config, results: Results, title: str, axis: str) -> Figure:
     picture, (above, below) = panels((3, 1.6), 6.2, title)
     for name in CONTROLLERS:
         found = points(config, results, name)
-        _errorbars(above, found, resilience, LINES[name], "MPC" if name == MPC else
-                   "full horizon, actual")
+        _errorbars(
+            above, found, resilience, LINES[name], "MPC" if name == MPC else "full horizon, actual"
+        )
         _errorbars(below, found, cost_gbp, LINES[name], "_")
     full = points(config, results, FULL)
     _errorbars(above, full, planned, PLANNED, "full horizon, planned")
@@ -131,10 +139,12 @@ def ours(config: Config, results: Results) -> str:
     of_full = [point.mean(resilience) for point in full]
     of_plan = [point.mean(planned) for point in full]
     medians = [float(np.median(point.spread())) for point in full]
-    return (f"On the packaged day the MPC keeps R = {_range(of_mpc)}; the full horizon promises "
-            f"{_range(of_plan)} and reaches {_range(of_full)} "
-            f"(median over {len(full[0].drawings)} drawings of the unpublished data: "
-            f"{_range(medians)}). {_corrections_text(full)}")
+    return (
+        f"On the packaged day the MPC keeps R = {_range(of_mpc)}; the full horizon promises "
+        f"{_range(of_plan)} and reaches {_range(of_full)} "
+        f"(median over {len(full[0].drawings)} drawings of the unpublished data: "
+        f"{_range(medians)}). {_corrections_text(full)}"
+    )
 
 
 def resilience(day: DayResult) -> float:
@@ -159,16 +169,21 @@ def stored_kwh(day: DayResult) -> float:
 
 def selection_text(point: Point) -> str:
     """How much more the customers whom the plan serves need than it thought."""
-    forecast, actual = (float(np.mean([_in_outage(day, name) for day in point.days]))
-                        for name in ("served_forecast_kw", "served_actual_kw"))
-    return (f"at {point.level:g} those whom the plan serves in the outage were forecast to need "
-            f"{forecast:,.0f} kWh and need {actual:,.0f}")
+    forecast, actual = (
+        float(np.mean([_in_outage(day, name) for day in point.days]))
+        for name in ("served_forecast_kw", "served_actual_kw")
+    )
+    return (
+        f"at {point.level:g} those whom the plan serves in the outage were forecast to need "
+        f"{forecast:,.0f} kWh and need {actual:,.0f}"
+    )
 
 
 def spread_text(found: Sequence[Point]) -> str:
     """Smallest and largest resilience over the drawings, for each level."""
-    parts = [f"{point.spread()[0]:.3f} to {point.spread()[-1]:.3f} at {point.level:g}"
-             for point in found]
+    parts = [
+        f"{point.spread()[0]:.3f} to {point.spread()[-1]:.3f} at {point.level:g}" for point in found
+    ]
     return f"Spread over {len(found[0].drawings)} drawings: {'; '.join(parts)}."
 
 
@@ -185,8 +200,10 @@ def _drawn(config: Config, name: str, level: float) -> list[Job]:
     """Further drawings of the unpublished data, for the full horizon."""
     if name == MPC:
         return []
-    return [_job(config, name, level, seed, Day(seed=seed))
-            for seed in range(1, config["builder_seeds"] + 1)]
+    return [
+        _job(config, name, level, seed, Day(seed=seed))
+        for seed in range(1, config["builder_seeds"] + 1)
+    ]
 
 
 def _job(config: Config, name: str, level: float, seed: int, day: Day | None = None) -> Job:
@@ -194,13 +211,21 @@ def _job(config: Config, name: str, level: float, seed: int, day: Day | None = N
     return Job(day or Day(), RunOptions(controller=CONTROLLERS[name], errors=errors, seed=seed))
 
 
-def _errorbars(ax: Axes, found: Sequence[Point], quantity: Quantity, line: dict[str, Any],
-               label: str) -> None:
+def _errorbars(
+    ax: Axes, found: Sequence[Point], quantity: Quantity, line: dict[str, Any], label: str
+) -> None:
     """Means over the seeds with their confidence intervals."""
     levels = [point.level for point in found]
-    ax.errorbar(levels, [point.mean(quantity) for point in found],
-                yerr=[point.half_width(quantity) for point in found], marker="o", markersize=4,
-                capsize=4, label=label, **line)
+    ax.errorbar(
+        levels,
+        [point.mean(quantity) for point in found],
+        yerr=[point.half_width(quantity) for point in found],
+        marker="o",
+        markersize=4,
+        capsize=4,
+        label=label,
+        **line,
+    )
 
 
 def _draw_spread(ax: Axes, found: Sequence[Point]) -> None:
@@ -209,12 +234,31 @@ def _draw_spread(ax: Axes, found: Sequence[Point]) -> None:
     for position, point in enumerate(shown):
         values = point.spread()
         levels = np.full(len(values), point.level)
-        ax.plot(levels[[0, -1]], values[[0, -1]], color=SPREAD_RANGE, linewidth=6, zorder=1,
-                solid_capstyle="butt")
-        ax.scatter(levels, values, s=9, color=SPREAD, zorder=2, label="_" if position else
-                   "full horizon, drawings of the unpublished data")
-        ax.scatter(point.level, np.median(values), marker="_", s=160, color=SPREAD,
-                   linewidths=2.0, label="_" if position else "their median")
+        ax.plot(
+            levels[[0, -1]],
+            values[[0, -1]],
+            color=SPREAD_RANGE,
+            linewidth=6,
+            zorder=1,
+            solid_capstyle="butt",
+        )
+        ax.scatter(
+            levels,
+            values,
+            s=9,
+            color=SPREAD,
+            zorder=2,
+            label="_" if position else "full horizon, drawings of the unpublished data",
+        )
+        ax.scatter(
+            point.level,
+            np.median(values),
+            marker="_",
+            s=160,
+            color=SPREAD,
+            linewidths=2.0,
+            label="_" if position else "their median",
+        )
 
 
 def _draw_published(ax: Axes) -> None:
@@ -223,8 +267,13 @@ def _draw_published(ax: Axes) -> None:
         low = STATEMENTS[id].low
         high = STATEMENTS[id].high
         if low is not None and high is not None:
-            ax.axhspan(low, high, color=PUBLISHED_RANGE, zorder=0,
-                       label="_" if position else "published ranges")
+            ax.axhspan(
+                low,
+                high,
+                color=PUBLISHED_RANGE,
+                zorder=0,
+                label="_" if position else "published ranges",
+            )
 
 
 def _in_outage(day: DayResult, name: str) -> float:
@@ -238,8 +287,10 @@ def _corrections_text(found: Sequence[Point]) -> str:
     first = days[0].steps["outage"].index(True)
     number = [len(day.corrected_hours) for day in days]
     early = [sum(hour < first for hour in day.corrected_hours) for day in days]
-    return (f"The plan is overruled in {np.mean(number):.1f} of 24 hours on average, "
-            f"{np.mean(early):.1f} of them before the outage.")
+    return (
+        f"The plan is overruled in {np.mean(number):.1f} of 24 hours on average, "
+        f"{np.mean(early):.1f} of them before the outage."
+    )
 
 
 def _range(values: Sequence[float]) -> str:

@@ -52,27 +52,105 @@ class Silent:
 
 
 ODD_VALUES: tuple[Any, ...] = (
-    "", "0.5", "nan", "\x00", "\x1b[31mred", "$x$", "../..", [], [0.5], {}, {"soc": 0.5}, None,
-    pd.NA, pd.NaT, float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 5e-324, 10**400, True,
-    np.bool_(False), 1j, Decimal("0.5"), Fraction(1, 3), object(), Silent(), b"0.5",
-    np.array([1.0, 2.0]), np.array(0.5), np.float32(0.5), np.int64(1), -0.0, -1.0,
-    pd.Timestamp("2022-07-19T00:00Z"), print, {1, 2}, (1, 2), range(3), np.datetime64("2022-07-19"))
+    "",
+    "0.5",
+    "nan",
+    "\x00",
+    "\x1b[31mred",
+    "$x$",
+    "../..",
+    [],
+    [0.5],
+    {},
+    {"soc": 0.5},
+    None,
+    pd.NA,
+    pd.NaT,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+    1e308,
+    -1e308,
+    5e-324,
+    10**400,
+    True,
+    np.bool_(False),
+    1j,
+    Decimal("0.5"),
+    Fraction(1, 3),
+    object(),
+    Silent(),
+    b"0.5",
+    np.array([1.0, 2.0]),
+    np.array(0.5),
+    np.float32(0.5),
+    np.int64(1),
+    -0.0,
+    -1.0,
+    pd.Timestamp("2022-07-19T00:00Z"),
+    print,
+    {1, 2},
+    (1, 2),
+    range(3),
+    np.datetime64("2022-07-19"),
+)
 
 ODD_NAMES: tuple[Any, ...] = (
-    "", "c999", "\x00", "\x1b", "c1 ", 5, 5.0, None, True, ("c1", "c2"), float("nan"), b"c1",
-    "x" * 1000, pd.Timestamp("2022-07-19"))
+    "",
+    "c999",
+    "\x00",
+    "\x1b",
+    "c1 ",
+    5,
+    5.0,
+    None,
+    True,
+    ("c1", "c2"),
+    float("nan"),
+    b"c1",
+    "x" * 1000,
+    pd.Timestamp("2022-07-19"),
+)
 
 ODD_TIMES: tuple[Any, ...] = (
-    None, "", "noon", "2022-07-19", "2022-07-19T00:00", "2022-13-45T00:00Z", 0, 1e308, pd.NaT,
-    pd.NA, "1-01-01T00:00Z", pd.Timestamp("2022-07-19"), np.datetime64("2022-07-19"), [], {},
-    Silent(), "2022-07-19T00:00:00.5Z", "9999-12-31T23:59Z", True)
+    None,
+    "",
+    "noon",
+    "2022-07-19",
+    "2022-07-19T00:00",
+    "2022-13-45T00:00Z",
+    0,
+    1e308,
+    pd.NaT,
+    pd.NA,
+    "1-01-01T00:00Z",
+    pd.Timestamp("2022-07-19"),
+    np.datetime64("2022-07-19"),
+    [],
+    {},
+    Silent(),
+    "2022-07-19T00:00:00.5Z",
+    "9999-12-31T23:59Z",
+    True,
+)
 
 ODD_TABLES: tuple[Any, ...] = (
-    5, "soc", [0.5], {0.5}, np.zeros(3), pd.Series(dtype=float), pd.DataFrame(), pd.Index(["c1"]),
+    5,
+    "soc",
+    [0.5],
+    {0.5},
+    np.zeros(3),
+    pd.Series(dtype=float),
+    pd.DataFrame(),
+    pd.Index(["c1"]),
     pd.Series([1.0, 2.0], index=["c1", "c1"]),
     pd.Series([1.0], index=pd.MultiIndex.from_tuples([("c1", "a")])),
-    pd.DataFrame([[1.0, 2.0]], columns=["c1", "c1"]), pd.DataFrame({"c1": ["a"]}),
-    pd.DataFrame({"c1": [1.0]}, index=pd.DatetimeIndex(["2022-07-19"])), Silent(), print)
+    pd.DataFrame([[1.0, 2.0]], columns=["c1", "c1"]),
+    pd.DataFrame({"c1": ["a"]}),
+    pd.DataFrame({"c1": [1.0]}, index=pd.DatetimeIndex(["2022-07-19"])),
+    Silent(),
+    print,
+)
 
 
 @dataclass(frozen=True)
@@ -102,16 +180,22 @@ def run_one(seed: int, count: int = MEASUREMENTS) -> GarbageOutcome:
     """Give a controller of a random feeder measurement after measurement."""
     rng = np.random.default_rng([seed, 4711])
     scenario = random_scenario(seed, n_steps=STEPS)
-    options = RunOptions(horizon_h=0.0, isolate=False, guard=seed % 5 != 4,
-                         mode="physical" if seed % 4 == 3 else "paper")
+    options = RunOptions(
+        horizon_h=0.0,
+        isolate=False,
+        guard=seed % 5 != 4,
+        mode="physical" if seed % 4 == 3 else "paper",
+    )
     controller = Controller.of(scenario, options)
     errors = Counter[str]()
     wrong = list[str]()
     for number in range(count):
         now = scenario.grid.times[min(STEPS * number // count, STEPS - 1)]
         try:
-            wrong += [f"measurement {number}: {text}" for text in beyond_limits(
-                scenario, controller.step(garbage(rng, scenario, now)))]
+            wrong += [
+                f"measurement {number}: {text}"
+                for text in beyond_limits(scenario, controller.step(garbage(rng, scenario, now)))
+            ]
         except VppresError as error:
             errors[type(error).__name__] += 1
             if str(error).startswith(INTERNAL):
@@ -139,8 +223,9 @@ def garbage(rng: Generator, scenario: Scenario, now: pd.Timestamp) -> Measuremen
     rating = float(b.s_max_kva.max(initial=1.0))
     draws: dict[str, Callable[[], Any]] = {
         "soc": lambda: _table(rng, odd, b.id, lambda: _extreme(rng, 0.0, 1.0)),
-        "load_kw": lambda: _table(rng, odd, scenario.customers.id,
-                                  lambda: _extreme(rng, -10.0, 300.0, 1e6)),
+        "load_kw": lambda: _table(
+            rng, odd, scenario.customers.id, lambda: _extreme(rng, -10.0, 300.0, 1e6)
+        ),
         "pv_kw": lambda: _table(rng, odd, scenario.pv.id, lambda: _extreme(rng, -1.0, 100.0, 1e6)),
         "price_gbp_per_kwh": lambda: _value(rng, odd, _extreme(rng, -0.5, 1.0, 1e4)),
         "grid_limit_kw": lambda: _value(rng, odd, _extreme(rng, 0.0, 500.0, 1e9)),
@@ -148,7 +233,8 @@ def garbage(rng: Generator, scenario: Scenario, now: pd.Timestamp) -> Measuremen
         "eta_discharge": lambda: _table(rng, odd, b.id, lambda: _extreme(rng, 0.1, 1.0)),
         "battery_kw": lambda: _table(rng, odd, b.id, lambda: _extreme(rng, -rating, rating)),
         "online": lambda: _table(rng, odd, b.id, lambda: bool(rng.random() < 0.7)),
-        "import_kw": lambda: _value(rng, odd, _extreme(rng, -100.0, 1000.0, 1e7))}
+        "import_kw": lambda: _value(rng, odd, _extreme(rng, -100.0, 1000.0, 1e7)),
+    }
     given = {name: draw() for name, draw in draws.items() if rng.random() < 0.5}
     moment: Any = now if rng.random() < 0.5 else now.isoformat()
     return Measurement(_pick(rng, ODD_TIMES) if rng.random() < odd else moment, **given)
@@ -162,13 +248,19 @@ def beyond_limits(scenario: Scenario, done: SetPoints) -> list[str]:
     soc = done.batteries["soc_end"].to_numpy(float)
     pv_p = done.pv["p_kw"].to_numpy(float)
     pv_s = np.hypot(pv_p, done.pv["q_kvar"].to_numpy(float))
-    excess = {"battery rating": np.abs(p) - np.minimum(b.p_max_kw, b.s_max_kva),
-              "battery disc": np.hypot(p, q) - b.s_max_kva,
-              "state of charge": np.maximum(soc - b.soc_max, b.soc_min - soc),
-              "pv disc": pv_s - scenario.pv.s_max_kva, "pv sign": -pv_p}
+    excess = {
+        "battery rating": np.abs(p) - np.minimum(b.p_max_kw, b.s_max_kva),
+        "battery disc": np.hypot(p, q) - b.s_max_kva,
+        "state of charge": np.maximum(soc - b.soc_max, b.soc_min - soc),
+        "pv disc": pv_s - scenario.pv.s_max_kva,
+        "pv sign": -pv_p,
+    }
     # NaN is beyond every limit.
-    return [f"{name} by {np.max(values):g}" for name, values in excess.items()
-            if len(values) and not np.max(values) <= TOLERANCE]
+    return [
+        f"{name} by {np.max(values):g}"
+        for name, values in excess.items()
+        if len(values) and not np.max(values) <= TOLERANCE
+    ]
 
 
 def _table(rng: Generator, odd: float, names: Names, draw: Callable[[], Any]) -> Any:
@@ -201,8 +293,11 @@ def _pick(rng: Generator, pool: Sequence[Any]) -> Any:
 
 def write_report(outcomes: Sequence[GarbageOutcome], wall_s: float, folder: Path) -> Path:
     """Write ``garbage.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    record = {"controllers": [asdict(outcome) for outcome in outcomes], "wall_s": wall_s,
-              "versions": versions()}
+    record = {
+        "controllers": [asdict(outcome) for outcome in outcomes],
+        "wall_s": wall_s,
+        "versions": versions(),
+    }
     return write_pages(folder, "garbage", "Garbage measurements", _text(outcomes, wall_s), record)
 
 
@@ -217,10 +312,16 @@ def _text(outcomes: Sequence[GarbageOutcome], wall_s: float) -> str:
         ("answered with set-points", sum(o.answered for o in outcomes)),
         *((f"refused with {name}", count) for name, count in sorted(errors.items())),
         ("other errors, and set-points beyond a rating, disc or state of charge", len(wrong)),
-        ("wall time (min)", f"{wall_s / 60:.1f}")]
-    return "\n\n".join([
-        markdown_table(("", ""), summary), "## Errors of vppres",
-        "\n".join(f"- {text}" for text in wrong) or "None.", f"{machine()}."])
+        ("wall time (min)", f"{wall_s / 60:.1f}"),
+    ]
+    return "\n\n".join(
+        [
+            markdown_table(("", ""), summary),
+            "## Errors of vppres",
+            "\n".join(f"- {text}" for text in wrong) or "None.",
+            f"{machine()}.",
+        ]
+    )
 
 
 def main(

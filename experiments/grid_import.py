@@ -24,9 +24,11 @@ from experiments.runner import Results
 
 LABEL = "fig:1d"
 TITLE = "Grid import, total load, total PV"
-PAPER = ("The import is largest at hour 2 and, with a grid, smallest at hour 6; it is zero in the "
-         "outage, when PV and batteries serve a part of the load. MPC and full horizon nearly "
-         "overlap.")
+PAPER = (
+    "The import is largest at hour 2 and, with a grid, smallest at hour 6; it is zero in the "
+    "outage, when PV and batteries serve a part of the load. MPC and full horizon nearly "
+    "overlap."
+)
 
 
 def figure(config: Config, results: Results) -> Figure:
@@ -37,8 +39,9 @@ def figure(config: Config, results: Results) -> Figure:
     over_steps(ax, days[MPC].series("pv_kw"), SERIES["pv"], "PV available")
     for name, day in days.items():
         over_steps(ax, day.series("p_grid_kw"), LINES[name], f"import, {name}")
-    over_steps(ax, days[MPC].series("served_kw"), SERIES["load"] | {"linestyle": ":"},
-               "load served, MPC")
+    over_steps(
+        ax, days[MPC].series("served_kw"), SERIES["load"] | {"linestyle": ":"}, "load served, MPC"
+    )
     ax.set_ylabel("Power (kW)")
     ax.set_ylim(bottom=0.0)
     day_axis([ax], days[MPC])
@@ -60,10 +63,12 @@ def ours(config: Config, results: Results) -> str:
     imported_kw = day.series("p_grid_kw")
     in_outage = day.series("outage") > 0
     served = day.series("served_kw")[in_outage].sum() / day.series("load_kw")[in_outage].sum()
-    return (f"The MPC's import peaks at hour {imported_kw.argmax()} with {imported_kw.max():,.0f} "
-            f"kW and is {imported_kw[6]:,.0f} kW at hour 6. In the outage the AC power flow takes "
-            f"only the losses, at most {imported_kw[in_outage].max():.1f} kW, from the slack bus; "
-            f"{served:.0%} of the load's energy is served.")
+    return (
+        f"The MPC's import peaks at hour {imported_kw.argmax()} with {imported_kw.max():,.0f} "
+        f"kW and is {imported_kw[6]:,.0f} kW at hour 6. In the outage the AC power flow takes "
+        f"only the losses, at most {imported_kw[in_outage].max():.1f} kW, from the slack bus; "
+        f"{served:.0%} of the load's energy is served."
+    )
 
 
 def _rows_of(name: str, day: DayResult) -> list[Row]:
@@ -72,13 +77,19 @@ def _rows_of(name: str, day: DayResult) -> list[Row]:
     island_kw = (imported_kw - day.series("losses_kw"))[~connected]
     curtailed = day.series("pv_curtailed_kw").sum() / day.series("pv_kw").sum()
     return [
-        asserted("R12a", {"at hour 2": int(imported_kw.argmax()) == 2},
-                 f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW", name,
-                 day.evidence),
-        measured("R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name,
-                 day.evidence),
+        asserted(
+            "R12a",
+            {"at hour 2": int(imported_kw.argmax()) == 2},
+            f"hour {imported_kw.argmax()}, {imported_kw.max():,.0f} kW",
+            name,
+            day.evidence,
+        ),
+        measured(
+            "R12b", imported_kw[6] / imported_kw[connected].min() - 1.0, ".4f", name, day.evidence
+        ),
         measured("R12c", float(np.abs(island_kw).max()), ".3f", name, day.evidence),
-        measured("R22", min(day.summary["served_share_connected"].values()), ".4f", name,
-                 day.evidence),
+        measured(
+            "R22", min(day.summary["served_share_connected"].values()), ".4f", name, day.evidence
+        ),
         measured("R23", float(curtailed), ".5f", name, day.evidence),
     ]

@@ -66,8 +66,13 @@ class Claims:
     @property
     def kept(self) -> bool:
         """Whether nothing that the record claims is untrue."""
-        return (self.import_kw == 0.0 and self.voltage_steps == 0 and self.soc <= 1e-9
-                and self.balance_kw <= BALANCE_TOLERANCE_KW and self.dark_served == 0)
+        return (
+            self.import_kw == 0.0
+            and self.voltage_steps == 0
+            and self.soc <= 1e-9
+            and self.balance_kw <= BALANCE_TOLERANCE_KW
+            and self.dark_served == 0
+        )
 
 
 def claims_of(run: Trajectory) -> Claims:
@@ -89,8 +94,10 @@ def claims_of(run: Trajectory) -> Claims:
         voltage_steps=int((claimed & ~inside).sum()),
         balance_kw=float(np.abs(imbalance_kw(run)).max()),
         soc=float(np.max([b.soc_min - soc, soc - b.soc_max], initial=0.0)),
-        dark_served=int(served[dark].sum()), dark_steps=int(dark.sum()),
-        outside_steps=int((~claimed & ~dark).sum()))
+        dark_served=int(served[dark].sum()),
+        dark_steps=int(dark.sum()),
+        outside_steps=int((~claimed & ~dark).sum()),
+    )
 
 
 def imbalance_kw(run: Trajectory) -> np.ndarray:
@@ -101,7 +108,8 @@ def imbalance_kw(run: Trajectory) -> np.ndarray:
     times = run.steps["time"]
     load_kw, pv_kw, battery_kw = (
         table.groupby("time")["kw"].sum().reindex(times, fill_value=0.0).to_numpy()
-        for table in (load, pv, battery))
+        for table in (load, pv, battery)
+    )
     grid = run.steps["p_grid_kw"].to_numpy() - run.steps["losses_kw"].to_numpy()
     return np.asarray(grid + pv_kw + battery_kw - load_kw)
 
@@ -110,9 +118,12 @@ def random_day(seed: int) -> tuple[Scenario, RunOptions]:
     """A random feeder's day in physical mode: stressed or not, with and without forecast errors."""
     day = random_scenario(seed, stressed=seed % 2 == 1, n_steps=STEPS)
     return day, RunOptions(
-        mode="physical", horizon_h=2 * day.grid.dt_h, seed=seed,
+        mode="physical",
+        horizon_h=2 * day.grid.dt_h,
+        seed=seed,
         controller="full-horizon" if seed % 5 == 4 else "mpc",
-        errors=ERRORS if seed % 3 == 0 else ForecastErrors())
+        errors=ERRORS if seed % 3 == 0 else ForecastErrors(),
+    )
 
 
 def study_random(seeds: range) -> pd.DataFrame:
@@ -125,14 +136,15 @@ def study_random(seeds: range) -> pd.DataFrame:
             for mode in ("paper", "physical"):
                 begin = time.process_time()
                 run = run_day(day, replace(options, mode=mode))
-                row |= {f"{mode}_s": time.process_time() - begin,
-                        f"{mode}_r": resilience(run)}
+                row |= {f"{mode}_s": time.process_time() - begin, f"{mode}_r": resilience(run)}
             claims = claims_of(run)
             row |= vars(claims) | {
-                "kept": claims.kept, "passes": run.steps["passes"].max(),
+                "kept": claims.kept,
+                "passes": run.steps["passes"].max(),
                 "v_error_pu": run.steps["v_error_pu"].max(),
                 "mismatch_kw": run.steps["island_mismatch_kw"].abs().max(),
-                "shed_kw": run.steps["shed_kw"].sum()}
+                "shed_kw": run.steps["shed_kw"].sum(),
+            }
         except VppresError as error:
             row["error"] = f"{type(error).__name__}: {error}"
         rows.append(row)
@@ -149,15 +161,19 @@ def study_packaged() -> pd.DataFrame:
         begin = time.process_time()
         run = run_day(day, RunOptions(**changes))
         island = run.steps["outage"].to_numpy(bool)
-        rows.append({
-            "variant": name, "resilience": resilience(run),
-            "process_s": time.process_time() - begin,
-            "v_error_pu": run.steps["v_error_pu"].max(),
-            "v_min_ac_pu": run.steps["v_min_ac_pu"].min(),
-            "mismatch_kw": run.steps["island_mismatch_kw"].abs().max(),
-            "shed_kw": run.steps["shed_kw"].sum(),
-            "island_losses_kwh": run.steps.loc[island, "losses_kw"].sum() * day.grid.dt_h,
-            "passes": run.steps["passes"].mean()})
+        rows.append(
+            {
+                "variant": name,
+                "resilience": resilience(run),
+                "process_s": time.process_time() - begin,
+                "v_error_pu": run.steps["v_error_pu"].max(),
+                "v_min_ac_pu": run.steps["v_min_ac_pu"].min(),
+                "mismatch_kw": run.steps["island_mismatch_kw"].abs().max(),
+                "shed_kw": run.steps["shed_kw"].sum(),
+                "island_losses_kwh": run.steps.loc[island, "losses_kw"].sum() * day.grid.dt_h,
+                "passes": run.steps["passes"].mean(),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -175,10 +191,12 @@ def main(
     table.to_csv(out / "random.csv", index=False)
     broken = table[(table["error"] != "") | ~table["kept"].fillna(False).astype(bool)]
     lit = table[table["dark_steps"] == 0]
-    typer.echo(f"{days} days: {days - len(broken)} keep every claim. Process time "
-               f"{table['physical_s'].sum() / table['paper_s'].sum():.2f} x the paper's mode. "
-               f"Resilience without dark steps {lit['physical_r'].mean():.4f}, in the paper's mode "
-               f"{lit['paper_r'].mean():.4f}.")
+    typer.echo(
+        f"{days} days: {days - len(broken)} keep every claim. Process time "
+        f"{table['physical_s'].sum() / table['paper_s'].sum():.2f} x the paper's mode. "
+        f"Resilience without dark steps {lit['physical_r'].mean():.4f}, in the paper's mode "
+        f"{lit['paper_r'].mean():.4f}."
+    )
     if len(broken):
         typer.echo(broken.to_string(index=False))
         raise typer.Exit(1)

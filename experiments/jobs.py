@@ -55,8 +55,12 @@ class Job:
 
     def digest(self) -> str:
         """SHA-256 of all that the result depends on: day, options, sources and libraries."""
-        inputs = {"day": _digest_of_day(self.day), "options": self.options.as_record(),
-                  "sources": sources_digest(), "versions": versions()}
+        inputs = {
+            "day": _digest_of_day(self.day),
+            "options": self.options.as_record(),
+            "sources": sources_digest(),
+            "versions": versions(),
+        }
         return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
     def text(self) -> str:
@@ -68,16 +72,24 @@ class Job:
 @cache
 def scenario(day: Day) -> Scenario:
     """The day's data."""
-    return builder.build(seed=day.seed, critical_share=day.critical_share, price=day.price,
-                         outage_steps=day.outage_steps, zone_pairing=day.zone_pairing)
+    return builder.build(
+        seed=day.seed,
+        critical_share=day.critical_share,
+        price=day.price,
+        outage_steps=day.outage_steps,
+        zone_pairing=day.zone_pairing,
+    )
 
 
 @cache
 def sources_digest() -> str:
     """SHA-256 of the source files that compute a result."""
     package = Path(vppres.__file__).parent
-    files = [file for file in sorted(package.rglob("*.py"))
-             if file.relative_to(package).parts[0] not in PRESENTATION]
+    files = [
+        file
+        for file in sorted(package.rglob("*.py"))
+        if file.relative_to(package).parts[0] not in PRESENTATION
+    ]
     digest = hashlib.sha256()
     for file in [*files, *RESULT_FORMAT]:
         digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")

@@ -30,17 +30,42 @@ PATIENCE_S = 20.0  # in which orphans must be gone; they look every half second
 # What the command writes, by name, and what it writes into, in the study's folder.
 COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", "{day}", "--out", "{place}/target", "--horizon", "0", "--quiet"),
-    "sweep": ("sweep", "{day}", "--param", "horizon", "--values", "0,1", "--jobs", "2", "--quiet",
-              "--out", "{place}/target"),
-    "new": ("new", "case33bw", "{place}/target", "--step-minutes", "240", "--outage",
-            "12:00..20:00"),
+    "sweep": (
+        "sweep",
+        "{day}",
+        "--param",
+        "horizon",
+        "--values",
+        "0,1",
+        "--jobs",
+        "2",
+        "--quiet",
+        "--out",
+        "{place}/target",
+    ),
+    "new": (
+        "new",
+        "case33bw",
+        "{place}/target",
+        "--step-minutes",
+        "240",
+        "--outage",
+        "12:00..20:00",
+    ),
     "report": ("report", "{runs}/one", "--out", "{place}/target.html"),
     "compare": ("compare", "{runs}/one", "{runs}/two", "--out", "{place}/target.html"),
 }
-WHOLE = {"run": ("summary.json", "report.html", "steps.parquet", "scenario/scenario.toml"),
-         "sweep": ("summary.json", "summary.csv", "sweep.html", "horizon=0/report.html",
-                   "horizon=1/report.html"),
-         "new": ("scenario.toml", "notes.md", "scenario.schema.json", "system.csv")}
+WHOLE = {
+    "run": ("summary.json", "report.html", "steps.parquet", "scenario/scenario.toml"),
+    "sweep": (
+        "summary.json",
+        "summary.csv",
+        "sweep.html",
+        "horizon=0/report.html",
+        "horizon=1/report.html",
+    ),
+    "new": ("scenario.toml", "notes.md", "scenario.schema.json", "system.csv"),
+}
 
 
 @dataclass
@@ -123,8 +148,17 @@ class Study:
         self.duration_s: dict[str, float] = {}
         self.names = {"day": str(day), "runs": str(home / "runs")}
         for name, horizon in (("one", "0"), ("two", "1")):
-            self._finish(("run", str(day), "--out", str(home / "runs" / name), "--horizon",
-                          horizon, "--quiet"))
+            self._finish(
+                (
+                    "run",
+                    str(day),
+                    "--out",
+                    str(home / "runs" / name),
+                    "--horizon",
+                    horizon,
+                    "--quiet",
+                )
+            )
         for kind in COMMANDS:
             begin = time.monotonic()
             self._finish(self._words(kind, home / "first" / kind))
@@ -228,8 +262,12 @@ def study(day: Path, kills: int, seed: int = 0, kinds: Sequence[str] = tuple(COM
 def main() -> None:
     """Command line of the study."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("day", type=Path, nargs="?",
-                        help="a small, sound scenario folder; a random one if not given")
+    parser.add_argument(
+        "day",
+        type=Path,
+        nargs="?",
+        help="a small, sound scenario folder; a random one if not given",
+    )
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("results/studies"))

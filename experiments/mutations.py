@@ -26,14 +26,69 @@ from vppres.io import atomic_write_text, read_scenario, write_scenario
 from vppres.io.atomic import scratch_folder
 from vppres.scenario.scenario import Scenario
 
-FILES = ("scenario.toml", "lines.csv", "customers.csv", "pv.csv", "batteries.csv", "load_kw.csv",
-         "pv_kw.csv", "system.csv")
+FILES = (
+    "scenario.toml",
+    "lines.csv",
+    "customers.csv",
+    "pv.csv",
+    "batteries.csv",
+    "load_kw.csv",
+    "pv_kw.csv",
+    "system.csv",
+)
 SNIPPETS = (
-    "", ",", "\n", '"', "'", "=", "[", "]", "-", "0", "1e400", "1e308", "-1e308", "1e-300", "nan",
-    "inf", "-1", "9" * 400, "é", "\x00", "\x1b[2J", "\r", "\t", " ", "2022-07-19T10:00:00Z",
-    "2022-02-30T10:00:00Z", "now", "time", "id", "true", "1_0", "[[outages]]\n", "[time]\n",
-    "\u2028", "\u202e", ";", "hospital", "{", "}", "#", "$\\frac{$", "[/x]", "../../x", "<script>",
-    "=1+1", "x" * 300, "\ufeff", "1e6", "-0.5", "0.999999999", "٣")
+    "",
+    ",",
+    "\n",
+    '"',
+    "'",
+    "=",
+    "[",
+    "]",
+    "-",
+    "0",
+    "1e400",
+    "1e308",
+    "-1e308",
+    "1e-300",
+    "nan",
+    "inf",
+    "-1",
+    "9" * 400,
+    "é",
+    "\x00",
+    "\x1b[2J",
+    "\r",
+    "\t",
+    " ",
+    "2022-07-19T10:00:00Z",
+    "2022-02-30T10:00:00Z",
+    "now",
+    "time",
+    "id",
+    "true",
+    "1_0",
+    "[[outages]]\n",
+    "[time]\n",
+    "\u2028",
+    "\u202e",
+    ";",
+    "hospital",
+    "{",
+    "}",
+    "#",
+    "$\\frac{$",
+    "[/x]",
+    "../../x",
+    "<script>",
+    "=1+1",
+    "x" * 300,
+    "\ufeff",
+    "1e6",
+    "-0.5",
+    "0.999999999",
+    "٣",
+)
 SLOW_S = 10.0
 # Rounding of the plant's arithmetic and of the power flow; readings have fewer digits.
 TOLERANCE_SOC = 1e-6
@@ -92,7 +147,7 @@ def mutated(texts: Mapping[str, str], draw: random.Random) -> dict[str, str]:
 def _characters(text: str, draw: random.Random) -> str:
     """Some characters replaced, anywhere."""
     at = draw.randint(0, len(text))
-    return text[:at] + draw.choice(SNIPPETS) + text[at + draw.randint(0, 12):]
+    return text[:at] + draw.choice(SNIPPETS) + text[at + draw.randint(0, 12) :]
 
 
 def _cell(text: str, draw: random.Random) -> str:
@@ -104,8 +159,13 @@ def _cell(text: str, draw: random.Random) -> str:
     place = draw.randrange(len(cells))
     try:
         value = float(cells[place])
-        other = draw.choice((value * draw.choice((-1, 0, 0.1, 0.5, 0.9, 1.1, 2, 10, 1e3, 1e9)),
-                             draw.uniform(0, 2), round(value)))
+        other = draw.choice(
+            (
+                value * draw.choice((-1, 0, 0.1, 0.5, 0.9, 1.1, 2, 10, 1e3, 1e9)),
+                draw.uniform(0, 2),
+                round(value),
+            )
+        )
         cells[place] = f" {other!r}" if mark == "=" else repr(other)
     except ValueError:
         cells[place] = draw.choice(SNIPPETS)
@@ -124,7 +184,7 @@ def _row(text: str, draw: random.Random) -> str:
     if kind == "exchange":
         rows[i], rows[j] = rows[j], rows[i]
     else:
-        rows[i:i + 1] = [] if kind == "drop" else [rows[i]] * 2
+        rows[i : i + 1] = [] if kind == "drop" else [rows[i]] * 2
     return "".join(rows)
 
 
@@ -143,8 +203,9 @@ def read_mutated(source: Path, count: int, seed: int, tally: Tally) -> Iterator[
                 scenario = read_scenario(folder)
             except InputError as error:
                 tally.refused += 1
-                if not all(getattr(p, "cure", p) and getattr(p, "where", p)
-                           for p in error.problems):
+                if not all(
+                    getattr(p, "cure", p) and getattr(p, "where", p) for p in error.problems
+                ):
                     tally.tracebacks.append(f"no cure: {error}")
             except Exception as error:
                 tally.tracebacks.append(f"{type(error).__name__}: {error}")
@@ -176,20 +237,28 @@ def refuted(run: Trajectory) -> list[str]:
     """Claims of a run's record that its own AC power flow, or arithmetic, refutes."""
     net = run.scenario.network
     found = []
-    for name, columns in (("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu", "objective"]),
-                          ("buses", ["v_ac_pu"]), ("batteries", ["soc_start", "soc_end"]),
-                          ("pv", ["curtailed_kw"])):
+    for name, columns in (
+        ("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu", "objective"]),
+        ("buses", ["v_ac_pu"]),
+        ("batteries", ["soc_start", "soc_end"]),
+        ("pv", ["curtailed_kw"]),
+    ):
         table = run.tables[name]
-        found += [f"{name}.{column} is not finite" for column in columns
-                  if column in table and not np.isfinite(table[column].to_numpy(float)).all()]
+        found += [
+            f"{name}.{column} is not finite"
+            for column in columns
+            if column in table and not np.isfinite(table[column].to_numpy(float)).all()
+        ]
     batteries = run.scenario.batteries
     soc = run.batteries["soc_end"].to_numpy(float).reshape(len(run.steps), -1)
     if (soc < batteries.soc_min - TOLERANCE_SOC).any() or (
-            soc > batteries.soc_max + TOLERANCE_SOC).any():
+        soc > batteries.soc_max + TOLERANCE_SOC
+    ).any():
         found.append("a state of charge is outside its limits")
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
     within = (v.min(axis=1) >= net.v_min_ac_pu - TOLERANCE_PU) & (
-        v.max(axis=1) <= net.v_max_ac_pu + TOLERANCE_PU)
+        v.max(axis=1) <= net.v_max_ac_pu + TOLERANCE_PU
+    )
     if (run.steps["v_within_ac"].to_numpy(bool) & ~within).any():
         found.append("a voltage is said to be within its limits, and is not")
     return found
@@ -217,8 +286,12 @@ def study(source: Path, folders: int, runs: int, seed: int = 0) -> Tally:
 def main() -> None:
     """Command line of the study."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("source", type=Path, nargs="?",
-                        help="a small, sound scenario folder; a random one if not given")
+    parser.add_argument(
+        "source",
+        type=Path,
+        nargs="?",
+        help="a small, sound scenario folder; a random one if not given",
+    )
     parser.add_argument("--folders", type=int, default=10_000)
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)

@@ -13,20 +13,25 @@ from experiments.runner import Results
 
 LABEL = "fig:2d"
 TITLE = "Effect of PV forecasting bias"
-PAPER = ("The mirror image of the load bias. PV power that is overestimated leaves batteries short "
-         "and resilience low; PV power that is underestimated gives a surplus in the island that "
-         "cannot be exported, corrections, and early depletion. The MPC keeps its resilience under "
-         "both.")
+PAPER = (
+    "The mirror image of the load bias. PV power that is overestimated leaves batteries short "
+    "and resilience low; PV power that is underestimated gives a surplus in the island that "
+    "cannot be exported, corrections, and early depletion. The MPC keeps its resilience under "
+    "both."
+)
 
 
 def figure(config: Config, results: Results) -> Figure:
     """Resilience and cost against the bias."""
-    return forecast_errors.figure(config, results, "PV forecast bias",
-                                  "Bias of the PV forecast (share)")
+    return forecast_errors.figure(
+        config, results, "PV forecast bias", "Bias of the PV forecast (share)"
+    )
 
 
 def rows(config: Config, results: Results) -> list[Row]:
     """R13, R14, R17 and R18."""
-    return [*forecast_errors.rows(config, results, "PV bias"),
-            *biases.underprepared(config, results, "R17a", sign=1, costs_less=False),
-            *biases.overprepared(config, results, "R17b", sign=-1)]
+    return [
+        *forecast_errors.rows(config, results, "PV bias"),
+        *biases.underprepared(config, results, "R17a", sign=1, costs_less=False),
+        *biases.overprepared(config, results, "R17b", sign=-1),
+    ]

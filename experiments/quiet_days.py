@@ -104,8 +104,9 @@ def quiet_day(seed: int) -> QuietDay:
     steps = int(rng.integers(3, 10))
     scenario = random_scenario(seed, stressed=bool(rng.random() < 0.2), n_steps=steps)
     values = str(rng.choice(["moving", "repeated", "constant"]))
-    held = replace(scenario, load_kw=_held(scenario.load_kw, values),
-                   pv_kw=_held(scenario.pv_kw, values))
+    held = replace(
+        scenario, load_kw=_held(scenario.load_kw, values), pv_kw=_held(scenario.pv_kw, values)
+    )
     return QuietDay(held, _options(rng, seed, scenario.grid.dt_h), values)
 
 
@@ -124,8 +125,10 @@ def _options(rng: Generator, seed: int, dt_h: float) -> RunOptions:
     return RunOptions(
         controller=str(rng.choice(["mpc", "full-horizon"], p=[0.8, 0.2])),
         mode=str(rng.choice(["paper", "physical"], p=[0.75, 0.25])),
-        horizon_h=dt_h * float(rng.integers(0, 3)), seed=seed,
-        errors=ForecastErrors(load_bias, load_alpha, pv_bias, pv_alpha))
+        horizon_h=dt_h * float(rng.integers(0, 3)),
+        seed=seed,
+        errors=ForecastErrors(load_bias, load_alpha, pv_bias, pv_alpha),
+    )
 
 
 def run_one(seed: int) -> QuietOutcome:
@@ -133,11 +136,14 @@ def run_one(seed: int) -> QuietOutcome:
     day = quiet_day(seed)
     guarded, _ = decisions(day.scenario, replace(day.options, guard=True))
     plain, ended = decisions(day.scenario, replace(day.options, guard=False))
-    changed = [f"step {t}: {difference(one, other)}"
-               for t, (one, other) in enumerate(zip(guarded, plain, strict=False))
-               if difference(one, other)]
-    return QuietOutcome(seed, day.values, day.options.controller, day.options.mode, len(plain),
-                        changed, ended)
+    changed = [
+        f"step {t}: {difference(one, other)}"
+        for t, (one, other) in enumerate(zip(guarded, plain, strict=False))
+        if difference(one, other)
+    ]
+    return QuietOutcome(
+        seed, day.values, day.options.controller, day.options.mode, len(plain), changed, ended
+    )
 
 
 def decisions(scenario: Scenario, options: RunOptions) -> tuple[list[Decision], str]:
@@ -155,15 +161,23 @@ def decisions(scenario: Scenario, options: RunOptions) -> tuple[list[Decision], 
 def difference(guarded: Decision, plain: Decision) -> str:
     """How a guarded decision differs from the plain one, empty if not in a single bit."""
     words = [text for text in (guarded.fallback_reason, guarded.estimated) if text]
-    words += [name for name in SET_POINTS if not np.array_equal(
-        getattr(guarded.dispatch, name)[guarded.row], getattr(plain.dispatch, name)[plain.row])]
+    words += [
+        name
+        for name in SET_POINTS
+        if not np.array_equal(
+            getattr(guarded.dispatch, name)[guarded.row], getattr(plain.dispatch, name)[plain.row]
+        )
+    ]
     return "; ".join(words)
 
 
 def write_report(outcomes: Sequence[QuietOutcome], wall_s: float, folder: Path) -> Path:
     """Write ``quiet_days.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    record = {"days": [asdict(outcome) for outcome in outcomes], "wall_s": wall_s,
-              "versions": versions()}
+    record = {
+        "days": [asdict(outcome) for outcome in outcomes],
+        "wall_s": wall_s,
+        "versions": versions(),
+    }
     return write_pages(folder, "quiet_days", "Days without faults", _text(outcomes, wall_s), record)
 
 
@@ -171,23 +185,38 @@ def _text(outcomes: Sequence[QuietOutcome], wall_s: float) -> str:
     """The report in words and tables."""
     changed = [f"day {o.seed}, {text}" for o in outcomes for text in o.changed]
     summary = [
-        ("days", len(outcomes)), ("steps compared", sum(o.steps for o in outcomes)),
+        ("days", len(outcomes)),
+        ("steps compared", sum(o.steps for o in outcomes)),
         ("steps in which the guard changed a decision or a reading", len(changed)),
-        ("days that end early without guard, for want of a dispatch",
-         sum(o.ended != "" for o in outcomes)),
-        ("wall time (min)", f"{wall_s / 60:.1f}")]
+        (
+            "days that end early without guard, for want of a dispatch",
+            sum(o.ended != "" for o in outcomes),
+        ),
+        ("wall time (min)", f"{wall_s / 60:.1f}"),
+    ]
     kinds = sorted({(o.values, o.controller, o.mode) for o in outcomes})
     rows = []
     for kind in kinds:
         of_kind = [o for o in outcomes if (o.values, o.controller, o.mode) == kind]
-        rows.append((*kind, len(of_kind), sum(o.steps for o in of_kind),
-                     sum(len(o.changed) for o in of_kind)))
-    return "\n\n".join([
-        markdown_table(("", ""), summary), "## By kind",
-        markdown_table(("values", "controller", "mode", "days", "steps", "changed"), rows),
-        "## Changed decisions", "\n".join(f"- {text}" for text in changed) or "None.",
-        f"Forecasts are off by a bias of up to 30 % and by noise of up to 30 % an hour. "
-        f"{machine()}."])
+        rows.append(
+            (
+                *kind,
+                len(of_kind),
+                sum(o.steps for o in of_kind),
+                sum(len(o.changed) for o in of_kind),
+            )
+        )
+    return "\n\n".join(
+        [
+            markdown_table(("", ""), summary),
+            "## By kind",
+            markdown_table(("values", "controller", "mode", "days", "steps", "changed"), rows),
+            "## Changed decisions",
+            "\n".join(f"- {text}" for text in changed) or "None.",
+            f"Forecasts are off by a bias of up to 30 % and by noise of up to 30 % an hour. "
+            f"{machine()}.",
+        ]
+    )
 
 
 def main(

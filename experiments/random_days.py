@@ -47,9 +47,17 @@ class RandomDay:
 def random_day(seed: int) -> RandomDay:
     """A day from its seed: the paper's feeder in two of five, a small feeder in the others."""
     rng = np.random.default_rng([seed, 8086])
-    errors = ForecastErrors(*(float(x) for x in (
-        rng.uniform(-0.1, 0.1), rng.uniform(0.0, 0.1), rng.uniform(-0.2, 0.2),
-        rng.uniform(0.0, 0.1))))
+    errors = ForecastErrors(
+        *(
+            float(x)
+            for x in (
+                rng.uniform(-0.1, 0.1),
+                rng.uniform(0.0, 0.1),
+                rng.uniform(-0.2, 0.2),
+                rng.uniform(0.0, 0.1),
+            )
+        )
+    )
     if rng.random() < LARGE_SHARE:
         return RandomDay(seed, heatwave_day(rng), errors)
     return RandomDay(seed, small_day(rng, seed), errors)
@@ -79,19 +87,30 @@ def small_day(rng: Generator, seed: int) -> Scenario:
     length = int(rng.integers(2, 7))
     dark = (np.arange(SMALL_STEPS) >= begin) & (np.arange(SMALL_STEPS) < begin + length)
     return Scenario(
-        name=f"random-{seed}", title="Random feeder",
+        name=f"random-{seed}",
+        title="Random feeder",
         grid=TimeGrid(pd.Timestamp("2022-07-19T07:00", tz="UTC"), 60.0, SMALL_STEPS),
         network=_tree(rng, n_buses, peak_kw),
-        customers=Customers(id=_names("c", bus), bus=bus.astype(object), tier=tier,
-                            weight=np.array([WEIGHT[name] for name in tier]),
-                            power_factor=rng.uniform(0.9, 1.0, len(bus))),
-        pv=PVSystems(id=_names("p", bus[owners]), customer=_names("c", bus[owners]),
-                     p_max_kw=panel_kw, s_max_kva=1.1 * panel_kw),
+        customers=Customers(
+            id=_names("c", bus),
+            bus=bus.astype(object),
+            tier=tier,
+            weight=np.array([WEIGHT[name] for name in tier]),
+            power_factor=rng.uniform(0.9, 1.0, len(bus)),
+        ),
+        pv=PVSystems(
+            id=_names("p", bus[owners]),
+            customer=_names("c", bus[owners]),
+            p_max_kw=panel_kw,
+            s_max_kva=1.1 * panel_kw,
+        ),
         batteries=_batteries(rng, n_buses, float(peak_kw.sum())),
         load_kw=peak_kw * rng.uniform(0.5, 1.0, (SMALL_STEPS, len(bus))),
         pv_kw=sun[:, None] * panel_kw * cloud,
         price_gbp_per_kwh=rng.uniform(0.1, 0.6, SMALL_STEPS),
-        temperature_c=np.full(SMALL_STEPS, 30.0), grid_limit_kw=np.where(dark, 0.0, np.inf))
+        temperature_c=np.full(SMALL_STEPS, 30.0),
+        grid_limit_kw=np.where(dark, 0.0, np.inf),
+    )
 
 
 def _names(letter: str, numbers: Wholes) -> Names:
@@ -105,21 +124,36 @@ def _tree(rng: Generator, n_buses: int, peak_kw: Floats) -> Network:
     # The deepest bus lies below all lines at worst: the sum bounds every drop of voltage.
     scale = 0.03 * 1000.0 * 11.0**2 / (float(peak_kw.sum()) * float(r.sum()))
     below = np.arange(2, n_buses + 1).astype(object)
-    return Network(np.array(above, dtype=object), below, r * scale, 0.6 * r * scale, slack_bus=1,
-                   base_kv=11.0)
+    return Network(
+        np.array(above, dtype=object), below, r * scale, 0.6 * r * scale, slack_bus=1, base_kv=11.0
+    )
 
 
 def _batteries(rng: Generator, n_buses: int, peak_kw: float) -> Batteries:
     """One to four batteries that differ in size and state."""
     count = int(rng.integers(1, 5))
     p = peak_kw * rng.uniform(0.05, 0.3, count)
-    paper = {"soc_min": 0.15, "soc_max": 0.85, "eta_charge": 0.95, "eta_discharge": 0.95,
-             "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3, "alpha_charge_per_c2": 1e-4,
-             "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035, "beta_per_c": 0.003,
-             "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": 30.0}
+    paper = {
+        "soc_min": 0.15,
+        "soc_max": 0.85,
+        "eta_charge": 0.95,
+        "eta_discharge": 0.95,
+        "r_theta_c_per_kw": 3.5,
+        "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 1e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "t_initial_c": 30.0,
+    }
     return Batteries(
         id=_names("b", np.arange(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
-        energy_kwh=p * rng.uniform(1.0, 4.0, count), p_max_kw=p, s_max_kva=1.2 * p,
+        energy_kwh=p * rng.uniform(1.0, 4.0, count),
+        p_max_kw=p,
+        s_max_kva=1.2 * p,
         soc_initial=rng.uniform(0.15, 0.85, count),
-        **{name: np.full(count, value) for name, value in paper.items()})
+        **{name: np.full(count, value) for name, value in paper.items()},
+    )

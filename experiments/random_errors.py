@@ -18,8 +18,15 @@ def planned_row(config: Config, results: Results, case: str) -> Row:
 
     def reason() -> str:
         evidence = "; ".join(selection_text(point) for point in found[1:])
-        return ("Errors are drawn for each customer, so a plan picks those whose forecast came out "
-                f"low, and promises more than perfect foresight gives: {evidence}.")
+        return (
+            "Errors are drawn for each customer, so a plan picks those whose forecast came out "
+            f"low, and promises more than perfect foresight gives: {evidence}."
+        )
 
-    return asserted("R15", {"falls with every level": bool((np.diff(values) < 0).all())},
-                    f"{numbers(values)} at {numbers([p.level for p in found], 'g')}", case, reason)
+    return asserted(
+        "R15",
+        {"falls with every level": bool((np.diff(values) < 0).all())},
+        f"{numbers(values)} at {numbers([p.level for p in found], 'g')}",
+        case,
+        reason,
+    )

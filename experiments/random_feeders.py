@@ -49,13 +49,19 @@ def random_scenario(seed: int, stressed: bool = False, n_steps: int | None = Non
     sun = (1.0, 3.0) if stressed and rng.random() < 0.5 else (0.1, 1.2)
     pv = _pv(rng, customers, base_kw * rng.uniform(*sun, len(customers)), stressed)
     return Scenario(
-        name=f"random-{seed}", title="Random feeder",
+        name=f"random-{seed}",
+        title="Random feeder",
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), float(rng.choice([15, 30, 60])), steps),
         network=_network(rng, n_buses, customers, load_kw.max(axis=0), stressed),
-        customers=customers, pv=pv, batteries=_batteries(rng, n_buses, base_kw.sum(), stressed),
-        load_kw=load_kw, pv_kw=pv.p_max_kw * rng.uniform(0.0, 1.0, (steps, len(pv))),
-        price_gbp_per_kwh=_prices(rng, steps), temperature_c=rng.uniform(15.0, 38.0, steps),
-        grid_limit_kw=np.where(_outage(rng, steps), 0.0, _import_limit(rng, load_kw)))
+        customers=customers,
+        pv=pv,
+        batteries=_batteries(rng, n_buses, base_kw.sum(), stressed),
+        load_kw=load_kw,
+        pv_kw=pv.p_max_kw * rng.uniform(0.0, 1.0, (steps, len(pv))),
+        price_gbp_per_kwh=_prices(rng, steps),
+        temperature_c=rng.uniform(15.0, 38.0, steps),
+        grid_limit_kw=np.where(_outage(rng, steps), 0.0, _import_limit(rng, load_kw)),
+    )
 
 
 def random_window(seed: int, stressed: bool = False) -> Window:
@@ -66,13 +72,19 @@ def random_window(seed: int, stressed: bool = False) -> Window:
     steps = scenario.grid.n_steps
     n_lines = scenario.network.n_lines
     offset = rng.choice([0.0, 1.0]) * rng.uniform(-3e-4, 3e-4, n_lines)
-    return Window(scenario, WindowData(
-        load_kw=scenario.load_kw, pv_kw=scenario.pv_kw,
-        price_gbp_per_kwh=scenario.price_gbp_per_kwh, grid_limit_kw=scenario.grid_limit_kw,
-        soc=b.soc_min + (b.soc_max - b.soc_min) * rng.uniform(0.0, 1.0, len(b)),
-        eta_charge=b.eta_charge * rng.uniform(0.9, 1.0, len(b)),
-        eta_discharge=b.eta_discharge * rng.uniform(0.9, 1.0, len(b)),
-        delta_pu2=np.tile(offset, (steps, 1))))
+    return Window(
+        scenario,
+        WindowData(
+            load_kw=scenario.load_kw,
+            pv_kw=scenario.pv_kw,
+            price_gbp_per_kwh=scenario.price_gbp_per_kwh,
+            grid_limit_kw=scenario.grid_limit_kw,
+            soc=b.soc_min + (b.soc_max - b.soc_min) * rng.uniform(0.0, 1.0, len(b)),
+            eta_charge=b.eta_charge * rng.uniform(0.9, 1.0, len(b)),
+            eta_discharge=b.eta_discharge * rng.uniform(0.9, 1.0, len(b)),
+            delta_pu2=np.tile(offset, (steps, 1)),
+        ),
+    )
 
 
 def random_rules(seed: int) -> SwitchingRules:
@@ -89,8 +101,11 @@ def random_rules(seed: int) -> SwitchingRules:
         min_served_h=sometimes(rng.uniform(0.0, 2.5)),
         min_unserved_h=sometimes(rng.uniform(0.0, 2.5)),
         price_per_action=sometimes(rng.choice([0.01, 0.05, rng.uniform(0.0, 0.2)])),
-        max_actions_per_customer=most, stay_restored=bool(rng.random() < share / 3),
-        cold_load_factor=1.0 + cold, cold_load_h=rng.uniform(0.0, 2.0) if cold else 0.0)
+        max_actions_per_customer=most,
+        stay_restored=bool(rng.random() < share / 3),
+        cold_load_factor=1.0 + cold,
+        cold_load_h=rng.uniform(0.0, 2.0) if cold else 0.0,
+    )
 
 
 def random_state(seed: int, scenario: Scenario) -> SwitchingState:
@@ -127,11 +142,16 @@ def _customers(rng: Generator, n_buses: int) -> Customers:
 
 def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) -> PVSystems:
     """At most one system per customer; under stress some inverters are below their panels."""
-    owners = np.flatnonzero(rng.random(len(customers)) < rng.choice([0.0, 0.4, 0.8],
-                                                                    p=[0.2, 0.4, 0.4]))
+    owners = np.flatnonzero(
+        rng.random(len(customers)) < rng.choice([0.0, 0.4, 0.8], p=[0.2, 0.4, 0.4])
+    )
     p = p_max_kw[owners]
-    return PVSystems(id=_names("p", owners), customer=customers.id[owners], p_max_kw=p,
-                     s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, len(owners)))
+    return PVSystems(
+        id=_names("p", owners),
+        customer=customers.id[owners],
+        p_max_kw=p,
+        s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, len(owners)),
+    )
 
 
 def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> Batteries:
@@ -139,21 +159,35 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
     count = int(rng.choice([0, 1, 2, 3, 5], p=[0.2, 0.2, 0.2, 0.2, 0.2]))
     p = peak_kw * rng.uniform(0.1, 0.4, count)
     soc_min = rng.uniform(0.05, 0.2, count)
-    paper = {"alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
-             "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": 22.0}
+    paper = {
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 1e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "t_initial_c": 22.0,
+    }
     return Batteries(
-        id=_names("b", range(count)), bus=rng.integers(2, n_buses + 1, count).astype(object),
-        energy_kwh=p * rng.uniform(0.5, 3.0, count), p_max_kw=p,
-        s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, count), soc_min=soc_min,
-        soc_max=rng.uniform(0.8, 0.95, count), soc_initial=rng.uniform(soc_min, 0.8),
-        eta_charge=rng.uniform(0.85, 0.99, count), eta_discharge=rng.uniform(0.85, 0.99, count),
+        id=_names("b", range(count)),
+        bus=rng.integers(2, n_buses + 1, count).astype(object),
+        energy_kwh=p * rng.uniform(0.5, 3.0, count),
+        p_max_kw=p,
+        s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, count),
+        soc_min=soc_min,
+        soc_max=rng.uniform(0.8, 0.95, count),
+        soc_initial=rng.uniform(soc_min, 0.8),
+        eta_charge=rng.uniform(0.85, 0.99, count),
+        eta_discharge=rng.uniform(0.85, 0.99, count),
         r_theta_c_per_kw=rng.uniform(2.8, 4.4, count),
         c_theta_kwh_per_c=rng.uniform(0.11, 0.43, count),
-        **{name: np.full(count, value) for name, value in paper.items()})
+        **{name: np.full(count, value) for name, value in paper.items()},
+    )
 
 
-def _network(rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats,
-             stressed: bool) -> Network:
+def _network(
+    rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats, stressed: bool
+) -> Network:
     """A random tree; its impedances bring the lowest voltage at full load into the range."""
     above = [int(rng.integers(max(1, n - 3), n)) for n in range(2, n_buses + 1)]
     r = rng.uniform(0.2, 1.0, n_buses - 1)
@@ -195,6 +229,10 @@ def _import_limit(rng: Generator, load_kw: Floats) -> Floats | float:
 def _outage(rng: Generator, steps: int) -> Flags:
     """None, all, one interval, or scattered steps."""
     begin, end = np.sort(rng.integers(0, steps + 1, 2))
-    kinds = (np.zeros(steps, bool), np.ones(steps, bool),
-             (np.arange(steps) >= begin) & (np.arange(steps) < end), rng.random(steps) < 0.5)
+    kinds = (
+        np.zeros(steps, bool),
+        np.ones(steps, bool),
+        (np.arange(steps) >= begin) & (np.arange(steps) < end),
+        rng.random(steps) < 0.5,
+    )
     return kinds[int(rng.choice(4, p=[0.2, 0.2, 0.4, 0.2]))]

@@ -60,14 +60,17 @@ class Effort:
 
     def text(self) -> str:
         """The effort in a sentence."""
-        return (f"{self.days} simulated days, {self.computed} of them computed in this run and the "
-                f"others taken from the cache; {self.wall_s / 60:.1f} min of wall time with "
-                f"{self.processes} processes. The decisions of all days took {self.day_s / 60:.1f} "
-                "min of solve time.")
+        return (
+            f"{self.days} simulated days, {self.computed} of them computed in this run and the "
+            f"others taken from the cache; {self.wall_s / 60:.1f} min of wall time with "
+            f"{self.processes} processes. The decisions of all days took {self.day_s / 60:.1f} "
+            "min of solve time."
+        )
 
 
-def write_report(configs: Mapping[str, Config], results: Results, effort: Effort,
-                 folder: Path) -> list[Row]:
+def write_report(
+    configs: Mapping[str, Config], results: Results, effort: Effort, folder: Path
+) -> list[Row]:
     """Write figures and both reports.
 
     Parameters
@@ -94,22 +97,40 @@ def write_report(configs: Mapping[str, Config], results: Results, effort: Effort
         experiment = ALL[name]
         save_figure(experiment.figure(config, results), figures / name)
         rows += experiment.rows(config, results)
-        sections.append(Section(name, experiment.LABEL, experiment.TITLE, experiment.PAPER,
-                                experiment.ours(config, results)))
+        sections.append(
+            Section(
+                name,
+                experiment.LABEL,
+                experiment.TITLE,
+                experiment.PAPER,
+                experiment.ours(config, results),
+            )
+        )
     rows.sort(key=order)
-    values = {"sections": sections, "rows": rows, "effort": effort.text(), "machine": machine(),
-              "lines": _lines(configs, results), "configs": configs, "versions": versions(),
-              "failed": sum(not row.holds for row in rows)}
+    values = {
+        "sections": sections,
+        "rows": rows,
+        "effort": effort.text(),
+        "machine": machine(),
+        "lines": _lines(configs, results),
+        "configs": configs,
+        "versions": versions(),
+        "failed": sum(not row.holds for row in rows),
+    }
     for file in (HTML, MARKDOWN):
-        atomic_write_text(folder / file, _environment(figures, file == HTML).get_template(
-            f"{file}.j2").render(values))
+        atomic_write_text(
+            folder / file,
+            _environment(figures, file == HTML).get_template(f"{file}.j2").render(values),
+        )
     return rows
 
 
 def machine() -> str:
     """Processor, cores and system."""
-    return (f"{platform.machine()}, {os.cpu_count()} logical cores, {platform.system()}, "
-            f"Python {platform.python_version()}")
+    return (
+        f"{platform.machine()}, {os.cpu_count()} logical cores, {platform.system()}, "
+        f"Python {platform.python_version()}"
+    )
 
 
 def _lines(configs: Mapping[str, Config], results: Results) -> list[sensitivities.Line]:

@@ -50,11 +50,14 @@ class DayResult:
 
     def evidence(self) -> str:
         """Figures that help to see why a day came out as it did."""
-        shares = ", ".join(f"{tier} {share:.0%}"
-                           for tier, share in self.summary["served_share"].items())
+        shares = ", ".join(
+            f"{tier} {share:.0%}" for tier, share in self.summary["served_share"].items()
+        )
         stored_kwh = self.steps["energy_kwh"][self.steps["outage"].index(True)]
-        return (f"Served in the outage: {shares}; stored at its beginning: {stored_kwh:,.0f} kWh. "
-                f"{self.why_corrected()}")
+        return (
+            f"Served in the outage: {shares}; stored at its beginning: {stored_kwh:,.0f} kWh. "
+            f"{self.why_corrected()}"
+        )
 
     def series(self, name: str) -> Floats:
         """One quantity of every step."""

@@ -44,20 +44,26 @@ class Row:
         return "yes" if self.holds else "no"
 
 
-def measured(id: str, value: float, form: str = ".3f", case: str = "",
-             reason: Reason = "") -> Row:
+def measured(id: str, value: float, form: str = ".3f", case: str = "", reason: Reason = "") -> Row:
     """Row of a number."""
     statement = STATEMENTS[id]
     difference = statement.difference(value)
     holds = statement.holds(value)
-    return Row(id, _quantity(id, case), statement.published, format(value, form),
-               format(difference, form) if difference else "0",
-               format(statement.tolerance, form) if statement.tolerance else "0",
-               holds, "" if holds else _text(reason))
+    return Row(
+        id,
+        _quantity(id, case),
+        statement.published,
+        format(value, form),
+        format(difference, form) if difference else "0",
+        format(statement.tolerance, form) if statement.tolerance else "0",
+        holds,
+        "" if holds else _text(reason),
+    )
 
 
-def measured_all(id: str, values: Sequence[float], form: str = ".3f", case: str = "",
-                 reason: Reason = "") -> Row:
+def measured_all(
+    id: str, values: Sequence[float], form: str = ".3f", case: str = "", reason: Reason = ""
+) -> Row:
     """Row of several numbers, judged by the one farthest from the published range."""
     statement = STATEMENTS[id]
     worst = max(values, key=lambda value: abs(statement.difference(value)))
@@ -65,8 +71,9 @@ def measured_all(id: str, values: Sequence[float], form: str = ".3f", case: str 
     return replace(row, ours=numbers(values, form))
 
 
-def asserted(id: str, facts: Mapping[str, Any], ours: str, case: str = "",
-             reason: Reason = "") -> Row:
+def asserted(
+    id: str, facts: Mapping[str, Any], ours: str, case: str = "", reason: Reason = ""
+) -> Row:
     """Row of a statement in words, true if all facts are.
 
     Parameters

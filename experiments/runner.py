@@ -46,8 +46,9 @@ class Cache:
         return self.folder / f"{job.digest()}.json"
 
 
-def run_jobs(jobs: Iterable[Job], folder: Path,
-             processes: int = -1) -> tuple[dict[Job, DayResult], int]:
+def run_jobs(
+    jobs: Iterable[Job], folder: Path, processes: int = -1
+) -> tuple[dict[Job, DayResult], int]:
     """Results of all jobs, from the cache where it has them.
 
     Parameters
@@ -118,6 +119,12 @@ def _expected_work(job: Job) -> float:
 def _bar() -> Progress:
     """A progress bar on stderr, if that is a terminal."""
     console = Console(stderr=True)
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeElapsedColumn(), TimeRemainingColumn(), console=console,
-                    disable=not console.is_terminal)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )

@@ -33,8 +33,13 @@ def same_run(one: Path, other: Path) -> Iterator[str]:
             yield f"{name}: is in one folder only"
             continue
         yield from _tables(name, pd.read_parquet(one / name), pd.read_parquet(other / name))
-    yield from _values(SUMMARY, *(_plain(json.loads((folder / SUMMARY).read_text(encoding="utf-8")))
-                                  for folder in (one, other)))
+    yield from _values(
+        SUMMARY,
+        *(
+            _plain(json.loads((folder / SUMMARY).read_text(encoding="utf-8")))
+            for folder in (one, other)
+        ),
+    )
 
 
 def same_reproduction(one: Path, other: Path) -> Iterator[str]:
@@ -55,15 +60,19 @@ def same_reproduction(one: Path, other: Path) -> Iterator[str]:
 def _days(folder: Path) -> Counter[str]:
     """The simulated days as text without what tells of effort alone."""
     files = sorted((folder / CACHE).glob("*.json"))
-    return Counter(json.dumps(_plain(json.loads(file.read_text(encoding="utf-8"))),
-                              sort_keys=True) for file in files)
+    return Counter(
+        json.dumps(_plain(json.loads(file.read_text(encoding="utf-8"))), sort_keys=True)
+        for file in files
+    )
 
 
 def _headline(day: str) -> str:
     """What tells a day from others."""
     summary = json.loads(day)["summary"]
-    return ", ".join(f"{name} {summary[name]}" for name in
-                     ("controller", "horizon_h", "seed", "resilience", "cost_gbp", "import_kwh"))
+    return ", ".join(
+        f"{name} {summary[name]}"
+        for name in ("controller", "horizon_h", "seed", "resilience", "cost_gbp", "import_kwh")
+    )
 
 
 def _plain(record: Any) -> Any:
@@ -86,8 +95,10 @@ def _tables(name: str, one: pd.DataFrame, other: pd.DataFrame) -> Iterator[str]:
             both_empty = one[column].isna() & other[column].isna()
             changed = ~((one[column] == other[column]) | both_empty)
             row = int(changed.to_numpy().argmax())
-            yield (f"{name}, {column}: {int(changed.sum())} of {len(one)} rows, the first in row "
-                   f"{row}: {one[column].iloc[row]} and {other[column].iloc[row]}")
+            yield (
+                f"{name}, {column}: {int(changed.sum())} of {len(one)} rows, the first in row "
+                f"{row}: {one[column].iloc[row]} and {other[column].iloc[row]}"
+            )
 
 
 def _values(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
@@ -108,9 +119,13 @@ def main(
         elif (one / SUMMARY).is_file() and (other / SUMMARY).is_file():
             differences = list(same_run(one, other))
         else:
-            raise InputError(Problem(
-                str(one), "and the other folder are not two run folders or two results folders",
-                "Give two folders of vppres run, or two of make reproduce."))
+            raise InputError(
+                Problem(
+                    str(one),
+                    "and the other folder are not two run folders or two results folders",
+                    "Give two folders of vppres run, or two of make reproduce.",
+                )
+            )
     for line in differences:
         typer.echo(line)
     typer.echo(f"{len(differences)} differences" if differences else "the same to the last bit")

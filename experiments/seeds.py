@@ -38,5 +38,6 @@ def run_seeds(run: Callable[[int], T], first: int, days: int, jobs: int) -> list
     """
     # One thread each: solvers and linear algebra would only fight for the cores.
     with parallel_config("loky", inner_max_num_threads=1):
-        return list(Parallel(n_jobs=jobs)(delayed(run)(seed)
-                                          for seed in range(first, first + days)))
+        return list(
+            Parallel(n_jobs=jobs)(delayed(run)(seed) for seed in range(first, first + days))
+        )

@@ -14,8 +14,19 @@ from vppres.day.trajectory import Trajectory, json_safe
 from vppres.report.plots import served_kw, stored_energy_kwh
 
 # Columns of the steps table that are kept as they are.
-STEP_COLUMNS = ("outage", "price_gbp_per_kwh", "p_grid_kw", "losses_kw", "v_min_ac_pu",
-                "v_error_pu", "corrected", "correction_reason", "solve_s", "gap", "status")
+STEP_COLUMNS = (
+    "outage",
+    "price_gbp_per_kwh",
+    "p_grid_kw",
+    "losses_kw",
+    "v_min_ac_pu",
+    "v_error_pu",
+    "corrected",
+    "correction_reason",
+    "solve_s",
+    "gap",
+    "status",
+)
 
 
 def shorten(run: Trajectory) -> DayResult:
@@ -35,8 +46,9 @@ def shorten(run: Trajectory) -> DayResult:
         "eta_charge": batteries.groupby("time")["eta_charge"].mean().tolist(),
         "temperature_max_c": batteries.groupby("time")["temperature_c"].max().tolist(),
     }
-    return DayResult(**json_safe({"summary": summarise(run), "steps": steps,
-                                  "planned": _planned(run)}))
+    return DayResult(
+        **json_safe({"summary": summarise(run), "steps": steps, "planned": _planned(run)})
+    )
 
 
 def _planned(run: Trajectory) -> dict[str, list[float]]:
@@ -47,9 +59,12 @@ def _planned(run: Trajectory) -> dict[str, list[float]]:
     errors = ForecastErrors(**run.options["errors"])
     forecaster = Forecaster(run.scenario, errors, run.options["seed"])
     forecast = forecaster.at(0, range(run.scenario.grid.n_steps))
-    return {"energy_kwh": run.planned["energy_kwh"], "p_grid_kw": run.planned["p_grid_kw"],
-            "served_forecast_kw": (forecast.load_kw * served).sum(axis=1).tolist(),
-            "served_actual_kw": (run.scenario.load_kw * served).sum(axis=1).tolist()}
+    return {
+        "energy_kwh": run.planned["energy_kwh"],
+        "p_grid_kw": run.planned["p_grid_kw"],
+        "served_forecast_kw": (forecast.load_kw * served).sum(axis=1).tolist(),
+        "served_actual_kw": (run.scenario.load_kw * served).sum(axis=1).tolist(),
+    }
 
 
 def _total(values: pd.Series[Any], table: pd.DataFrame) -> list[float]:

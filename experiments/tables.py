@@ -45,8 +45,7 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
-def write_pages(folder: Path, name: str, title: str, text: str,
-                record: Mapping[str, Any]) -> Path:
+def write_pages(folder: Path, name: str, title: str, text: str, record: Mapping[str, Any]) -> Path:
     """Write ``name.md``, ``name.html`` and ``name.json`` into a folder; the Markdown's path."""
     folder.mkdir(parents=True, exist_ok=True)
     markdown = f"# {title}\n\n{text}\n"
@@ -67,8 +66,13 @@ def template_environment(templates: Path, figures: Path, escape: bool) -> Enviro
     escape : bool
         Whether what is filled in is escaped, as HTML wants it.
     """
-    environment = Environment(loader=FileSystemLoader(templates), autoescape=escape,
-                              trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    environment = Environment(
+        loader=FileSystemLoader(templates),
+        autoescape=escape,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
 
     def embedded(name: str) -> str:
         return embedded_svg(figures / f"{name}.svg")

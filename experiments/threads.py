@@ -42,18 +42,23 @@ def answers(scenario: Scenario, isolate: bool = False) -> list[Floats]:
 
     Where windows are solved in this very process, controllers of a feeder share their problems.
     """
-    controller = Controller.of(scenario, RunOptions(horizon_h=scenario.grid.dt_h,
-                                                    isolate=isolate))
+    controller = Controller.of(scenario, RunOptions(horizon_h=scenario.grid.dt_h, isolate=isolate))
     soc = dict(zip(scenario.batteries.id, scenario.batteries.soc_initial, strict=True))
     found = []
     for moment in controller.times:
         done = controller.step(Measurement(moment, soc))
         soc = dict(done.batteries["soc_end"])
-        found.append(np.concatenate([
-            done.customers["served"].to_numpy(float),
-            done.batteries[["p_kw", "q_kvar", "soc_end"]].to_numpy(float).ravel(),
-            done.pv[["p_kw", "curtailed_kw", "q_kvar"]].to_numpy(float).ravel(),
-            done.buses["v_ac_pu"].to_numpy(float), [done.import_kw]]))
+        found.append(
+            np.concatenate(
+                [
+                    done.customers["served"].to_numpy(float),
+                    done.batteries[["p_kw", "q_kvar", "soc_end"]].to_numpy(float).ravel(),
+                    done.pv[["p_kw", "curtailed_kw", "q_kvar"]].to_numpy(float).ravel(),
+                    done.buses["v_ac_pu"].to_numpy(float),
+                    [done.import_kw],
+                ]
+            )
+        )
     return found
 
 
@@ -69,8 +74,9 @@ def differing(seeds: Sequence[int]) -> tuple[int, int, float, float]:
     with ThreadPoolExecutor(THREADS) as pool:
         together = list(pool.map(answers, days))
     end = time.perf_counter()
-    pairs = [pair for a, b in zip(one_by_one, together, strict=True)
-             for pair in zip(a, b, strict=True)]
+    pairs = [
+        pair for a, b in zip(one_by_one, together, strict=True) for pair in zip(a, b, strict=True)
+    ]
     wrong = sum(not np.array_equal(a, b) for a, b in pairs)
     return len(pairs), wrong, middle - begin, end - middle
 
@@ -82,12 +88,22 @@ def main(
 ) -> None:
     """Compare the answers of two threads with those of one; 20 steps for each seed."""
     steps, wrong, alone_s, together_s = differing(range(seed, seed + days))
-    text = markdown_table(("", ""), [
-        ("steps", steps), ("steps whose answer differs in two threads", wrong),
-        ("wall time one after another (s)", f"{alone_s:.0f}"),
-        ("wall time in two threads (s)", f"{together_s:.0f}")])
-    record = {"steps": steps, "wrong": wrong, "alone_s": alone_s, "together_s": together_s,
-              "versions": versions()}
+    text = markdown_table(
+        ("", ""),
+        [
+            ("steps", steps),
+            ("steps whose answer differs in two threads", wrong),
+            ("wall time one after another (s)", f"{alone_s:.0f}"),
+            ("wall time in two threads (s)", f"{together_s:.0f}"),
+        ],
+    )
+    record = {
+        "steps": steps,
+        "wrong": wrong,
+        "alone_s": alone_s,
+        "together_s": together_s,
+        "versions": versions(),
+    }
     page: Path = write_pages(results, "threads", "Two threads", f"{text}\n\n{machine()}.", record)
     show_report(page)
     if wrong:

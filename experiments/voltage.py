@@ -15,10 +15,12 @@ from experiments.runner import Results
 
 LABEL = "fig:1b"
 TITLE = "Voltage comparison"
-PAPER = ("The lowest voltage of the optimisation stays at or above its limit of 0.947 pu and the "
-         "AC voltage above the limit of 0.94 pu, for both controllers. Averaged over the day the "
-         "lowest AC voltage is 0.9607 pu (MPC) and 0.9601 pu (full horizon). The MPC's two "
-         "voltages differ by less than 0.005 pu in every hour.")
+PAPER = (
+    "The lowest voltage of the optimisation stays at or above its limit of 0.947 pu and the "
+    "AC voltage above the limit of 0.94 pu, for both controllers. Averaged over the day the "
+    "lowest AC voltage is 0.9607 pu (MPC) and 0.9601 pu (full horizon). The MPC's two "
+    "voltages differ by less than 0.005 pu in every hour."
+)
 
 
 def figure(config: Config, results: Results) -> Figure:
@@ -48,10 +50,12 @@ def rows(config: Config, results: Results) -> list[Row]:
     return [
         measured("R4", model, ".5f", reason=days[FULL].evidence),
         measured("R5", ac, ".4f", reason=days[FULL].evidence),
-        measured("R6a", days[MPC].summary["v_mean_of_min_ac_pu"], ".4f",
-                 reason=_means_text(days[MPC])),
-        measured("R6b", days[FULL].summary["v_mean_of_min_ac_pu"], ".4f",
-                 reason=_means_text(days[FULL])),
+        measured(
+            "R6a", days[MPC].summary["v_mean_of_min_ac_pu"], ".4f", reason=_means_text(days[MPC])
+        ),
+        measured(
+            "R6b", days[FULL].summary["v_mean_of_min_ac_pu"], ".4f", reason=_means_text(days[FULL])
+        ),
         measured("R7", days[MPC].summary["v_error_max_pu"], ".4f", reason=days[MPC].evidence),
     ]
 
@@ -59,17 +63,21 @@ def rows(config: Config, results: Results) -> list[Row]:
 def ours(config: Config, results: Results) -> str:
     """What our figure shows."""
     mpc, full = (day.summary for day in ideal.days(config, results).values())
-    return (f"The lowest AC voltage is {mpc['v_min_ac_pu']:.4f} pu (MPC) and "
-            f"{full['v_min_ac_pu']:.4f} pu (full horizon), its mean over the day "
-            f"{mpc['v_mean_of_min_ac_pu']:.4f} and {full['v_mean_of_min_ac_pu']:.4f} pu. The "
-            f"voltages of the optimisation are off by at most {mpc['v_error_max_pu']:.4f} and "
-            f"{full['v_error_max_pu']:.4f} pu.")
+    return (
+        f"The lowest AC voltage is {mpc['v_min_ac_pu']:.4f} pu (MPC) and "
+        f"{full['v_min_ac_pu']:.4f} pu (full horizon), its mean over the day "
+        f"{mpc['v_mean_of_min_ac_pu']:.4f} and {full['v_mean_of_min_ac_pu']:.4f} pu. The "
+        f"voltages of the optimisation are off by at most {mpc['v_error_max_pu']:.4f} and "
+        f"{full['v_error_max_pu']:.4f} pu."
+    )
 
 
 def _means_text(day: DayResult) -> str:
     """Where the mean over the day comes from."""
     lowest_pu = day.series("v_min_ac_pu")
     in_outage = day.series("outage") > 0
-    return (f"Mean with grid {lowest_pu[~in_outage].mean():.4f} pu, in the outage "
-            f"{lowest_pu[in_outage].mean():.4f} pu; power factors and places of PV systems are "
-            "drawn, and the sensitivities give the mean of every drawing.")
+    return (
+        f"Mean with grid {lowest_pu[~in_outage].mean():.4f} pu, in the outage "
+        f"{lowest_pu[in_outage].mean():.4f} pu; power factors and places of PV systems are "
+        "drawn, and the sensitivities give the mean of every drawing."
+    )

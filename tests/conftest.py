@@ -16,18 +16,30 @@ from vppres.scenario.scenario import Scenario
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of these tests: the size of one, and which of them run."""
-    parser.addoption("--fuzz", type=int, default=1000, metavar="N",
-                     help="random mutations of a valid scenario folder (default: 1000)")
-    parser.addoption("--quick", action="store_true",
-                     help="of every test function the cases that fit into a second, as measured")
-    parser.addoption("--measure", action="store_true",
-                     help="write the durations that --quick goes by: tests/durations.csv")
+    parser.addoption(
+        "--fuzz",
+        type=int,
+        default=1000,
+        metavar="N",
+        help="random mutations of a valid scenario folder (default: 1000)",
+    )
+    parser.addoption(
+        "--quick",
+        action="store_true",
+        help="of every test function the cases that fit into a second, as measured",
+    )
+    parser.addoption(
+        "--measure",
+        action="store_true",
+        help="write the durations that --quick goes by: tests/durations.csv",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Measure tests, and choose them by what was measured."""
     config.pluginmanager.register(
-        Durations(config.getoption("measure"), config.getoption("quick")), "durations-of-tests")
+        Durations(config.getoption("measure"), config.getoption("quick")), "durations-of-tests"
+    )
 
 
 @pytest.fixture

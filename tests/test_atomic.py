@@ -35,7 +35,7 @@ from vppres.studies.sweep import folder_name
 # Replaces a run in a child process that ends itself, as kill -9 would, at the n-th call that Python
 # reports of the system (open, mkdir, rename, remove, ...), for n = 0, 1, 2, ... until one is left
 # alone. Prints what was there after each, as the next run finds it.
-KILLED_AT_EVERY_CALL = textwrap.dedent('''
+KILLED_AT_EVERY_CALL = textwrap.dedent("""
     import os, sys
     from pathlib import Path
     from vppres.io import atomic
@@ -81,14 +81,18 @@ KILLED_AT_EVERY_CALL = textwrap.dedent('''
             break
     else:
         raise SystemExit("never ended")
-''')
+""")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, and exchanges names")
 @pytest.mark.parametrize("how", ["exchanged", "renamed"])
 def test_a_run_is_whole_or_the_old_one_at_every_kill(tmp_path: Path, how: str) -> None:
-    done = subprocess.run([sys.executable, "-c", KILLED_AT_EVERY_CALL, str(tmp_path), how],
-                          text=True, capture_output=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED_AT_EVERY_CALL, str(tmp_path), how],
+        text=True,
+        capture_output=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     calls = done.stdout.splitlines()
     assert len(calls) > 15
@@ -108,7 +112,8 @@ def test_names_are_exchanged_here(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fails", [1, 2])
 def test_a_rename_that_fails_leaves_the_old_run(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: int) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: int
+) -> None:
     target = tmp_path / "run"
     with atomic_folder(target) as aside:
         (aside / "summary.json").write_text("old", encoding="utf-8")
@@ -143,11 +148,17 @@ def test_only_what_dead_runs_left_is_removed(tmp_path: Path) -> None:
         assert alive.is_dir()
         assert (elsewhere / "precious").exists()
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        ".link.01234567.vppres-part", ".run.01234567.part", "elsewhere", "mine", "vppres-part"]
+        ".link.01234567.vppres-part",
+        ".run.01234567.part",
+        "elsewhere",
+        "mine",
+        "vppres-part",
+    ]
 
 
 def test_scratch_folders_go_and_so_do_those_of_killed_runs(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     (tmp_path / ".scratch.01234567.vppres-part").mkdir()
     with scratch_folder() as folder:
@@ -157,13 +168,15 @@ def test_scratch_folders_go_and_so_do_those_of_killed_runs(
 
 # --- targets ------------------------------------------------------------------------------------
 
+
 def test_links_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "nowhere")
     with pytest.raises(InputError) as caught:
         check_target(link)
-    assert str(caught.value) == (f"{link}: is a symbolic link that leads nowhere. "
-                                 "Remove it, or choose another name.")
+    assert str(caught.value) == (
+        f"{link}: is a symbolic link that leads nowhere. Remove it, or choose another name."
+    )
     thesis = tmp_path / "thesis"
     thesis.mkdir()
     (thesis / "chapter").touch()
@@ -173,11 +186,13 @@ def test_links_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
         check_target(link)
     assert str(caught.value) == (
         f"{link}: links to {thesis}, which is not a run folder (it has no summary.json). "
-        "Choose another folder, or remove this one.")
+        "Choose another folder, or remove this one."
+    )
     with pytest.raises(InputError) as caught:
         check_file(link)
-    assert str(caught.value) == (f"{link}: is a symbolic link. Name the file itself, or choose "
-                                 "another name.")
+    assert str(caught.value) == (
+        f"{link}: is a symbolic link. Name the file itself, or choose another name."
+    )
     with pytest.raises(InputError) as caught:
         check_file(thesis)
     assert str(caught.value) == f"{thesis}: exists and is not a file. Choose another name."
@@ -202,14 +217,18 @@ def test_names_that_no_file_system_takes_are_refused(tmp_path: Path) -> None:
 
 
 def test_folders_of_a_sweep_stay_in_it() -> None:
-    names = [folder_name(name, value) for name in ("tiers.../../x", "tiers./x", "tiers.x")
-             for value in (0.5, 1.0)] + [folder_name("tiers." + "y" * 300, 1)]
+    names = [
+        folder_name(name, value)
+        for name in ("tiers.../../x", "tiers./x", "tiers.x")
+        for value in (0.5, 1.0)
+    ] + [folder_name("tiers." + "y" * 300, 1)]
     assert len(set(names)) == len(names)
     assert all("/" not in name and len(name.encode()) < 255 for name in names)
     assert names[-2] == "tiers.x=1"
 
 
 # --- a full disk ----------------------------------------------------------------------------------
+
 
 def full(*_: object, **__: object) -> None:
     """What writing to a full disk does."""
@@ -222,7 +241,8 @@ def test_a_full_disk_says_so_and_keeps_the_old_run(tmp_path: Path) -> None:
         full()
     assert str(caught.value) == (
         f"{target}: the disk is full, or a quota is reached; nothing was written. "
-        "Free some space, or write to another disk.")
+        "Free some space, or write to another disk."
+    )
     with atomic_folder(target) as aside:
         (aside / "summary.json").write_text("old", encoding="utf-8")
     with pytest.raises(StorageError) as caught, atomic_folder(target):
@@ -239,17 +259,31 @@ def test_a_page_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("failure", "error", "words"), [
-    (OSError(errno.ENOSPC, "no space"), StorageError,
-     "the disk is full, or a quota is reached: figures and report were not written. "
-     "Free some space: {folder} holds the run; make its report with vppres report {folder}."),
-    (ValueError("$"), ReportError,
-     "figures and report could not be made (ValueError: $). "
-     "{folder} holds the run; make its report with vppres report {folder}."),
-])
+@pytest.mark.parametrize(
+    ("failure", "error", "words"),
+    [
+        (
+            OSError(errno.ENOSPC, "no space"),
+            StorageError,
+            "the disk is full, or a quota is reached: figures and report were not written. "
+            "Free some space: {folder} holds the run; make its report with vppres report {folder}.",
+        ),
+        (
+            ValueError("$"),
+            ReportError,
+            "figures and report could not be made (ValueError: $). "
+            "{folder} holds the run; make its report with vppres report {folder}.",
+        ),
+    ],
+)
 def test_a_day_is_kept_where_its_report_cannot_be_made(
-        tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception,
-        error: type[Exception], words: str) -> None:
+    tiny: Scenario,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    failure: Exception,
+    error: type[Exception],
+    words: str,
+) -> None:
     run = run_day(tiny, RunOptions(horizon_h=0.0))
     folder = tmp_path / "run"
 
@@ -267,7 +301,7 @@ def test_a_day_is_kept_where_its_report_cannot_be_made(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
 def test_a_limit_of_size_is_met_like_a_full_disk(tmp_path: Path) -> None:
-    code = textwrap.dedent('''
+    code = textwrap.dedent("""
         import resource, sys
         from pathlib import Path
         from vppres.core.errors import StorageError
@@ -278,22 +312,24 @@ def test_a_limit_of_size_is_met_like_a_full_disk(tmp_path: Path) -> None:
                 (aside / "summary.json").write_text("x" * 5000)
         except StorageError as error:
             print(error)
-    ''')
+    """)
     target = tmp_path / "run"
-    done = subprocess.run([sys.executable, "-c", code, str(target)], text=True,
-                          capture_output=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(target)], text=True, capture_output=True, check=True
+    )
     assert done.stdout.startswith(f"{target}: the disk is full, or a quota is reached; ")
     assert list(tmp_path.iterdir()) == []
 
 
 # --- signals --------------------------------------------------------------------------------------
 
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 def test_sigterm_ends_a_run_like_ctrl_c(tiny_folder: Path, tmp_path: Path) -> None:
     """Terminated while it computes: status 143, nothing left behind."""
     place = tmp_path / "out"
     place.mkdir()
-    code = textwrap.dedent('''
+    code = textwrap.dedent("""
         import os, signal, sys
         import vppres.day.simulate as simulate
         from vppres.cli.commands import main
@@ -307,9 +343,12 @@ def test_sigterm_ends_a_run_like_ctrl_c(tiny_folder: Path, tmp_path: Path) -> No
         simulate.Day.step = killed
         sys.argv = ["vppres", "run", sys.argv[1], "--out", sys.argv[2], "--horizon", "0"]
         main()
-    ''')
-    done = subprocess.run([sys.executable, "-c", code, str(tiny_folder), str(place / "run")],
-                          text=True, capture_output=True)
+    """)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tiny_folder), str(place / "run")],
+        text=True,
+        capture_output=True,
+    )
     assert done.returncode == 128 + signal.SIGTERM
     assert done.stderr == "Terminated; nothing was written.\n"
     assert list(place.iterdir()) == []
@@ -325,10 +364,23 @@ def test_atomic_text_is_whole_while_others_clean(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_killed_commands_leave_the_old_result_and_no_process(
-        tiny_folder: Path, tmp_path: Path) -> None:
+    tiny_folder: Path, tmp_path: Path
+) -> None:
     """A small part of the study, in a process of its own since it makes copies of itself."""
-    done = subprocess.run([sys.executable, "-m", "experiments.kills", str(tiny_folder), "--kills",
-                           "5", "--out", str(tmp_path)], text=True, capture_output=True)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "experiments.kills",
+            str(tiny_folder),
+            "--kills",
+            "5",
+            "--out",
+            str(tmp_path),
+        ],
+        text=True,
+        capture_output=True,
+    )
     assert done.returncode == 0, (tmp_path / "kills.json").read_text(encoding="utf-8")
     tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
     assert tally["kills"] + tally["finished"] == 5

@@ -30,9 +30,14 @@ def longer(grid_limit_kw: list[float]) -> Scenario:
     """The small day with more steps: loads of 10, 20 and 40 kW, 12 kW of sun, 100 kWh."""
     day, steps = small_scenario(), len(grid_limit_kw)
     return replace(
-        day, grid=replace(day.grid, n_steps=steps), load_kw=np.tile(day.load_kw[0], (steps, 1)),
-        pv_kw=np.full((steps, 1), 12.0), price_gbp_per_kwh=np.full(steps, 0.3),
-        temperature_c=np.full(steps, 25.0), grid_limit_kw=grid_limit_kw)
+        day,
+        grid=replace(day.grid, n_steps=steps),
+        load_kw=np.tile(day.load_kw[0], (steps, 1)),
+        pv_kw=np.full((steps, 1), 12.0),
+        price_gbp_per_kwh=np.full(steps, 0.3),
+        temperature_c=np.full(steps, 25.0),
+        grid_limit_kw=grid_limit_kw,
+    )
 
 
 OPEN, DARK = np.inf, 0.0
@@ -91,16 +96,24 @@ def test_perfect_information_ignores_the_forecast_errors(tiny: Scenario) -> None
 @pytest.mark.parametrize("controller", ["mpc", "full-horizon", "idle", "reserve"])
 def test_perfect_information_is_the_best(tiny: Scenario, controller: str) -> None:
     errors = ForecastErrors(0.1, 0.05, -0.1, 0.05)
-    best, other = (summarise(run_day(tiny, RunOptions(
-        controller=name, errors=errors, horizon_h=3.0))) for name in ("perfect", controller))
+    best, other = (
+        summarise(run_day(tiny, RunOptions(controller=name, errors=errors, horizon_h=3.0)))
+        for name in ("perfect", controller)
+    )
     assert other["resilience"] <= best["resilience"] + 1e-9
 
 
-@pytest.mark.parametrize(("rule", "text"), [
-    ({"soc": 1.2}, "options, reserve_soc = 1.2: must lie between 0 and 1. Give a share of the "
-                   "capacity, for example 0.8."),
-    ({"notice_h": -1.0}, "options, notice_h = -1.0: must be zero or positive. Give hours."),
-])
+@pytest.mark.parametrize(
+    ("rule", "text"),
+    [
+        (
+            {"soc": 1.2},
+            "options, reserve_soc = 1.2: must lie between 0 and 1. Give a share of the "
+            "capacity, for example 0.8.",
+        ),
+        ({"notice_h": -1.0}, "options, notice_h = -1.0: must be zero or positive. Give hours."),
+    ],
+)
 def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:
     with pytest.raises(InputError) as error:
         ReserveRule(**rule)

@@ -53,19 +53,32 @@ def test_a_row_determines_its_window(instance: Instance) -> None:
     for name in ("load_kw", "pv_kw", "soc", "delta_pu2", "grid_limit_kw"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
     assert one.n_steps == instance.steps
-    assert one.load_kw[0] == pytest.approx(
-        packaged().load_kw[instance.t0] * instance.load_factor)
+    assert one.load_kw[0] == pytest.approx(packaged().load_kw[instance.t0] * instance.load_factor)
     assert ((one.soc >= 0.15) & (one.soc <= 0.85)).all()
 
 
-@pytest.mark.parametrize(("column", "value", "message"), [
-    ("steps", 25, "instances.csv, row 2, steps = 25: does not fit into the day. t0 + steps may be "
-                  "at most 24."),
-    ("group", "odd", "instances.csv, row 2, group = odd: is not a known group. Use one of: "
-                     "ordinary, stressed."),
-    ("name", "o002", "instances.csv, row 3, name = o002: is given twice. Give every instance its "
-                     "own name."),
-])
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        (
+            "steps",
+            25,
+            "instances.csv, row 2, steps = 25: does not fit into the day. t0 + steps may be "
+            "at most 24.",
+        ),
+        (
+            "group",
+            "odd",
+            "instances.csv, row 2, group = odd: is not a known group. Use one of: "
+            "ordinary, stressed.",
+        ),
+        (
+            "name",
+            "o002",
+            "instances.csv, row 3, name = o002: is given twice. Give every instance its own name.",
+        ),
+    ],
+)
 def test_wrong_rows_are_named(tmp_path: Path, column: str, value: object, message: str) -> None:
     table = pd.read_csv(FILE).astype(object)
     table.loc[0, column] = value
@@ -89,11 +102,19 @@ def test_missing_column_is_an_error(tmp_path: Path) -> None:
 def rows_of(seconds: dict[str, list[float | None]], limit_s: float = 60.0) -> pd.DataFrame:
     """Rows of methods; a time at the limit is unsolved, None is not admitted."""
     status = {True: "time_limit", False: "optimal"}
-    return pd.DataFrame([
-        {"instance": f"i{k}", "method": method, "limit_s": limit_s,
-         "solve_s": np.nan if s is None else s,
-         "status": NOT_ADMITTED if s is None else status[s >= limit_s]}
-        for method, values in seconds.items() for k, s in enumerate(values)])
+    return pd.DataFrame(
+        [
+            {
+                "instance": f"i{k}",
+                "method": method,
+                "limit_s": limit_s,
+                "solve_s": np.nan if s is None else s,
+                "status": NOT_ADMITTED if s is None else status[s >= limit_s],
+            }
+            for method, values in seconds.items()
+            for k, s in enumerate(values)
+        ]
+    )
 
 
 def test_profile_by_hand() -> None:
@@ -122,18 +143,28 @@ def test_unsolved_instances_enter_the_ratios_with_their_limit() -> None:
 
 
 def test_certificate_needs_both_gaps_and_the_time() -> None:
-    rows = pd.DataFrame({"gap": [1e-4, 2e-4, 1e-5, 1e-5, np.nan],
-                         "gap_abs": [5e-3, 1e-3, 6e-3, 1e-3, np.nan],
-                         "solve_s": [10.0, 1.0, 1.0, 11.0, 60.0]})
+    rows = pd.DataFrame(
+        {
+            "gap": [1e-4, 2e-4, 1e-5, 1e-5, np.nan],
+            "gap_abs": [5e-3, 1e-3, 6e-3, 1e-3, np.nan],
+            "solve_s": [10.0, 1.0, 1.0, 11.0, 60.0],
+        }
+    )
     assert profiles.certified(rows).tolist() == [True, False, False, False, False]
 
 
 def test_agreement_is_one_sided() -> None:
     base = profiles.BASE
-    rows = pd.DataFrame([
-        {"instance": "i", "method": method, "status": "optimal", "value": value, "bound": bound}
-        for method, value, bound in ((base, 50.0, 50.0), ("monolithic/x", 49.9, 49.95),
-                                     ("monolithic/y", 50.01, 50.01))])
+    rows = pd.DataFrame(
+        [
+            {"instance": "i", "method": method, "status": "optimal", "value": value, "bound": bound}
+            for method, value, bound in (
+                (base, 50.0, 50.0),
+                ("monolithic/x", 49.9, 49.95),
+                ("monolithic/y", 50.01, 50.01),
+            )
+        ]
+    )
     x, y = profiles.agreement(rows).to_dict("records")
     assert (x["agree"], y["agree"]) == (1, 0)
     assert x["above"] == pytest.approx(0.1 / 49.9)
@@ -196,8 +227,9 @@ def test_days_and_finer_steps_keep_the_energy() -> None:
 def test_unknown_size_is_an_error() -> None:
     with pytest.raises(InputError) as caught:
         feeder_scenario(34)
-    assert str(caught.value) == ("feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, "
-                                 "273, 545, 1021.")
+    assert str(caught.value) == (
+        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021."
+    )
 
 
 def test_error_settings_are_those_of_the_reproduction() -> None:
@@ -226,13 +258,19 @@ def test_finished_rows_are_not_measured_again(tmp_path: Path) -> None:
 def test_tiny_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = [i for i in INSTANCES if i.steps == 1][:2]
     monkeypatch.setattr(command.Plan, "instances", lambda plan: tiny)
-    result = CliRunner().invoke(app(), ["--quick", "--only", "windows", "--jobs", "1",
-                                        "--results", str(tmp_path)])
+    result = CliRunner().invoke(
+        app(), ["--quick", "--only", "windows", "--jobs", "1", "--results", str(tmp_path)]
+    )
     assert result.exit_code == 0, result.output
     rows = pd.read_parquet(tmp_path / "windows.parquet")
     solved = rows[rows["status"] == "optimal"].groupby("method")["instance"].count()
-    for method in ("decomposed/highs", "decomposed/scip", "monolithic/highs/16-gon",
-                   "monolithic/scip/16-gon", "monolithic/scip/cones"):
+    for method in (
+        "decomposed/highs",
+        "decomposed/scip",
+        "monolithic/highs/16-gon",
+        "monolithic/scip/16-gon",
+        "monolithic/scip/cones",
+    ):
         assert solved[method] == 2
     assert (profiles.agreement(rows)["below"] <= 1e-4).all()
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
@@ -254,9 +292,15 @@ def test_isolation_is_measured_on_equal_answers(tmp_path: Path) -> None:
 
 
 def test_isolation_by_hand() -> None:
-    steps = pd.DataFrame({"here_s": [1.0, 2.0, 4.0], "there_s": [1.1, 2.0, 4.9],
-                          "here_cpu_s": [1.0, 1.0, 2.0], "there_cpu_s": [1.0, 2.0, 3.0],
-                          "equal": [True, True, False]})
+    steps = pd.DataFrame(
+        {
+            "here_s": [1.0, 2.0, 4.0],
+            "there_s": [1.1, 2.0, 4.9],
+            "here_cpu_s": [1.0, 1.0, 2.0],
+            "there_cpu_s": [1.0, 2.0, 3.0],
+            "equal": [True, True, False],
+        }
+    )
     row = summary(steps)
     assert (row["steps"], row["equal"], row["here_median_s"]) == (3, 2, 2.0)
     assert row["ratio_median"] == pytest.approx(1.1)
@@ -267,8 +311,10 @@ def test_isolation_by_hand() -> None:
 def test_unknown_part_is_an_error(tmp_path: Path) -> None:
     result = CliRunner().invoke(app(), ["--only", "weather", "--results", str(tmp_path)])
     assert result.exit_code == 2
-    assert result.stderr.strip() == ("benchmarks, only = weather: is not known. Use one of: "
-                                     "windows, day, scaling, throughput, worker.")
+    assert result.stderr.strip() == (
+        "benchmarks, only = weather: is not known. Use one of: "
+        "windows, day, scaling, throughput, worker."
+    )
 
 
 def app() -> typer.Typer:
@@ -283,8 +329,12 @@ def test_tables_take_the_place_of_older_ones(tmp_path: Path) -> None:
     document.write_text(f"Before.\n\n{BEGIN}\nold\n{END}\n\nAfter.\n", encoding="utf-8")
     figure = Figure(figsize=(2.0, 1.0))
     figure.subplots().plot([0.0, 1.0])
-    section = Section("Windows", "Words.", (pd.DataFrame({"steps": [6], "share": [0.5]}),),
-                      {"all_windows": figure})
+    section = Section(
+        "Windows",
+        "Words.",
+        (pd.DataFrame({"steps": [6], "share": [0.5]}),),
+        {"all_windows": figure},
+    )
     publish([section], document, "A run.")
     text = document.read_text(encoding="utf-8")
     assert text.startswith(f"Before.\n\n{BEGIN}\nA run. ")
@@ -297,13 +347,17 @@ def test_tables_take_the_place_of_older_ones(tmp_path: Path) -> None:
 
 
 def test_stressed_answers_are_counted_by_what_binds() -> None:
-    rows = pd.DataFrame({
-        "method": [profiles.BASE] * 5 + ["other"],
-        "group": ["stressed"] * 4 + ["ordinary", "stressed"],
-        "v_min_pu": [0.947, 0.96, 0.947, 0.96, 0.947, 0.947],
-        "curtailed_kwh": [0.0, 5.0, 5.0, 0.0, 5.0, 5.0]})
+    rows = pd.DataFrame(
+        {
+            "method": [profiles.BASE] * 5 + ["other"],
+            "group": ["stressed"] * 4 + ["ordinary", "stressed"],
+            "v_min_pu": [0.947, 0.96, 0.947, 0.96, 0.947, 0.947],
+            "curtailed_kwh": [0.0, 5.0, 5.0, 0.0, 5.0, 5.0],
+        }
+    )
     assert profiles.stress(rows).to_dict("records") == [
-        {"stressed instances": 4, "at the voltage limit": 2, "curtailed": 2, "either": 3}]
+        {"stressed instances": 4, "at the voltage limit": 2, "curtailed": 2, "either": 3}
+    ]
 
 
 def test_document_without_marks_is_left_alone(tmp_path: Path) -> None:

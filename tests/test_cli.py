@@ -29,16 +29,19 @@ def names_below(folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("argument", ["--help", "--version"])
 def test_start_loads_no_heavy_library(argument: str) -> None:
-    code = ("import sys\nfrom vppres.cli.commands import app\n"
-            f"app([{argument!r}], standalone_mode=False)\n"
-            f"print('loaded', [name for name in {HEAVY!r} if name in sys.modules])")
+    code = (
+        "import sys\nfrom vppres.cli.commands import app\n"
+        f"app([{argument!r}], standalone_mode=False)\n"
+        f"print('loaded', [name for name in {HEAVY!r} if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
 
 
 def test_module_is_the_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "vppres", "--version"], capture_output=True,
-                          text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "vppres", "--version"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == f"vppres {vppres.__version__}\n"
 
 
@@ -77,9 +80,26 @@ def test_scenarios_lists_one_name_per_line(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    result = call("run", tiny_folder, "--horizon", 2, "--load-bias", 0.1, "--pv-error", 0.05,
-                  "--seed", 3, "--thermal", "exact", "--gap", 1e-3, "--time-limit", 30,
-                  "--out", out)
+    result = call(
+        "run",
+        tiny_folder,
+        "--horizon",
+        2,
+        "--load-bias",
+        0.1,
+        "--pv-error",
+        0.05,
+        "--seed",
+        3,
+        "--thermal",
+        "exact",
+        "--gap",
+        1e-3,
+        "--time-limit",
+        30,
+        "--out",
+        out,
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert f"{summary['resilience']:.4f}" in result.stdout
@@ -88,28 +108,65 @@ def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: 
     assert sorted(tmp_path.iterdir()) == [out, tiny_folder]
 
 
-def test_options_reach_the_run(tiny_folder: Path, tmp_path: Path,
-                               monkeypatch: pytest.MonkeyPatch) -> None:
+def test_options_reach_the_run(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     options = caught_options(monkeypatch)
-    call("run", tiny_folder, "--controller", "full-horizon", "--horizon", 2, "--solver", "scip",
-         "--method", "monolithic", "--load-bias", 0.1, "--load-error", 0.2, "--pv-bias", -0.3,
-         "--pv-error", 0.4, "--thermal", "euler", "--seed", 3, "--gap", 1e-3, "--time-limit", 30,
-         "--out", tmp_path / "run")
+    call(
+        "run",
+        tiny_folder,
+        "--controller",
+        "full-horizon",
+        "--horizon",
+        2,
+        "--solver",
+        "scip",
+        "--method",
+        "monolithic",
+        "--load-bias",
+        0.1,
+        "--load-error",
+        0.2,
+        "--pv-bias",
+        -0.3,
+        "--pv-error",
+        0.4,
+        "--thermal",
+        "euler",
+        "--seed",
+        3,
+        "--gap",
+        1e-3,
+        "--time-limit",
+        30,
+        "--out",
+        tmp_path / "run",
+    )
     errors = {"load_bias": 0.1, "load_alpha_per_h": 0.2, "pv_bias": -0.3, "pv_alpha_per_h": 0.4}
     record = options[0].as_record()
-    expected = {"controller": "full-horizon", "horizon_h": 2.0, "solver": "scip", "seed": 3,
-                "method": "monolithic", "errors": errors, "thermal": "euler"}
+    expected = {
+        "controller": "full-horizon",
+        "horizon_h": 2.0,
+        "solver": "scip",
+        "seed": 3,
+        "method": "monolithic",
+        "errors": errors,
+        "thermal": "euler",
+    }
     assert {name: record[name] for name in expected} == expected
     assert (record["limits"]["gap_rel"], record["limits"]["time_s"]) == (1e-3, 30.0)
 
 
-def test_scenario_names_controller_and_horizon(tiny_folder: Path,
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario_names_controller_and_horizon(
+    tiny_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     toml = tiny_folder / "scenario.toml"
     text = toml.read_text(encoding="utf-8")
     assert 'kind = "mpc"\nhorizon_h = 5.0' in text
-    toml.write_text(text.replace('kind = "mpc"\nhorizon_h = 5.0',
-                                 'kind = "full-horizon"\nhorizon_h = 3.0'), encoding="utf-8")
+    toml.write_text(
+        text.replace('kind = "mpc"\nhorizon_h = 5.0', 'kind = "full-horizon"\nhorizon_h = 3.0'),
+        encoding="utf-8",
+    )
     options = caught_options(monkeypatch)
     call("run", tiny_folder)
     call("run", tiny_folder, "--controller", "mpc", "--horizon", 0)
@@ -128,18 +185,27 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
     return caught
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
-    (["--method", "magic"], "method = magic: is not a known method. "
-                            "Use one of: decomposed, monolithic."),
-    (["--controller", "pid"], "controller = pid: is not known. Use one of: mpc, full-horizon, "
-                              "perfect, idle, reserve."),
-    (["--horizon", "-1"], "horizon_h = -1.0: must be zero or positive. Give hours."),
-    (["--load-error", "-1"], "load_alpha_per_h = -1.0: must be a number not below 0."),
-    (["--seed", "-1"], "seed = -1: must not be negative."),
-])
-def test_bad_option_is_one_sentence(tiny_folder: Path, tmp_path: Path, arguments: list[str],
-                                    message: str) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
+        (
+            ["--method", "magic"],
+            "method = magic: is not a known method. Use one of: decomposed, monolithic.",
+        ),
+        (
+            ["--controller", "pid"],
+            "controller = pid: is not known. Use one of: mpc, full-horizon, "
+            "perfect, idle, reserve.",
+        ),
+        (["--horizon", "-1"], "horizon_h = -1.0: must be zero or positive. Give hours."),
+        (["--load-error", "-1"], "load_alpha_per_h = -1.0: must be a number not below 0."),
+        (["--seed", "-1"], "seed = -1: must not be negative."),
+    ],
+)
+def test_bad_option_is_one_sentence(
+    tiny_folder: Path, tmp_path: Path, arguments: list[str], message: str
+) -> None:
     result = call("run", tiny_folder, "--out", tmp_path / "run", *arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     assert message in result.stderr
@@ -147,13 +213,16 @@ def test_bad_option_is_one_sentence(tiny_folder: Path, tmp_path: Path, arguments
     assert names_below(tmp_path) == ["tiny"]
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["run"], "Missing argument"),
-    (["run", "x", "--gap", "nan"], "nan is not a positive number."),
-    (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
-    (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
-    (["walk"], "No such command 'walk'."),
-])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run"], "Missing argument"),
+        (["run", "x", "--gap", "nan"], "nan is not a positive number."),
+        (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
+        (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
+        (["walk"], "No such command 'walk'."),
+    ],
+)
 def test_bad_usage(arguments: list[str], message: str) -> None:
     result = call(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")
@@ -169,16 +238,20 @@ def test_unknown_scenario() -> None:
 
 def test_every_problem_of_the_data_is_named(tiny_folder: Path) -> None:
     lines = tiny_folder / "lines.csv"
-    lines.write_text("from_bus,to_bus,r_ohm,x_ohm\n1,2,-0.3,0.2\n2,3,0.4,none\n2,4,0.5,0.4\n",
-                     encoding="utf-8")
+    lines.write_text(
+        "from_bus,to_bus,r_ohm,x_ohm\n1,2,-0.3,0.2\n2,3,0.4,none\n2,4,0.5,0.4\n", encoding="utf-8"
+    )
     result = call("run", tiny_folder)
     assert result.exit_code == 2
     assert [line.partition(":")[0] for line in result.stderr.splitlines()] == [
-        "lines.csv, row 2, r_ohm = -0.3", "lines.csv, row 3, x_ohm = none"]
+        "lines.csv, row 2, r_ohm = -0.3",
+        "lines.csv, row 3, x_ohm = none",
+    ]
 
 
-def test_foreign_folder_is_refused_before_the_work(tiny_folder: Path, tmp_path: Path,
-                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+def test_foreign_folder_is_refused_before_the_work(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("keep", encoding="utf-8")
     options = caught_options(monkeypatch)
@@ -188,16 +261,18 @@ def test_foreign_folder_is_refused_before_the_work(tiny_folder: Path, tmp_path: 
     assert names_below(tmp_path / "mine") == ["letter.txt"]
 
 
-def test_interrupt_leaves_nothing(tiny_folder: Path, tmp_path: Path,
-                                  monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_leaves_nothing(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     caught_options(monkeypatch)
     result = call("run", tiny_folder, "--out", tmp_path / "run")
     assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
     assert names_below(tmp_path) == ["tiny"]
 
 
-def test_interrupt_while_writing_leaves_nothing(tiny_folder: Path, tmp_path: Path,
-                                                monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_while_writing_leaves_nothing(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -257,8 +332,11 @@ def test_schema_is_printed() -> None:
 def option_names(command: str) -> list[str]:
     """Options of a command in the order of its help, without --help."""
     found = COMMANDS[command]
-    return [parameter.opts[0] for parameter in found.get_params(typer.Context(found))
-            if parameter.opts[0].startswith("--") and parameter.name != "help"]
+    return [
+        parameter.opts[0]
+        for parameter in found.get_params(typer.Context(found))
+        if parameter.opts[0].startswith("--") and parameter.name != "help"
+    ]
 
 
 def documented_options(command: str) -> list[str]:

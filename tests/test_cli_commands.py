@@ -43,10 +43,15 @@ OUTWARD = re.compile(r"""(?:src|href)=["'](?!data:|#)([^"']+)|url\((?!#)|@import
 def better(run: Trajectory) -> Trajectory:
     """The small run with everybody served in its second step and 8 kW more import in the first."""
     customers = run.customers.assign(
-        served=run.customers["served"] | (run.customers["time"] == run.steps["time"][1]))
+        served=run.customers["served"] | (run.customers["time"] == run.steps["time"][1])
+    )
     steps = run.steps.assign(p_grid_kw=run.steps["p_grid_kw"] + [8.0, 0.0, 0.0, 0.0])
-    return replace(run, customers=customers, steps=steps,
-                   options={**run.options, "horizon_h": 6.0, "errors": {"load_bias": 0.2}})
+    return replace(
+        run,
+        customers=customers,
+        steps=steps,
+        options={**run.options, "horizon_h": 6.0, "errors": {"load_bias": 0.2}},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +92,10 @@ def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plain_figures:
 def test_valid_scenario(tiny_folder: Path) -> None:
     result = call("validate", tiny_folder)
     assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout == ("tiny is valid: 4 buses, 3 customers, 2 PV systems, 2 batteries, "
-                             "6 steps of 60 min, 2 of them without grid.\n")
+    assert result.stdout == (
+        "tiny is valid: 4 buses, 3 customers, 2 PV systems, 2 batteries, "
+        "6 steps of 60 min, 2 of them without grid.\n"
+    )
 
 
 def test_valid_scenario_as_json(tiny_folder: Path) -> None:
@@ -97,17 +104,27 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
     record = json.loads(result.stdout)
     assert (record["folder"], record["valid"], record["problems"]) == (str(tiny_folder), True, [])
     assert record["content"] == {
-        "name": "tiny", "title": "Four buses, six hours", "buses": 4, "customers": 3,
-        "pv_systems": 2, "batteries": 2, "steps": 6, "step_minutes": 60.0, "outage_steps": 2}
+        "name": "tiny",
+        "title": "Four buses, six hours",
+        "buses": 4,
+        "customers": 3,
+        "pv_systems": 2,
+        "batteries": 2,
+        "steps": 6,
+        "step_minutes": 60.0,
+        "outage_steps": 2,
+    }
 
 
 def spoil(folder: Path) -> None:
     """Three mistakes in two files, the later row first."""
-    (folder / "lines.csv").write_text("from_bus,to_bus,r_ohm,x_ohm\n1,2,0.3,0.2\n2,3,0.4,none\n"
-                                      "2,4,-0.5,0.4\n", encoding="utf-8")
+    (folder / "lines.csv").write_text(
+        "from_bus,to_bus,r_ohm,x_ohm\n1,2,0.3,0.2\n2,3,0.4,none\n2,4,-0.5,0.4\n", encoding="utf-8"
+    )
     toml = folder / "scenario.toml"
-    toml.write_text(toml.read_text(encoding="utf-8").replace("steps = 6", "steps = 0"),
-                    encoding="utf-8")
+    toml.write_text(
+        toml.read_text(encoding="utf-8").replace("steps = 6", "steps = 0"), encoding="utf-8"
+    )
 
 
 def test_all_problems_by_file_and_row(tiny_folder: Path) -> None:
@@ -119,7 +136,8 @@ def test_all_problems_by_file_and_row(tiny_folder: Path) -> None:
         "lines.csv, row 3, x_ohm = none: is not a number. Give the series reactance in ohm.",
         "lines.csv, row 4, r_ohm = -0.5: must be at least 1e-07. "
         "Give the series resistance in ohm.",
-        "3 problems."]
+        "3 problems.",
+    ]
 
 
 def test_problems_as_json(tiny_folder: Path) -> None:
@@ -128,11 +146,19 @@ def test_problems_as_json(tiny_folder: Path) -> None:
     record = json.loads(result.stdout)
     assert (result.exit_code, record["valid"], record["content"]) == (2, False, None)
     assert [(p["file"], p["row"], p["field"]) for p in record["problems"]] == [
-        ("scenario.toml", None, "time.steps"), ("lines.csv", 3, "x_ohm"), ("lines.csv", 4, "r_ohm")]
+        ("scenario.toml", None, "time.steps"),
+        ("lines.csv", 3, "x_ohm"),
+        ("lines.csv", 4, "r_ohm"),
+    ]
     assert record["problems"][2] == {
-        "file": "lines.csv", "row": 4, "field": "r_ohm", "value": "-0.5",
-        "message": "must be at least 1e-07", "cure": "Give the series resistance in ohm.",
-        "more": 0}
+        "file": "lines.csv",
+        "row": 4,
+        "field": "r_ohm",
+        "value": "-0.5",
+        "message": "must be at least 1e-07",
+        "cure": "Give the series resistance in ohm.",
+        "more": 0,
+    }
 
 
 def test_single_problem_is_counted_in_words(tiny_folder: Path) -> None:
@@ -151,9 +177,11 @@ def test_validate_of_nothing_is_an_error() -> None:
 
 def test_validate_loads_neither_solver_nor_power_flow_nor_figures() -> None:
     heavy = ("cvxpy", "highspy", "matplotlib", "pandapower", "pyscipopt")
-    code = ("import sys\nfrom vppres.cli.commands import app\n"
-            "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
-            f"print('loaded', [name for name in {heavy!r} if name in sys.modules])")
+    code = (
+        "import sys\nfrom vppres.cli.commands import app\n"
+        "app(['validate', 'uk-heatwave-2022'], standalone_mode=False)\n"
+        f"print('loaded', [name for name in {heavy!r} if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
 
@@ -188,8 +216,9 @@ def test_report_is_drawn_again(two_runs: list[Path]) -> None:
 
 
 @pytest.mark.usefixtures("plain_figures")
-def test_report_keeps_recorded_figures_and_adds_missing_ones(two_runs: list[Path],
-                                                             tmp_path: Path) -> None:
+def test_report_keeps_recorded_figures_and_adds_missing_ones(
+    two_runs: list[Path], tmp_path: Path
+) -> None:
     summary_file = two_runs[0] / "summary.json"
     summary = json.loads(summary_file.read_text(encoding="utf-8"))
     del summary["v_mean_of_min_ac_pu"]  # as if an older version had written it
@@ -205,15 +234,30 @@ def test_report_keeps_recorded_figures_and_adds_missing_ones(two_runs: list[Path
 
 
 @pytest.mark.usefixtures("plain_figures")
-@pytest.mark.parametrize(("spoiled", "message"), [
-    (lambda run: shutil.rmtree(run), "there is no such folder. Give a folder written by a run."),
-    (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
-    (lambda run: (run / "summary.json").unlink(), "has no summary.json. Give a folder written by"),
-    (lambda run: (run / "summary.json").write_text("{"), "summary.json: is not valid JSON (Expec"),
-    (lambda run: (run / "summary.json").write_text("[]"), "summary.json: is not a table of fig"),
-    (lambda run: (run / "options.json").write_text("{"), "cannot be read (Expecting property"),
-    (lambda run: (run / "pv.parquet").write_text("id"), "cannot be read ("),
-])
+@pytest.mark.parametrize(
+    ("spoiled", "message"),
+    [
+        (
+            lambda run: shutil.rmtree(run),
+            "there is no such folder. Give a folder written by a run.",
+        ),
+        (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
+        (
+            lambda run: (run / "summary.json").unlink(),
+            "has no summary.json. Give a folder written by",
+        ),
+        (
+            lambda run: (run / "summary.json").write_text("{"),
+            "summary.json: is not valid JSON (Expec",
+        ),
+        (
+            lambda run: (run / "summary.json").write_text("[]"),
+            "summary.json: is not a table of fig",
+        ),
+        (lambda run: (run / "options.json").write_text("{"), "cannot be read (Expecting property"),
+        (lambda run: (run / "pv.parquet").write_text("id"), "cannot be read ("),
+    ],
+)
 def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> None:
     spoiled(two_runs[0])
     result = call("report", two_runs[0])
@@ -226,7 +270,8 @@ def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> 
 def test_report_of_a_file(two_runs: list[Path]) -> None:
     file = two_runs[0] / "summary.json"
     assert call("report", file).stderr == (
-        f"{file}: is not a folder. Give a folder written by a run.\n")
+        f"{file}: is not a folder. Give a folder written by a run.\n"
+    )
 
 
 @pytest.mark.usefixtures("plain_figures")
@@ -294,25 +339,37 @@ def test_compare_says_that_scenarios_differ(two_runs: list[Path], tmp_path: Path
     assert "The runs differ in their scenario." in (tmp_path / "both.html").read_text("utf-8")
 
 
-def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path],
-                                                      tmp_path: Path) -> None:
+def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path], tmp_path: Path) -> None:
     other = tmp_path / "b" / "plain"
     shutil.copytree(two_runs[0], other)
     assert list(read_runs([two_runs[0], other, two_runs[1]])) == [
-        str(two_runs[0]), str(other), "more"]
+        str(two_runs[0]),
+        str(other),
+        "more",
+    ]
 
 
 @pytest.mark.usefixtures("plain_figures")
-@pytest.mark.parametrize(("choose", "message"), [
-    (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
-    (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
-    (lambda a, b: [a, b, b.parent / "more" / ".." / "more"],
-     "{b}: is given more than once. Give each run folder once.\n"),
-    (lambda a, b: [a, b, "c", "d", "e", "f"], "compare: can tell 5 runs apart in a figure, and was "
-     "given 6. Leave some out, or compare them in parts.\n"),
-    (lambda a, b: [a, b / "x"],
-     "{b}/x: there is no such folder. Give a folder written by a run.\n"),
-])
+@pytest.mark.parametrize(
+    ("choose", "message"),
+    [
+        (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
+        (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
+        (
+            lambda a, b: [a, b, b.parent / "more" / ".." / "more"],
+            "{b}: is given more than once. Give each run folder once.\n",
+        ),
+        (
+            lambda a, b: [a, b, "c", "d", "e", "f"],
+            "compare: can tell 5 runs apart in a figure, and was "
+            "given 6. Leave some out, or compare them in parts.\n",
+        ),
+        (
+            lambda a, b: [a, b / "x"],
+            "{b}/x: there is no such folder. Give a folder written by a run.\n",
+        ),
+    ],
+)
 def test_runs_that_cannot_be_compared(two_runs: list[Path], choose: Any, message: str) -> None:
     result = call("compare", *choose(*two_runs))
     assert (result.exit_code, result.stdout) == (2, "")
@@ -327,7 +384,8 @@ def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
     assert result.stderr == (
         f"{tmp_path / 'quarters'}: has 4 steps of 15 min from 2022-07-19 00:00:00+00:00, "
         f"{two_runs[0]} has 4 of 30 min from 2022-07-19 00:00:00+00:00. "
-        "Compare runs of the same day.\n")
+        "Compare runs of the same day.\n"
+    )
     assert not (tmp_path / "x.html").exists()
 
 
@@ -337,13 +395,26 @@ def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
-    result = call("sweep", tiny_folder, "--param", "horizon", "--values", "2,0", "--out", out,
-                  "--jobs", 2, "--load-bias", 0.1)
+    result = call(
+        "sweep",
+        tiny_folder,
+        "--param",
+        "horizon",
+        "--values",
+        "2,0",
+        "--out",
+        out,
+        "--jobs",
+        2,
+        "--load-bias",
+        0.1,
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.endswith(f"Written to {out}\n")
     alone = tmp_path / "alone"
-    assert call("run", tiny_folder, "--horizon", 2, "--load-bias", 0.1, "--out",
-                alone).exit_code == 0
+    assert (
+        call("run", tiny_folder, "--horizon", 2, "--load-bias", 0.1, "--out", alone).exit_code == 0
+    )
     runs = read_runs([alone, out / "horizon=2", out / "horizon=0"])
     assert [run.summary["horizon_h"] for run in runs.values()] == [2.0, 2.0, 0.0]
     assert [run.summary["options"]["errors"]["load_bias"] for run in runs.values()] == [0.1] * 3
@@ -352,35 +423,62 @@ def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
     assert table["value"].tolist() == [2.0, 0.0]
     assert table["folder"].tolist() == ["horizon=2", "horizon=0"]
     assert table["resilience"].tolist() == pytest.approx(
-        [runs[name].summary["resilience"] for name in ("horizon=2", "horizon=0")])
+        [runs[name].summary["resilience"] for name in ("horizon=2", "horizon=0")]
+    )
 
 
 def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
-    result = call("sweep", small_folder, "--param", "scale.load", "--range", "1:2:3", "--out", out,
-                  "--jobs", 1, "--json")
+    result = call(
+        "sweep",
+        small_folder,
+        "--param",
+        "scale.load",
+        "--range",
+        "1:2:3",
+        "--out",
+        out,
+        "--jobs",
+        1,
+        "--json",
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     record = json.loads(result.stdout)
     assert (record["folder"], record["parameter"]) == (str(out), "scale.load")
     assert [run["folder"] for run in record["runs"]] == [
-        "scale.load=1", "scale.load=1.5", "scale.load=2"]
+        "scale.load=1",
+        "scale.load=1.5",
+        "scale.load=2",
+    ]
     assert sorted(path.name for path in out.iterdir()) == [
-        "scale.load=1", "scale.load=1.5", "scale.load=2", "summary.csv", "summary.json",
-        "sweep.html", "sweep.png", "sweep.svg"]
-    loads = [read_scenario(out / run["folder"] / "scenario").load_kw[0, 0]
-             for run in record["runs"]]
+        "scale.load=1",
+        "scale.load=1.5",
+        "scale.load=2",
+        "summary.csv",
+        "summary.json",
+        "sweep.html",
+        "sweep.png",
+        "sweep.svg",
+    ]
+    loads = [
+        read_scenario(out / run["folder"] / "scenario").load_kw[0, 0] for run in record["runs"]
+    ]
     assert loads == pytest.approx([10.0, 15.0, 20.0])
     text = (out / "sweep.html").read_text(encoding="utf-8")
-    links = ["scale.load%3D1/report.html", "scale.load%3D1.5/report.html",
-             "scale.load%3D2/report.html"]
+    links = [
+        "scale.load%3D1/report.html",
+        "scale.load%3D1.5/report.html",
+        "scale.load%3D2/report.html",
+    ]
     assert OUTWARD.findall(text) == links
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == record["runs"]
 
 
 def test_failed_run_does_not_end_the_others(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
-    result = call("sweep", small_folder, "--param", "horizon", "--values", "3,4,5", "--out", out,
-                  "--jobs", 1)
+    result = call(
+        "sweep", small_folder, "--param", "horizon", "--values", "3,4,5", "--out", out, "--jobs", 1
+    )
     assert result.exit_code == 1
     assert result.stderr == "horizon = 4.0: Step 2 has no feasible dispatch.\n"
     assert "failed" in result.stdout
@@ -403,68 +501,121 @@ def test_sweep_replaces_a_sweep_and_nothing_else(small_folder: Path, tmp_path: P
     assert (small_folder / "scenario.toml").is_file()
 
 
-def test_interrupted_sweep_leaves_nothing(small_folder: Path, tmp_path: Path,
-                                          monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_sweep_leaves_nothing(
+    small_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sweep, "write_run", interrupt)
-    result = call("sweep", small_folder, "--param", "seed", "--values", "1,2", "--out",
-                  tmp_path / "s", "--jobs", 1)
+    result = call(
+        "sweep",
+        small_folder,
+        "--param",
+        "seed",
+        "--values",
+        "1,2",
+        "--out",
+        tmp_path / "s",
+        "--jobs",
+        1,
+    )
     assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["small"]
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--param", "horizont", "--values", "1"],
-     "sweep, --param = horizont: is not a parameter. Did you mean horizon?"),
-    (["--param", "network.v_min", "--values", "1"],
-     "sweep, --param = network.v_min: is not a parameter. Did you mean network.v_min_pu?"),
-    (["--param", "zzz", "--values", "1"],
-     "sweep, --param = zzz: is not a parameter. Use one of: controller, horizon, solver, "),
-    (["--param", "horizon"], "sweep: needs either --values or --range. Give one of them, "),
-    (["--param", "horizon", "--values", "1", "--range", "0:1:2"],
-     "sweep: needs either --values or --range. Give one of them, "),
-    (["--param", "horizon", "--values", "1,two,nan,,1.0"],
-     "sweep, --values = 1,two,nan,,1.0: two is not a finite number. Give values of horizon, "
-     "separated by commas.\n"
-     "sweep, --values = 1,two,nan,,1.0: nan is not a finite number. Give values of horizon, "
-     "separated by commas.\n"
-     "sweep, --values = 1,two,nan,,1.0: nothing is not a finite number. Give values of horizon, "
-     "separated by commas.\n"
-     "sweep, --values = 1,two,nan,,1.0: 1.0 comes twice. Give each value once.\n"),
-    (["--param", "seed", "--values", "1.5"],
-     "sweep, --values = 1.5: 1.5 is not a whole number. Give values of seed, "),
-    (["--param", "seed", "--range", "0:1:3"],
-     "sweep, --values = 0,0.5,1: 0.5 is not a whole number. Give values of seed, "),
-    (["--param", "solver", "--values", "highs,"],
-     "sweep, --values = highs,: nothing is not a word. Give values of solver, "),
-    (["--param", "horizon", "--range", "0:5"],
-     "sweep, --range = 0:5: is not start:stop:n with n from 2 to 1000. Write for example "),
-    (["--param", "horizon", "--range", "0:x:3"], "sweep, --range = 0:x:3: is not start:stop:n "),
-    (["--param", "horizon", "--range", "0:5:1"], "sweep, --range = 0:5:1: is not start:stop:n "),
-    (["--param", "controller", "--range", "0:5:6"],
-     "sweep, --range = 0:5:6: controller takes words, not numbers. Use --values."),
-    (["--param", "horizon", "--values", "1,-1"],
-     "horizon = -1: options, horizon_h = -1.0: must be zero or positive. Give hours."),
-    (["--param", "thermal", "--values", "hot"],
-     "thermal = hot: options, thermal = hot: is not known. Use one of: off, exact, euler."),
-    (["--param", "gap", "--values", "0"],
-     "gap = 0: limits, gap_rel = 0.0: must be a finite number above 0. Give a share, for example "),
-    (["--param", "load_error", "--values", "-0.1"],
-     "load-error = -0.1: forecast errors, load_alpha_per_h = -0.1: must be a number not below 0."),
-    (["--param", "network.v_min_pu", "--values", "0.94,1.06"],
-     "network.v_min_pu = 1.06: scenario.toml, network.v_min_pu = 1.06: must be less than "
-     "v_max_pu (1.053). Correct one of the limits."),
-    (["--param", "batteries.soc_min", "--values", "1.5"],
-     "batteries.soc_min = 1.5: batteries.csv, row 2, soc_min = 1.5: must be at most 1."),
-    (["--param", "outage.hours", "--values", "0.75"],
-     "outage.hours = 0.75: scenario: the outage must last from 0 to 1.5 h in steps of 0.5 h. "
-     "Give another duration."),
-    (["--param", "seed", "--values", "1", "--jobs", "0"], "greater than or equal to 1"),
-])
-def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str],
-                   message: str) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--param", "horizont", "--values", "1"],
+            "sweep, --param = horizont: is not a parameter. Did you mean horizon?",
+        ),
+        (
+            ["--param", "network.v_min", "--values", "1"],
+            "sweep, --param = network.v_min: is not a parameter. Did you mean network.v_min_pu?",
+        ),
+        (
+            ["--param", "zzz", "--values", "1"],
+            "sweep, --param = zzz: is not a parameter. Use one of: controller, horizon, solver, ",
+        ),
+        (["--param", "horizon"], "sweep: needs either --values or --range. Give one of them, "),
+        (
+            ["--param", "horizon", "--values", "1", "--range", "0:1:2"],
+            "sweep: needs either --values or --range. Give one of them, ",
+        ),
+        (
+            ["--param", "horizon", "--values", "1,two,nan,,1.0"],
+            "sweep, --values = 1,two,nan,,1.0: two is not a finite number. Give values of horizon, "
+            "separated by commas.\n"
+            "sweep, --values = 1,two,nan,,1.0: nan is not a finite number. Give values of horizon, "
+            "separated by commas.\n"
+            "sweep, --values = 1,two,nan,,1.0: nothing is not a finite number. Give values of horizon, "
+            "separated by commas.\n"
+            "sweep, --values = 1,two,nan,,1.0: 1.0 comes twice. Give each value once.\n",
+        ),
+        (
+            ["--param", "seed", "--values", "1.5"],
+            "sweep, --values = 1.5: 1.5 is not a whole number. Give values of seed, ",
+        ),
+        (
+            ["--param", "seed", "--range", "0:1:3"],
+            "sweep, --values = 0,0.5,1: 0.5 is not a whole number. Give values of seed, ",
+        ),
+        (
+            ["--param", "solver", "--values", "highs,"],
+            "sweep, --values = highs,: nothing is not a word. Give values of solver, ",
+        ),
+        (
+            ["--param", "horizon", "--range", "0:5"],
+            "sweep, --range = 0:5: is not start:stop:n with n from 2 to 1000. Write for example ",
+        ),
+        (
+            ["--param", "horizon", "--range", "0:x:3"],
+            "sweep, --range = 0:x:3: is not start:stop:n ",
+        ),
+        (
+            ["--param", "horizon", "--range", "0:5:1"],
+            "sweep, --range = 0:5:1: is not start:stop:n ",
+        ),
+        (
+            ["--param", "controller", "--range", "0:5:6"],
+            "sweep, --range = 0:5:6: controller takes words, not numbers. Use --values.",
+        ),
+        (
+            ["--param", "horizon", "--values", "1,-1"],
+            "horizon = -1: options, horizon_h = -1.0: must be zero or positive. Give hours.",
+        ),
+        (
+            ["--param", "thermal", "--values", "hot"],
+            "thermal = hot: options, thermal = hot: is not known. Use one of: off, exact, euler.",
+        ),
+        (
+            ["--param", "gap", "--values", "0"],
+            "gap = 0: limits, gap_rel = 0.0: must be a finite number above 0. Give a share, for example ",
+        ),
+        (
+            ["--param", "load_error", "--values", "-0.1"],
+            "load-error = -0.1: forecast errors, load_alpha_per_h = -0.1: must be a number not below 0.",
+        ),
+        (
+            ["--param", "network.v_min_pu", "--values", "0.94,1.06"],
+            "network.v_min_pu = 1.06: scenario.toml, network.v_min_pu = 1.06: must be less than "
+            "v_max_pu (1.053). Correct one of the limits.",
+        ),
+        (
+            ["--param", "batteries.soc_min", "--values", "1.5"],
+            "batteries.soc_min = 1.5: batteries.csv, row 2, soc_min = 1.5: must be at most 1.",
+        ),
+        (
+            ["--param", "outage.hours", "--values", "0.75"],
+            "outage.hours = 0.75: scenario: the outage must last from 0 to 1.5 h in steps of 0.5 h. "
+            "Give another duration.",
+        ),
+        (["--param", "seed", "--values", "1", "--jobs", "0"], "greater than or equal to 1"),
+    ],
+)
+def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
     result = call("sweep", small_folder, "--out", tmp_path / "s", *arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     assert message in result.stderr
@@ -472,8 +623,18 @@ def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str],
 
 
 def test_unknown_solver_ends_the_sweep(tiny_folder: Path, tmp_path: Path) -> None:
-    result = call("sweep", tiny_folder, "--param", "solver", "--values", "glpk", "--jobs", 1,
-                  "--out", tmp_path / "s")
+    result = call(
+        "sweep",
+        tiny_folder,
+        "--param",
+        "solver",
+        "--values",
+        "glpk",
+        "--jobs",
+        1,
+        "--out",
+        tmp_path / "s",
+    )
     assert (result.exit_code, result.stdout) == (2, "")
     assert "solver = glpk: is not a known solver (highs, scip, " in result.stderr
     assert not (tmp_path / "s").exists()
@@ -495,26 +656,57 @@ def varied(name: str, value: float) -> Scenario:
 
 
 def test_every_option_of_run_is_a_parameter() -> None:
-    values = {"controller": "full-horizon", "solver": "scip", "method": "monolithic",
-              "thermal": "euler", "mode": "physical", "centre": "literal", "pv-check": "literal",
-              "seed": 3, "max-actions": 4, "cold-load-factor": 1.5}
+    values = {
+        "controller": "full-horizon",
+        "solver": "scip",
+        "method": "monolithic",
+        "thermal": "euler",
+        "mode": "physical",
+        "centre": "literal",
+        "pv-check": "literal",
+        "seed": 3,
+        "max-actions": 4,
+        "cold-load-factor": 1.5,
+    }
     day, options = small_scenario(), RunOptions()
     for name in sweep_parameters.OPTION_OF:
         value = values.get(name, 0.5)
         same, options = changed(find_parameter(name, day), value, day, options)
         assert same is day
     assert options.as_record() == {
-        "controller": "full-horizon", "horizon_h": 0.5, "solver": "scip", "method": "monolithic",
-        "errors": {"load_bias": 0.5, "load_alpha_per_h": 0.5, "pv_bias": 0.5,
-                   "pv_alpha_per_h": 0.5},
-        "thermal": "euler", "seed": 3,
+        "controller": "full-horizon",
+        "horizon_h": 0.5,
+        "solver": "scip",
+        "method": "monolithic",
+        "errors": {
+            "load_bias": 0.5,
+            "load_alpha_per_h": 0.5,
+            "pv_bias": 0.5,
+            "pv_alpha_per_h": 0.5,
+        },
+        "thermal": "euler",
+        "seed": 3,
         "limits": {**RunOptions().as_record()["limits"], "gap_rel": 0.5, "time_s": 0.5},
-        "polygon_sides": RunOptions().polygon_sides, "centre": "literal", "pv_check": "literal",
-        "mode": "physical", "headroom": RunOptions().headroom, "passes": RunOptions().passes,
-        "switching": {"min_served_h": 0.5, "min_unserved_h": 0.5, "price_per_action": 0.5,
-                      "max_actions_per_customer": 4, "stay_restored": False,
-                      "cold_load_factor": 1.5, "cold_load_h": 0.5, "move_weight": 0.5},
-        "guard": True, "protect_critical": False, "reserve": {"soc": 0.5, "notice_h": 0.5}}
+        "polygon_sides": RunOptions().polygon_sides,
+        "centre": "literal",
+        "pv_check": "literal",
+        "mode": "physical",
+        "headroom": RunOptions().headroom,
+        "passes": RunOptions().passes,
+        "switching": {
+            "min_served_h": 0.5,
+            "min_unserved_h": 0.5,
+            "price_per_action": 0.5,
+            "max_actions_per_customer": 4,
+            "stay_restored": False,
+            "cold_load_factor": 1.5,
+            "cold_load_h": 0.5,
+            "move_weight": 0.5,
+        },
+        "guard": True,
+        "protect_critical": False,
+        "reserve": {"soc": 0.5, "notice_h": 0.5},
+    }
 
 
 def test_scenario_parameters_by_hand() -> None:
@@ -576,12 +768,26 @@ def test_help_has_an_example(command: str) -> None:
     assert f"Example: vppres {command} " in " ".join(result.stdout.split())
 
 
-@pytest.mark.parametrize(("words", "expected"), [
-    ("vppres val", "validate"), ("vppres run uk", "uk-heatwave-2022"),
-    ("vppres sweep x --ra", "--range")])
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("vppres val", "validate"),
+        ("vppres run uk", "uk-heatwave-2022"),
+        ("vppres sweep x --ra", "--range"),
+    ],
+)
 def test_shell_completion(words: str, expected: str) -> None:
-    environment = {**os.environ, "_VPPRES_COMPLETE": "complete_bash", "COMP_WORDS": words,
-                   "COMP_CWORD": str(len(words.split()) - 1)}
-    done = subprocess.run([sys.executable, "-m", "vppres"], env=environment, capture_output=True,
-                          text=True, check=True)
+    environment = {
+        **os.environ,
+        "_VPPRES_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "vppres"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.split() == [expected]

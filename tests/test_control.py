@@ -39,18 +39,24 @@ def test_steps_are_those_of_a_run(tiny: Scenario, kind: str) -> None:
     options = RunOptions(controller=kind, horizon_h=3.0)
     run = vppres.run_day(tiny, options)
     decisions = followed(tiny, options)
-    for name, column in {"customers": "served", "batteries": "soc_end", "pv": "curtailed_kw"
-                         }.items():
+    for name, column in {
+        "customers": "served",
+        "batteries": "soc_end",
+        "pv": "curtailed_kw",
+    }.items():
         found = pd.concat([getattr(d, name) for d in decisions])[column].to_numpy(float)
         assert found == pytest.approx(run.tables[name][column].to_numpy(float), abs=1e-7), name
     net_kw = run.batteries["charge_kw"] - run.batteries["discharge_kw"]
     assert np.concatenate([d.batteries["p_kw"] for d in decisions]) == pytest.approx(
-        net_kw, abs=1e-4)
+        net_kw, abs=1e-4
+    )
     # Reactive power is a tie-breaker, equal only as far as its level is solved.
     assert np.concatenate([d.buses["v_ac_pu"] for d in decisions]) == pytest.approx(
-        run.buses["v_ac_pu"], abs=1e-5)
+        run.buses["v_ac_pu"], abs=1e-5
+    )
     assert [d.import_kw for d in decisions] == pytest.approx(
-        run.steps["p_grid_kw"].tolist(), abs=1e-2)
+        run.steps["p_grid_kw"].tolist(), abs=1e-2
+    )
 
 
 def test_switching_rules_reach_over_the_steps(tiny: Scenario) -> None:
@@ -68,13 +74,21 @@ def test_options_without_meaning_change_nothing(tiny: Scenario) -> None:
     plain = followed(tiny, RunOptions(horizon_h=3.0))
     for one, other in zip(plain, followed(tiny, wild), strict=True):
         assert one.batteries["soc_end"].to_numpy() == pytest.approx(
-            other.batteries["soc_end"].to_numpy(), abs=1e-7)
+            other.batteries["soc_end"].to_numpy(), abs=1e-7
+        )
 
 
 def test_what_is_measured_overrules_the_scenario(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=0))
-    dark = controller.step(Measurement(controller.times[0], SOC, load_kw={"homes": 500.0},
-                                       pv_kw={"roof": 0.0, "field": 99.0}, grid_limit_kw=0.0))
+    dark = controller.step(
+        Measurement(
+            controller.times[0],
+            SOC,
+            load_kw={"homes": 500.0},
+            pv_kw={"roof": 0.0, "field": 99.0},
+            grid_limit_kw=0.0,
+        )
+    )
     assert dark.customers["load_kw"].to_dict() == {"hospital": 60.0, "shop": 40.0, "homes": 500.0}
     assert dark.pv["available_kw"].to_dict() == {"roof": 0.0, "field": 20.0}  # its rating
     # 60 kW of the hospital, 20 kW of PV, and a battery for one hour: 500 kW are out of reach.
@@ -112,27 +126,31 @@ def test_state_of_charge_beyond_the_limits_counts_as_the_limit(tiny: Scenario) -
     assert outside.solve["estimated"] == ""
     at_limit = controller.step(Measurement(controller.times[3], {"big": 0.15, "small": 0.85}))
     assert outside.batteries["soc_end"].to_numpy() == pytest.approx(
-        at_limit.batteries["soc_end"].to_numpy(), abs=1e-7)
+        at_limit.batteries["soc_end"].to_numpy(), abs=1e-7
+    )
 
 
 def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(guard=False))
     wrong = Measurement(
-        pd.Timestamp("2022-07-19T10:30Z"), soc={"bgi": 0.5, "small": 15.0},
-        load_kw={"shop": -1.0}, pv_kw=pd.DataFrame({"roof": [np.nan]}, index=controller.times[:1]),
+        pd.Timestamp("2022-07-19T10:30Z"),
+        soc={"bgi": 0.5, "small": 15.0},
+        load_kw={"shop": -1.0},
+        pv_kw=pd.DataFrame({"roof": [np.nan]}, index=controller.times[:1]),
         grid_limit_kw=pd.Series([5.0], index=[pd.Timestamp("2022-07-20T10:00Z")]),
-        price_gbp_per_kwh=float("inf"), eta_charge={"big": 0.0}, online={"small": False})
+        price_gbp_per_kwh=float("inf"),
+        eta_charge={"big": 0.0},
+        online={"small": False},
+    )
     with pytest.raises(InputError) as caught:
         controller.step(wrong)
-    steps = ("The scenario's steps begin at 2022-07-19T10:00:00+00:00 and last 60 min; "
-             "there are 6.")
+    steps = "The scenario's steps begin at 2022-07-19T10:00:00+00:00 and last 60 min; there are 6."
     assert str(caught.value).splitlines() == [
         "measurement, time = 2022-07-19 10:30:00+00:00: is not the beginning of a step. " + steps,
         "measurement, load_kw of shop = -1.0: must be a number not below 0. "
         "Correct the measurement.",
         "measurement, pv_kw of roof = nan: must be a number not below 0. Correct the measurement.",
-        "measurement, price_gbp_per_kwh = inf: must be a finite number. "
-        "Correct the measurement.",
+        "measurement, price_gbp_per_kwh = inf: must be a finite number. Correct the measurement.",
         "measurement, grid_limit_kw = 2022-07-20 10:00:00+00:00: is not the beginning of a step. "
         + steps,
         "measurement, soc = bgi: is not in the scenario. Did you mean big?",
@@ -155,8 +173,16 @@ def net() -> Any:
     pp.create_buses(net, 5, vn_kv=11.0)
     pp.create_ext_grid(net, 0)
     for a, b in ((0, 1), (1, 2), (2, 3)):
-        pp.create_line_from_parameters(net, a, b, length_km=1.0, r_ohm_per_km=0.4,
-                                       x_ohm_per_km=0.3, c_nf_per_km=0.0, max_i_ka=1.0)
+        pp.create_line_from_parameters(
+            net,
+            a,
+            b,
+            length_km=1.0,
+            r_ohm_per_km=0.4,
+            x_ohm_per_km=0.3,
+            c_nf_per_km=0.0,
+            max_i_ka=1.0,
+        )
     pp.create_switch(net, 3, 4, et="b")
     for bus, p_mw in ((1, 0.2), (2, 0.1), (4, 0.3), (4, 0.1)):
         pp.create_load(net, bus, p_mw=p_mw, q_mvar=0.3 * p_mw)
@@ -167,8 +193,13 @@ def net() -> Any:
 
 def test_set_points_in_a_pandapower_net(net: Any) -> None:
     feeder = vppres.import_network(net)
-    day = vppres.new_scenario(feeder, vppres.NewScenarioOptions(step_minutes=240.0, outages=(
-        (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T20:00Z")),)))
+    day = vppres.new_scenario(
+        feeder,
+        vppres.NewScenarioOptions(
+            step_minutes=240.0,
+            outages=((pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T20:00Z")),),
+        ),
+    )
     controller = Controller.of(day, RunOptions(horizon_h=4.0))
     soc = dict.fromkeys(day.batteries.id, 0.5)
     for time in controller.times:
@@ -197,12 +228,14 @@ def test_set_points_of_another_net_are_refused(tiny: Scenario, net: Any) -> None
     other = "is not a bus of the net. Give the net and the feeder that the scenario was made from."
     # Bus 4 of the net is one with bus 3.
     assert str(caught.value).splitlines() == [
-        f"set-points, bus of homes = 4: {other}", f"set-points, bus of field = 4: {other}",
+        f"set-points, bus of homes = 4: {other}",
+        f"set-points, bus of field = 4: {other}",
         f"set-points, bus of small = 4: {other}",
         "set-points, bus of hospital = 2: the net has no load at this bus. Give the net that the "
         "scenario was made from.",
         "set-points, bus of homes = 4: the net has no load at this bus. Give the net that the "
-        "scenario was made from."]
+        "scenario was made from.",
+    ]
     pd.testing.assert_frame_equal(net.load, before)
 
 
@@ -218,7 +251,8 @@ def test_notebooks_show_tables(tiny: Scenario) -> None:
 
 
 def test_set_points_say_when_they_are_a_fallback(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=2.0, isolate=False))
     first = controller.step(Measurement(controller.times[0], SOC))
     assert (first.solve["fallback"], first.solve["fallback_reason"]) == ("none", "")
@@ -248,49 +282,97 @@ LEAVE = "Give a number; leave out what was not measured, or give NaN."
 WRITE = "Write it with an offset, for example 2022-07-19T12:00:00Z."
 
 
-@pytest.mark.parametrize(("given", "text"), [
-    ({"load_kw": {"shop": "40"}}, f"load_kw of shop = 40: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": [40.0]}}, f"load_kw of shop = [40.0]: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": pd.NA}}, f"load_kw of shop = <NA>: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": None}}, f"load_kw of shop = None: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": {"homes": 1.0}}},
-     f"load_kw of shop = {{'homes': 1.0}}: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": True}}, f"load_kw of shop = True: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": 10**400}}, f"load_kw of shop = 1{'0' * 59}...: is not a number. {LEAVE}"),
-    ({"load_kw": {"shop": np.inf}},
-     "load_kw of shop = inf: must be a number not below 0. Correct the measurement."),
-    ({"load_kw": {"shop": 1e300}}, "load_kw of shop = 1e+300: is more than any feeder has: check "
-     "the unit. Correct the measurement."),
-    ({"load_kw": {"\x1b": 1.0}}, "load_kw = '\\x1b': is not in the scenario. Correct the "
-     "identifier. Known: hospital, shop, homes."),
-    ({"load_kw": 40.0}, "load_kw = float 40.0: is not a mapping, a Series or a DataFrame by time. "
-     "Give values by identifier, for example {'a': 1}."),
-    ({"load_kw": pd.Series([1.0, 2.0], index=["shop", "shop"])},
-     "load_kw = shop: is given more than once. Give each identifier once."),
-    ({"pv_kw": pd.DataFrame([[1.0, 2.0]], columns=["roof", "roof"],
-                            index=[pd.Timestamp("2022-07-19T10:00Z")])},
-     "pv_kw = roof: is given more than once. Give each identifier once."),
-    ({"pv_kw": pd.DataFrame({"roof": [1.0]}, index=["2022-07-19T10:00"])},
-     f"pv_kw = 2022-07-19T10:00: has no time zone. {WRITE}"),
-    ({"pv_kw": pd.DataFrame({"roof": [1.0, np.nan]},
-                            index=pd.to_datetime(["2022-07-19T10:00Z", "2022-07-19T11:00Z"]))},
-     "pv_kw of roof = nan: must be a number not below 0. Correct the measurement."),
-    ({"grid_limit_kw": pd.Series([1.0, 2.0], index=["2022-07-19T10:00Z"] * 2)},
-     "grid_limit_kw = 2022-07-19 10:00:00+00:00: is given more than once. Give each time once."),
-    ({"price_gbp_per_kwh": [0.3]}, f"price_gbp_per_kwh = [0.3]: is not a number. {LEAVE}"),
-    ({"soc": {"big": 0.5, "small": "half"}}, f"soc of small = half: is not a number. {LEAVE}"),
-    ({"soc": [0.5, 0.5]}, "soc = list [0.5, 0.5]: is not a mapping or a Series. Give values by "
-     "identifier, for example {'a': 1}."),
-    ({"online": {"big": 1}}, "online of big = 1: is neither true nor false. Give True or False."),
-    ({"battery_kw": {"big": 40e3}}, "battery_kw of big = 40000.0: is beyond the inverter's rating "
-     "of 60 kVA. Give the power in kW."),
-    ({"import_kw": "much"}, f"import_kw = much: is not a number. {LEAVE}"),
-    ({"time": "2022-07-19T10:00"}, f"time = 2022-07-19T10:00: has no time zone. {WRITE}"),
-    ({"time": "now"}, f"time = now: is not a date and time. {WRITE}"),
-    ({"time": pd.NaT}, f"time = NaT: is not a date and time. {WRITE}"),
-])
-def test_each_mistake_names_quantity_value_and_cure(tiny: Scenario, given: dict[str, Any],
-                                                    text: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"load_kw": {"shop": "40"}}, f"load_kw of shop = 40: is not a number. {LEAVE}"),
+        ({"load_kw": {"shop": [40.0]}}, f"load_kw of shop = [40.0]: is not a number. {LEAVE}"),
+        ({"load_kw": {"shop": pd.NA}}, f"load_kw of shop = <NA>: is not a number. {LEAVE}"),
+        ({"load_kw": {"shop": None}}, f"load_kw of shop = None: is not a number. {LEAVE}"),
+        (
+            {"load_kw": {"shop": {"homes": 1.0}}},
+            f"load_kw of shop = {{'homes': 1.0}}: is not a number. {LEAVE}",
+        ),
+        ({"load_kw": {"shop": True}}, f"load_kw of shop = True: is not a number. {LEAVE}"),
+        (
+            {"load_kw": {"shop": 10**400}},
+            f"load_kw of shop = 1{'0' * 59}...: is not a number. {LEAVE}",
+        ),
+        (
+            {"load_kw": {"shop": np.inf}},
+            "load_kw of shop = inf: must be a number not below 0. Correct the measurement.",
+        ),
+        (
+            {"load_kw": {"shop": 1e300}},
+            "load_kw of shop = 1e+300: is more than any feeder has: check "
+            "the unit. Correct the measurement.",
+        ),
+        (
+            {"load_kw": {"\x1b": 1.0}},
+            "load_kw = '\\x1b': is not in the scenario. Correct the "
+            "identifier. Known: hospital, shop, homes.",
+        ),
+        (
+            {"load_kw": 40.0},
+            "load_kw = float 40.0: is not a mapping, a Series or a DataFrame by time. "
+            "Give values by identifier, for example {'a': 1}.",
+        ),
+        (
+            {"load_kw": pd.Series([1.0, 2.0], index=["shop", "shop"])},
+            "load_kw = shop: is given more than once. Give each identifier once.",
+        ),
+        (
+            {
+                "pv_kw": pd.DataFrame(
+                    [[1.0, 2.0]],
+                    columns=["roof", "roof"],
+                    index=[pd.Timestamp("2022-07-19T10:00Z")],
+                )
+            },
+            "pv_kw = roof: is given more than once. Give each identifier once.",
+        ),
+        (
+            {"pv_kw": pd.DataFrame({"roof": [1.0]}, index=["2022-07-19T10:00"])},
+            f"pv_kw = 2022-07-19T10:00: has no time zone. {WRITE}",
+        ),
+        (
+            {
+                "pv_kw": pd.DataFrame(
+                    {"roof": [1.0, np.nan]},
+                    index=pd.to_datetime(["2022-07-19T10:00Z", "2022-07-19T11:00Z"]),
+                )
+            },
+            "pv_kw of roof = nan: must be a number not below 0. Correct the measurement.",
+        ),
+        (
+            {"grid_limit_kw": pd.Series([1.0, 2.0], index=["2022-07-19T10:00Z"] * 2)},
+            "grid_limit_kw = 2022-07-19 10:00:00+00:00: is given more than once. Give each time once.",
+        ),
+        ({"price_gbp_per_kwh": [0.3]}, f"price_gbp_per_kwh = [0.3]: is not a number. {LEAVE}"),
+        ({"soc": {"big": 0.5, "small": "half"}}, f"soc of small = half: is not a number. {LEAVE}"),
+        (
+            {"soc": [0.5, 0.5]},
+            "soc = list [0.5, 0.5]: is not a mapping or a Series. Give values by "
+            "identifier, for example {'a': 1}.",
+        ),
+        (
+            {"online": {"big": 1}},
+            "online of big = 1: is neither true nor false. Give True or False.",
+        ),
+        (
+            {"battery_kw": {"big": 40e3}},
+            "battery_kw of big = 40000.0: is beyond the inverter's rating "
+            "of 60 kVA. Give the power in kW.",
+        ),
+        ({"import_kw": "much"}, f"import_kw = much: is not a number. {LEAVE}"),
+        ({"time": "2022-07-19T10:00"}, f"time = 2022-07-19T10:00: has no time zone. {WRITE}"),
+        ({"time": "now"}, f"time = now: is not a date and time. {WRITE}"),
+        ({"time": pd.NaT}, f"time = NaT: is not a date and time. {WRITE}"),
+    ],
+)
+def test_each_mistake_names_quantity_value_and_cure(
+    tiny: Scenario, given: dict[str, Any], text: str
+) -> None:
     assert refused(Controller.of(tiny), **given) == [f"measurement, {text}"]
 
 
@@ -311,7 +393,8 @@ def test_what_cannot_be_read_is_an_input_error(tiny: Scenario) -> None:
     controller = Controller.of(tiny)
     assert refused(controller, load_kw=Liar()) == [
         "measurement: cannot be read: LookupError, not today. Give plain dictionaries, numbers, "
-        "Series and DataFrames."]
+        "Series and DataFrames."
+    ]
     with pytest.raises(InputError, match="observation = 5: is not a Measurement"):
         controller.step(5)  # type: ignore[arg-type]
 
@@ -324,16 +407,23 @@ def test_time_may_be_text_and_never_goes_back(tiny: Scenario) -> None:
     assert refused(controller, time=controller.times[1]) == [
         "measurement, time = 2022-07-19 11:00:00+00:00: lies before the step that was decided "
         "last, 2022-07-19T12:00:00+00:00. Decide steps in their order; to begin again, make "
-        "another Controller."]
+        "another Controller."
+    ]
 
 
-@pytest.mark.parametrize(("given", "text"), [
-    ({"gap_rel": 0.0}, "gap_rel = 0.0: must be a finite number above 0. Give a share"),
-    ({"gap_abs": float("nan")}, "gap_abs = nan: must be a finite number above 0. Give weighted"),
-    ({"time_s": float("inf")}, "time_s = inf: must be a finite number above 0. Give seconds"),
-    ({"time_s": "long"}, "time_s = long: must be a finite number above 0. Give seconds"),
-    ({"time_s": True}, "time_s = True: must be a finite number above 0. Give seconds"),
-])
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"gap_rel": 0.0}, "gap_rel = 0.0: must be a finite number above 0. Give a share"),
+        (
+            {"gap_abs": float("nan")},
+            "gap_abs = nan: must be a finite number above 0. Give weighted",
+        ),
+        ({"time_s": float("inf")}, "time_s = inf: must be a finite number above 0. Give seconds"),
+        ({"time_s": "long"}, "time_s = long: must be a finite number above 0. Give seconds"),
+        ({"time_s": True}, "time_s = True: must be a finite number above 0. Give seconds"),
+    ],
+)
 def test_limits_of_a_solve_are_checked(given: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError, match=f"^limits, {text}"):
         SolveLimits(**given)
@@ -346,14 +436,16 @@ def test_missing_readings_are_estimated(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=2.0))
     first = controller.step(Measurement(controller.times[0], SOC))
     left = dict(first.batteries["soc_end"])
-    second = controller.step(Measurement(controller.times[1], load_kw={"shop": -3.0},
-                                         pv_kw={"roof": float("nan")}))
+    second = controller.step(
+        Measurement(controller.times[1], load_kw={"shop": -3.0}, pv_kw={"roof": float("nan")})
+    )
     known = Controller.of(tiny, RunOptions(horizon_h=2.0))
     known.step(Measurement(known.times[0], SOC))
     told = known.step(Measurement(known.times[1], left))
     assert second.solve["estimated"] == (
         f"soc big {left['big']:.4f} (missing); soc small {left['small']:.4f} (missing); "
-        "load shop 41.00 kW (missing); pv roof 28.00 kW (missing)")
+        "load shop 41.00 kW (missing); pv roof 28.00 kW (missing)"
+    )
     assert second.customers.equals(told.customers)
     assert second.batteries.to_numpy() == pytest.approx(told.batteries.to_numpy(), abs=1e-5)
 
@@ -379,12 +471,18 @@ def test_silent_battery_and_one_that_reports_to_be_out(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=0))
     first = controller.step(Measurement(controller.times[3], SOC))
     assert first.batteries["p_kw"]["big"] < -1.0
-    silent = controller.step(Measurement(controller.times[4], SOC, battery_kw={
-        "big": 0.0, "small": first.batteries["p_kw"]["small"]}))
+    silent = controller.step(
+        Measurement(
+            controller.times[4],
+            SOC,
+            battery_kw={"big": 0.0, "small": first.batteries["p_kw"]["small"]},
+        )
+    )
     assert silent.solve["estimated"] == "battery big is out"
     assert silent.batteries["p_kw"]["big"] == silent.batteries["q_kvar"]["big"] == 0.0
     told = Controller.of(tiny, RunOptions(horizon_h=0)).step(
-        Measurement(controller.times[4], SOC, online={"small": False}))
+        Measurement(controller.times[4], SOC, online={"small": False})
+    )
     assert told.solve["estimated"] == "battery small is out"
     assert told.batteries["p_kw"]["small"] == 0.0
 
@@ -400,8 +498,10 @@ def test_frozen_demand_shows_in_the_import(tiny: Scenario) -> None:
         decision = controller.step(Measurement(controller.times[t], soc, load_kw=frozen, **came))
         words.append(decision.solve["estimated"])
         soc = dict(decision.batteries["soc_end"])
-        came = {"battery_kw": dict(decision.batteries["p_kw"]),
-                "import_kw": decision.import_kw + rise_kw[t]}
+        came = {
+            "battery_kw": dict(decision.batteries["p_kw"]),
+            "import_kw": decision.import_kw + rise_kw[t],
+        }
     assert words == ["", "", "load of all 3, 153.0 kW (frozen)"]
 
 
@@ -410,17 +510,21 @@ def test_frozen_demand_shows_in_the_import(tiny: Scenario) -> None:
 
 @pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
 def test_step_that_fails_leaves_the_controller_as_it_was(
-        tiny: Scenario, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rules = SwitchingRules(min_unserved_h=2.0)
     options = RunOptions(controller=kind, horizon_h=2.0, switching=rules)
     plain = followed(tiny, options)
     controller = Controller.of(tiny, options)
     soc = dict(zip(tiny.batteries.id, tiny.batteries.soc_initial, strict=True))
     for time, expected in zip(controller.times, plain, strict=True):
-        for error, raised in ((VerificationError("no solution"), VerificationError),
-                              (ZeroDivisionError("oh"), SolveError),
-                              (KeyboardInterrupt(), KeyboardInterrupt)):
+        for error, raised in (
+            (VerificationError("no solution"), VerificationError),
+            (ZeroDivisionError("oh"), SolveError),
+            (KeyboardInterrupt(), KeyboardInterrupt),
+        ):
             with monkeypatch.context() as patch:
+
                 def fails(*_: object, error: BaseException = error) -> None:
                     raise error
 
@@ -484,5 +588,9 @@ def test_set_points_beyond_a_limit_are_seen(tiny: Scenario) -> None:
     done.batteries.loc["big", ["p_kw", "q_kvar", "soc_end"]] = [51.0, 40.0, 0.9]
     done.pv.loc["roof", ["p_kw", "q_kvar"]] = [np.nan, 0.0]
     assert beyond_limits(tiny, done) == [
-        "battery rating by 1", f"battery disc by {np.hypot(51, 40) - 60:g}",
-        "state of charge by 0.05", "pv disc by nan", "pv sign by nan"]
+        "battery rating by 1",
+        f"battery disc by {np.hypot(51, 40) - 60:g}",
+        "state of charge by 0.05",
+        "pv disc by nan",
+        "pv sign by nan",
+    ]

@@ -35,8 +35,10 @@ def own_problems(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def same(one: Decision, other: Decision) -> bool:
     """Whether two decisions carry out the same step."""
-    return all((getattr(one.dispatch, f.name)[one.row] ==
-                getattr(other.dispatch, f.name)[other.row]).all() for f in fields(Dispatch))
+    return all(
+        (getattr(one.dispatch, f.name)[one.row] == getattr(other.dispatch, f.name)[other.row]).all()
+        for f in fields(Dispatch)
+    )
 
 
 def other_truth(scenario: Scenario, known: range) -> Scenario:
@@ -47,7 +49,8 @@ def other_truth(scenario: Scenario, known: range) -> Scenario:
         load_kw=np.where(rows[:, None], scenario.load_kw, 1.7 * scenario.load_kw + 3.0),
         pv_kw=np.where(rows[:, None], scenario.pv_kw, 0.4 * scenario.pv_kw),
         price_gbp_per_kwh=np.where(rows, scenario.price_gbp_per_kwh, 0.01),
-        grid_limit_kw=np.where(rows, scenario.grid_limit_kw, 0.0))
+        grid_limit_kw=np.where(rows, scenario.grid_limit_kw, 0.0),
+    )
 
 
 # No look-ahead.
@@ -93,7 +96,11 @@ def test_full_horizon_sees_nothing_but_the_step_once_it_has_planned() -> None:
 def test_mpc_window_is_cut_at_the_end_of_the_day(tiny: Scenario) -> None:
     controller = make_controller(tiny, RunOptions(horizon_h=2.0))
     assert [controller.horizon_steps(t) for t in (0, 3, 4, 5)] == [
-        range(0, 3), range(3, 6), range(4, 6), range(5, 6)]
+        range(0, 3),
+        range(3, 6),
+        range(4, 6),
+        range(5, 6),
+    ]
 
 
 def test_observation_cannot_be_written_to(tiny: Scenario) -> None:
@@ -110,12 +117,17 @@ def plan_of(scenario: Scenario, step: int, done: Decision) -> Dispatch:
     """A plan that says the same in every step as a decision of one step."""
     steps = scenario.grid.n_steps
     assert 0 <= step < steps
-    return Dispatch(**{f.name: np.repeat(getattr(done.dispatch, f.name)[:1], steps, axis=0)
-                       for f in fields(Dispatch)})
+    return Dispatch(
+        **{
+            f.name: np.repeat(getattr(done.dispatch, f.name)[:1], steps, axis=0)
+            for f in fields(Dispatch)
+        }
+    )
 
 
-def full_horizon(scenario: Scenario, plan: Dispatch,
-                 pv_check: PVCheck = "absorbing") -> FullHorizonController:
+def full_horizon(
+    scenario: Scenario, plan: Dispatch, pv_check: PVCheck = "absorbing"
+) -> FullHorizonController:
     """A controller that has already planned."""
     controller = FullHorizonController(WindowSolver(Site.of(scenario)), scenario.grid, pv_check)
     controller.plan = plan
@@ -125,9 +137,13 @@ def full_horizon(scenario: Scenario, plan: Dispatch,
 def actual(scenario: Scenario, t: int, soc: float = 0.5, eta: float = 0.95) -> Observation:
     """What is measured when a step is due."""
     rows, count = slice(t, t + 1), len(scenario.batteries)
-    forecast = Forecast(scenario.load_kw[rows], scenario.pv_kw[rows],
-                        scenario.price_gbp_per_kwh[rows], scenario.grid_limit_kw[rows],
-                        scenario.temperature_c[rows])
+    forecast = Forecast(
+        scenario.load_kw[rows],
+        scenario.pv_kw[rows],
+        scenario.price_gbp_per_kwh[rows],
+        scenario.grid_limit_kw[rows],
+        scenario.temperature_c[rows],
+    )
     return Observation(t, forecast, np.full(count, soc), np.full(count, eta), np.full(count, eta))
 
 
@@ -142,13 +158,17 @@ def test_plan_that_passes_is_followed(tiny: Scenario) -> None:
     assert followed.dispatch is controller.plan and followed.row == 4
 
 
-@pytest.mark.parametrize(("change", "reason"), [
-    ({"battery_kw": [-40.0, -27.0]}, "grid import: 8.0 kW above what the grid gives"),
-    ({"battery_kw": [-48.0, -29.0]}, "grid import: 2.0 kW surplus that cannot be exported"),
-    ({"batt_q_kvar": [37.0, 0.0]}, "battery inverter: big by 0.605 kVA"),
-])
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"battery_kw": [-40.0, -27.0]}, "grid import: 8.0 kW above what the grid gives"),
+        ({"battery_kw": [-48.0, -29.0]}, "grid import: 2.0 kW surplus that cannot be exported"),
+        ({"batt_q_kvar": [37.0, 0.0]}, "battery inverter: big by 0.605 kVA"),
+    ],
+)
 def test_correction_names_the_check_and_the_worst_item(
-        tiny: Scenario, change: dict[str, list[float]], reason: str) -> None:
+    tiny: Scenario, change: dict[str, list[float]], reason: str
+) -> None:
     plan = plan_of(tiny, 4, decision(tiny, **{**ISLAND, **change}))
     corrected = full_horizon(tiny, plan).decide(actual(tiny, 4, soc=0.85))
     assert (corrected.corrected, corrected.reason, corrected.row) == (True, reason, 0)
@@ -208,16 +228,29 @@ def test_plan_that_passes_leaves_the_island_balanced(tiny: Scenario) -> None:
 # Options.
 
 
-@pytest.mark.parametrize(("options", "text"), [
-    ({"controller": "pid"}, "options, controller = pid: is not known. Use one of: mpc, "
-                            "full-horizon, perfect, idle, reserve."),
-    ({"pv_check": "lax"}, "options, pv_check = lax: is not known. Use one of: absorbing, literal."),
-    ({"centre": "flat"}, "options, centre = flat: is not known. Use one of: lossless, literal, "
-                         "none."),
-    ({"horizon_h": -1.0}, "options, horizon_h = -1.0: must be zero or positive. Give hours."),
-    ({"horizon_h": float("nan")}, "options, horizon_h = nan: must be zero or positive. Give "
-                                  "hours."),
-])
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (
+            {"controller": "pid"},
+            "options, controller = pid: is not known. Use one of: mpc, "
+            "full-horizon, perfect, idle, reserve.",
+        ),
+        (
+            {"pv_check": "lax"},
+            "options, pv_check = lax: is not known. Use one of: absorbing, literal.",
+        ),
+        (
+            {"centre": "flat"},
+            "options, centre = flat: is not known. Use one of: lossless, literal, none.",
+        ),
+        ({"horizon_h": -1.0}, "options, horizon_h = -1.0: must be zero or positive. Give hours."),
+        (
+            {"horizon_h": float("nan")},
+            "options, horizon_h = nan: must be zero or positive. Give hours.",
+        ),
+    ],
+)
 def test_unknown_options_are_named(options: dict[str, str], text: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**options)

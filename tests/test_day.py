@@ -63,8 +63,9 @@ class IdealDay:
     @property
     def net_charge_kw(self) -> Floats:
         """Charging less discharging of the fleet, shape (T,)."""
-        return (self.per_step("batteries", "charge_kw")
-                - self.per_step("batteries", "discharge_kw")).sum(axis=1)
+        return (
+            self.per_step("batteries", "charge_kw") - self.per_step("batteries", "discharge_kw")
+        ).sum(axis=1)
 
 
 @pytest.fixture(scope="session")
@@ -82,9 +83,11 @@ def ideal(packaged_day: Scenario) -> IdealDay:
     for t in range(packaged_day.grid.n_steps):
         day.step(listener, t)
     site = Site.of(packaged_day)
-    return IdealDay(day.recorder.finish(options.as_record()),
-                    [WindowData.of(o, site, "lossless") for o, _ in listener.heard],
-                    [d.dispatch for _, d in listener.heard])
+    return IdealDay(
+        day.recorder.finish(options.as_record()),
+        [WindowData.of(o, site, "lossless") for o, _ in listener.heard],
+        [d.dispatch for _, d in listener.heard],
+    )
 
 
 @pytest.fixture(scope="session")
@@ -210,17 +213,21 @@ def least_cost(scenario: Scenario, data: WindowData, plan: Dispatch) -> float:
     one, zero = np.eye(steps), np.zeros((steps, steps))
     change = one - np.eye(steps, k=-1)
     balance = np.hstack([one, -one, one, zero])
-    stored = np.hstack([zero, -dt_h * data.eta_charge.mean() * one,
-                        dt_h / data.eta_discharge.mean() * one, change])
+    stored = np.hstack(
+        [zero, -dt_h * data.eta_charge.mean() * one, dt_h / data.eta_discharge.mean() * one, change]
+    )
     energy = plan.soc @ b.energy_kwh
     start = np.r_[energy[0], np.zeros(steps - 1)]
     limits = [(0.0, None)] * steps + [(0.0, b.p_max_kw.sum())] * steps
     limits += [(0.0, min(b.p_max_kw.sum(), room)) for room in load - own]
     limits += [(b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max)] * (steps - 1)
     limits += [(energy[-1], energy[-1])]
-    answer = linprog(np.r_[data.price_gbp_per_kwh * dt_h, np.zeros(3 * steps)],
-                     A_eq=np.vstack([balance, stored]), b_eq=np.r_[load - pv, start],
-                     bounds=limits)
+    answer = linprog(
+        np.r_[data.price_gbp_per_kwh * dt_h, np.zeros(3 * steps)],
+        A_eq=np.vstack([balance, stored]),
+        b_eq=np.r_[load - pv, start],
+        bounds=limits,
+    )
     assert answer.status == 0, answer.message
     return float(answer.fun)
 
@@ -259,11 +266,15 @@ def test_mpc_replicates_the_full_horizon(ideal: IdealDay, full_horizon: Trajecto
 
 @pytest.mark.slow
 def test_resilience_rises_with_the_horizon_and_is_flat_from_four_hours(
-        packaged_day: Scenario, ideal: IdealDay) -> None:
+    packaged_day: Scenario, ideal: IdealDay
+) -> None:
     values = []
     for horizon_h in range(9):
-        run = ideal.run if horizon_h == 5 else run_day(
-            packaged_day, replace(RunOptions(), horizon_h=float(horizon_h)))
+        run = (
+            ideal.run
+            if horizon_h == 5
+            else run_day(packaged_day, replace(RunOptions(), horizon_h=float(horizon_h)))
+        )
         values.append(resilience(run) or 0.0)
     assert min(np.diff(values)) >= -1e-9, values
     assert max(values[4:]) - min(values[4:]) <= 0.003, values

@@ -29,8 +29,9 @@ BUSY_S = 3.0
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time, in the hands of the test."""
     time_s = [100.0]
-    monkeypatch.setattr("vppres.solve.deadline.time",
-                        SimpleNamespace(perf_counter=lambda: time_s[0]))
+    monkeypatch.setattr(
+        "vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: time_s[0])
+    )
     return time_s
 
 
@@ -81,8 +82,7 @@ def test_patience_ends_with_the_time(now: list[float]) -> None:
 # Stages.
 
 
-def test_search_in_the_network_ends_where_nothing_improves(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_in_the_network_ends_where_nothing_improves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vppres.solve.network.master.PATIENCE_S", 0.2)
     site = Site.of(packaged())
     data = window_data(instance(NEVER_CLOSED))
@@ -132,8 +132,11 @@ def test_a_hundredth_of_a_second_does_not_take_many(name: str) -> None:
 
 def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
     """Time is up at once: what is cheap and compiled is still finished."""
-    ordinary = next(one for one in read_instances() if one.place == "before" and one.steps == 3
-                    and one.group == "ordinary")
+    ordinary = next(
+        one
+        for one in read_instances()
+        if one.place == "before" and one.steps == 3 and one.group == "ordinary"
+    )
     solver = WindowSolver(Site.of(packaged()), limits=SolveLimits(time_s=60.0))
     first = solver.solve(window_data(ordinary))
     assert first.dispatch.served.all()

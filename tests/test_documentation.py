@@ -104,14 +104,24 @@ def write_file(example: Example) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-SYBIL = Sybil([PythonCodeBlockParser(), CodeBlockParser("console", run_commands),
-               CodeBlockParser("sh", run_commands), files])
+SYBIL = Sybil(
+    [
+        PythonCodeBlockParser(),
+        CodeBlockParser("console", run_commands),
+        CodeBlockParser("sh", run_commands),
+        files,
+    ]
+)
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if any(SYBIL.parse(p).examples())],
-                         ids=lambda page: str(page.relative_to(ROOT)))
-def test_blocks_of_the_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(
+    "page",
+    [p for p in PAGES if any(SYBIL.parse(p).examples())],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_blocks_of_the_page_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     monkeypatch.chdir(tmp_path)
     if page.name != "README.md":  # one page draws what a reader gets; the others run commands
         request.getfixturevalue("plain_figures")

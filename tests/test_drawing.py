@@ -31,11 +31,16 @@ def test_processes_draw_what_one_would_alone(aside: Path, tmp_path: Path) -> Non
         processes.save(run, tmp_path / "figures")
     assert not aside.exists()
     # In a fresh process: pandapower, if loaded, changes how matplotlib ends lines.
-    code = ("import pickle, sys; from pathlib import Path\n"
-            "from vppres.report.plots import save_figures\n"
-            "save_figures(pickle.load(sys.stdin.buffer), Path(sys.argv[1]))")
-    subprocess.run([sys.executable, "-c", code, str(tmp_path / "alone")], check=True,
-                   input=drawing.pickle.dumps(run))
+    code = (
+        "import pickle, sys; from pathlib import Path\n"
+        "from vppres.report.plots import save_figures\n"
+        "save_figures(pickle.load(sys.stdin.buffer), Path(sys.argv[1]))"
+    )
+    subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "alone")],
+        check=True,
+        input=drawing.pickle.dumps(run),
+    )
     alone = {file.name: file.read_bytes() for file in (tmp_path / "alone").iterdir()}
     drawn = {file.name: file.read_bytes() for file in (tmp_path / "figures").iterdir()}
     assert len(alone) == 16

@@ -24,8 +24,10 @@ def as_json(document: dict[str, Any]) -> Any:
 def mistakes(document: dict[str, Any]) -> list[str]:
     """Where the schema finds something wrong."""
     validator = jsonschema.Draft202012Validator(editor_schema())
-    return [".".join(map(str, error.absolute_path)) for error in
-            validator.iter_errors(as_json(document))]
+    return [
+        ".".join(map(str, error.absolute_path))
+        for error in validator.iter_errors(as_json(document))
+    ]
 
 
 def test_schema_is_a_schema() -> None:
@@ -38,16 +40,20 @@ def test_packaged_scenarios_pass(name: str) -> None:
     assert mistakes(tomllib.loads(text)) == []
 
 
-@pytest.mark.parametrize(("section", "key", "value", "where"), [
-    ("network", "slack_bus", "busbar", None),  # names and numbers are both buses
-    ("network", "v_min_pu", -1.0, "network.v_min_pu"),
-    ("time", "steps", 2.5, "time.steps"),
-    ("controller", "kind", "pid", "controller.kind"),
-    ("controller", "horizon", 5, "controller"),
-    ("files", "lines", "../lines.csv", "files.lines"),
-])
-def test_mistakes_are_found_where_they_are(section: str, key: str, value: object,
-                                           where: str | None) -> None:
+@pytest.mark.parametrize(
+    ("section", "key", "value", "where"),
+    [
+        ("network", "slack_bus", "busbar", None),  # names and numbers are both buses
+        ("network", "v_min_pu", -1.0, "network.v_min_pu"),
+        ("time", "steps", 2.5, "time.steps"),
+        ("controller", "kind", "pid", "controller.kind"),
+        ("controller", "horizon", 5, "controller"),
+        ("files", "lines", "../lines.csv", "files.lines"),
+    ],
+)
+def test_mistakes_are_found_where_they_are(
+    section: str, key: str, value: object, where: str | None
+) -> None:
     document = _document(tiny_scenario())
     document.setdefault(section, {})[key] = value
     assert mistakes(document) == ([] if where is None else [where])

@@ -17,8 +17,14 @@ from vppres.model.variables import Parameters, Variables
 from vppres.scenario.scenario import Scenario
 
 LAST_EQUATION = 30
-LABELS = {3: "eq:batt_inverter", 6: "eq:min_pv", 7: "eq:pv_inverter", 16: "eq:full-distflow",
-          17: "eq:full-distflow1", 21: "eq:dist_flow_diff"}
+LABELS = {
+    3: "eq:batt_inverter",
+    6: "eq:min_pv",
+    7: "eq:pv_inverter",
+    16: "eq:full-distflow",
+    17: "eq:full-distflow1",
+    21: "eq:dist_flow_diff",
+}
 """The labels that the paper gives in Sections 3.1 and 3.2, by its equations' numbers."""
 PAGE = Path(__file__).parent.parent / "docs" / "mathematics.md"
 
@@ -64,7 +70,8 @@ def site(tiny: Scenario) -> Site:
 
 @pytest.mark.parametrize("polygon_sides", [0, 16])
 def test_every_constraint_has_its_row_and_every_row_its_constraint(
-        site: Site, polygon_sides: int) -> None:
+    site: Site, polygon_sides: int
+) -> None:
     model = WindowModel(site, 2, Form(polygon_sides=polygon_sides))
     rows = table("## Equations")
     assert sorted(names(row[4])[0] for row in rows) == sorted(model.constraints)
@@ -81,7 +88,7 @@ def test_constraints_are_made_by_the_functions_that_the_page_names(site: Site) -
     rows = table("## Equations")
     for function in dict.fromkeys(names(row[3])[0] for row in rows):
         made += getattr(constraints, function)(site, paper.v, paper.p)
-        assert made == [names(row[4])[0] for row in rows][:len(made)], function
+        assert made == [names(row[4])[0] for row in rows][: len(made)], function
 
 
 def test_every_equation_of_section_3_has_its_row() -> None:
@@ -97,8 +104,11 @@ def test_every_label_of_the_paper_stands_beside_its_equation() -> None:
     for row in [row for part in tables("## Equations") for row in part]:
         listed = re.findall(r"`(eq:[\w-]+)`", row[1])
         # One label belongs to the last of the equations that a row states, several to each.
-        labels |= dict(zip(sorted(numbers(row[0]))[-len(listed):], listed, strict=True)) \
-            if listed else {}
+        labels |= (
+            dict(zip(sorted(numbers(row[0]))[-len(listed) :], listed, strict=True))
+            if listed
+            else {}
+        )
     assert labels == LABELS
 
 
@@ -109,8 +119,7 @@ def test_code_names_the_labels_that_the_page_names() -> None:
 
 
 def test_variables_and_parameters_are_those_of_the_page() -> None:
-    assert [names(r[1])[0] for r in table("### Variables")] == list(
-        Variables.__dataclass_fields__)
+    assert [names(r[1])[0] for r in table("### Variables")] == list(Variables.__dataclass_fields__)
     listed = [n for r in table("### Parameters") for n in names(r[1])]
     assert sorted(listed) == sorted(Parameters.__dataclass_fields__)
 
@@ -132,6 +141,9 @@ def test_physical_mode_differs_by_what_the_page_says(site: Site, polygon_sides: 
     assert set(physical.constraints) - set(paper.constraints) <= listed
     known = set(PhysicalParameters.__dataclass_fields__)
     assert {n for row in rows for n in names(row[2])} == known
-    changed = {name for name, constraint in physical.constraints.items()
-               if known & {p.name() for p in constraint.parameters()}}
+    changed = {
+        name
+        for name, constraint in physical.constraints.items()
+        if known & {p.name() for p in constraint.parameters()}
+    }
     assert changed == listed

@@ -70,7 +70,8 @@ MISSED = {
     "battery_soc_start": [0.5 - 0.45, 0.4 - 0.35],
     "battery_soc_dynamics": [
         [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
-        [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * (0.8 * 6 - 1 / 0.8)]],
+        [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * (0.8 * 6 - 1 / 0.8)],
+    ],
     "battery_soc_min": [[0.1 - 0.6, 0.2 - 0.3], [0.1 - 0.2, 0.2 - 0.7]],
     "battery_soc_max": [[0.6 - 0.9, 0.3 - 0.8], [0.2 - 0.9, 0.7 - 0.8]],
     # (10, 24), (4, 3), (12, 5), (5, 12) have the lengths 26, 5, 13, 13
@@ -85,11 +86,13 @@ MISSED = {
     # export - battery + inflow - outflow - (demand - self-consumption), import at the first bus
     "active_power_balance": [
         [5 - 20, 2 - 10 + 20 - 15 - (40 - 3), 13 + 4 + 15 - (0 - 7)],
-        [8 + 25, 4 + 12 - 25 - 30 - (80 - 5), 17 - 5 + 30 - (90 - 11)]],
+        [8 + 25, 4 + 12 - 25 - 30 - (80 - 5), 17 - 5 + 30 - (90 - 11)],
+    ],
     # PV + battery + inflow - outflow - demand: 0.75 and 4/3 kvar for each kW
     "reactive_power_balance": [
         [-6 - 12, -12 + 24 + 12 + 9 - 30, 21 - 3 - 9 - 0],
-        [9 - 8, 12 + 5 + 8 - 6 - 60, -21 + 12 + 6 - 120]],
+        [9 - 8, 12 + 5 + 8 - 6 - 60, -21 + 12 + 6 - 120],
+    ],
     # no grid, then 100 kW; reactive power up to demand and ratings: 60 + 120 + 75 + 165 kvar
     "grid_active_limit": [5 - 0, 8 - 100],
     "grid_reactive_max": [-6 - 0, 9 - 420],
@@ -99,16 +102,28 @@ MISSED = {
     "voltage_slack": [1.05 - 1.0816, 1.02 - 1.0816],  # 1.04 pu
     # u_j - u_i + 2 (r P + x Q) - offset
     "delta_lindistflow": [
-        [0.98 - 1.05 + 0.002 * (0.1 * 20 + 0.2 * 12) - 0.001,
-         0.95 - 0.98 + 0.002 * (0.3 * 15 - 0.4 * 9) - 0.002],
-        [0.99 - 1.02 + 0.002 * (-0.1 * 25 + 0.2 * 8) - 0.003,
-         1.01 - 0.99 + 0.002 * (0.3 * 30 + 0.4 * 6) - 0.004]],
+        [
+            0.98 - 1.05 + 0.002 * (0.1 * 20 + 0.2 * 12) - 0.001,
+            0.95 - 0.98 + 0.002 * (0.3 * 15 - 0.4 * 9) - 0.002,
+        ],
+        [
+            0.99 - 1.02 + 0.002 * (-0.1 * 25 + 0.2 * 8) - 0.003,
+            1.01 - 0.99 + 0.002 * (0.3 * 30 + 0.4 * 6) - 0.004,
+        ],
+    ],
 }
 """Left-hand side less right-hand side of each equation, of each inequality what is above zero where
 it is violated."""
-EQUALITIES = {"battery_soc_start", "battery_soc_dynamics", "pv_balance", "pv_self_consumption",
-              "active_power_balance", "reactive_power_balance", "voltage_slack",
-              "delta_lindistflow"}
+EQUALITIES = {
+    "battery_soc_start",
+    "battery_soc_dynamics",
+    "pv_balance",
+    "pv_self_consumption",
+    "active_power_balance",
+    "reactive_power_balance",
+    "voltage_slack",
+    "delta_lindistflow",
+}
 
 TERMS = {
     "f1_service": 0.5 * (1.0 + 1.0 + 0.1),
@@ -122,28 +137,70 @@ TERMS = {
 
 def scenario() -> Scenario:
     """The feeder, its devices and their day."""
-    thermal = {name: [1.0, 1.0] for name in (
-        "r_theta_c_per_kw", "c_theta_kwh_per_c", "alpha_charge_per_c2", "alpha_discharge_per_c2",
-        "r_int_ohm", "beta_per_c", "u_batt_v", "t_ref_c", "t_initial_c")}
+    thermal = {
+        name: [1.0, 1.0]
+        for name in (
+            "r_theta_c_per_kw",
+            "c_theta_kwh_per_c",
+            "alpha_charge_per_c2",
+            "alpha_discharge_per_c2",
+            "r_int_ohm",
+            "beta_per_c",
+            "u_batt_v",
+            "t_ref_c",
+            "t_initial_c",
+        )
+    }
     return Scenario(
-        name="hand", title="Two lines",
+        name="hand",
+        title="Two lines",
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 30.0, STEPS),
-        network=Network([1, 2], [2, 3], [0.1, 0.3], [0.2, 0.4], slack_bus=1, base_kv=1.0,
-                        v_slack_pu=1.04, v_min_pu=0.9, v_max_pu=1.1, v_min_ac_pu=0.9,
-                        v_max_ac_pu=1.1),
-        customers=Customers(id=["shop", "home"], bus=[2, 3], tier=["critical", "high"],
-                            weight=[1.0, 0.1], power_factor=[0.8, 0.6]),
-        pv=PVSystems(id=["roof", "deck"], customer=["home", "shop"], p_max_kw=[100.0, 60.0],
-                     s_max_kva=[105.0, 60.0]),
+        network=Network(
+            [1, 2],
+            [2, 3],
+            [0.1, 0.3],
+            [0.2, 0.4],
+            slack_bus=1,
+            base_kv=1.0,
+            v_slack_pu=1.04,
+            v_min_pu=0.9,
+            v_max_pu=1.1,
+            v_min_ac_pu=0.9,
+            v_max_ac_pu=1.1,
+        ),
+        customers=Customers(
+            id=["shop", "home"],
+            bus=[2, 3],
+            tier=["critical", "high"],
+            weight=[1.0, 0.1],
+            power_factor=[0.8, 0.6],
+        ),
+        pv=PVSystems(
+            id=["roof", "deck"],
+            customer=["home", "shop"],
+            p_max_kw=[100.0, 60.0],
+            s_max_kva=[105.0, 60.0],
+        ),
         batteries=Batteries(
-            id=["b2", "b3"], bus=[2, 3], energy_kwh=[100.0, 50.0], p_max_kw=[40.0, 20.0],
-            s_max_kva=[50.0, 25.0], soc_min=[0.1, 0.2], soc_max=[0.9, 0.8],
-            soc_initial=[0.45, 0.35], eta_charge=[0.9, 0.8], eta_discharge=[0.5, 0.8], **thermal),
+            id=["b2", "b3"],
+            bus=[2, 3],
+            energy_kwh=[100.0, 50.0],
+            p_max_kw=[40.0, 20.0],
+            s_max_kva=[50.0, 25.0],
+            soc_min=[0.1, 0.2],
+            soc_max=[0.9, 0.8],
+            soc_initial=[0.45, 0.35],
+            eta_charge=[0.9, 0.8],
+            eta_discharge=[0.5, 0.8],
+            **thermal,
+        ),
         load_kw=np.array([[40.0, 60.0], [80.0, 90.0]]),
         pv_kw=np.array([[100.0, 20.0], [30.0, 50.0]]),
-        price_gbp_per_kwh=np.array([0.2, 0.4]), temperature_c=np.array([25.0, 25.0]),
+        price_gbp_per_kwh=np.array([0.2, 0.4]),
+        temperature_c=np.array([25.0, 25.0]),
         grid_limit_kw=np.array([0.0, 100.0]),
-        objective=ObjectiveWeights(0.1, 0.01, 0.001, 1.0))
+        objective=ObjectiveWeights(0.1, 0.01, 0.001, 1.0),
+    )
 
 
 @pytest.fixture
@@ -155,9 +212,16 @@ def site() -> Site:
 def data() -> WindowData:
     day = scenario()
     b = day.batteries
-    return WindowData(day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw,
-                      b.soc_initial, b.eta_charge, b.eta_discharge,
-                      np.array([[0.001, 0.002], [0.003, 0.004]]))
+    return WindowData(
+        day.load_kw,
+        day.pv_kw,
+        day.price_gbp_per_kwh,
+        day.grid_limit_kw,
+        b.soc_initial,
+        b.eta_charge,
+        b.eta_discharge,
+        np.array([[0.001, 0.002], [0.003, 0.004]]),
+    )
 
 
 @pytest.fixture
@@ -198,8 +262,11 @@ def test_every_equation_of_the_paper_is_the_sum_of_its_terms(paper: PaperProblem
 
 
 def test_equations_are_equations_and_limits_are_limits(paper: PaperProblem) -> None:
-    equal = {name for name, constraint in paper.subject_to.items()
-             if isinstance(constraint, cp.constraints.Equality)}
+    equal = {
+        name
+        for name, constraint in paper.subject_to.items()
+        if isinstance(constraint, cp.constraints.Equality)
+    }
     assert equal == EQUALITIES
 
 
@@ -215,34 +282,57 @@ def test_objective_is_what_the_paper_weighs(paper: PaperProblem) -> None:
 
 
 def test_terms_of_arrays_are_those_of_the_problem(
-        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    site: Site, data: WindowData, paper: PaperProblem
+) -> None:
     terms = evaluate(site, data, paper.v.dispatch(site))
     assert [terms.f1, terms.f2, terms.f3, terms.f4, terms.f5] == pytest.approx(
-        list(TERMS.values()), rel=1e-12)
+        list(TERMS.values()), rel=1e-12
+    )
     assert terms.total(site.weights) == pytest.approx(paper.F.value, rel=1e-12)
 
 
 def test_signs_of_the_variables_are_the_papers(paper: PaperProblem) -> None:
     never_negative = {name for name in VALUES if getattr(paper.v, name).is_nonneg()}
-    assert never_negative == {"x_served", "P_self", "P_exp", "P_curt", "P_ch", "P_dch", "delta",
-                              "P_grid", "u"}
+    assert never_negative == {
+        "x_served",
+        "P_self",
+        "P_exp",
+        "P_curt",
+        "P_ch",
+        "P_dch",
+        "delta",
+        "P_grid",
+        "u",
+    }
     assert {v.name() for v in paper.problem.variables() if v.attributes["boolean"]} == {
-        "x_served", "delta"}
+        "x_served",
+        "delta",
+    }
 
 
-@pytest.mark.parametrize(("centre", "expected"), [
-    ("lossless", [0.81 - 1.0 + 0.002 * (0.1 * 20 + 0.2 * 3),
-                  0.64 - 0.81 + 0.002 * (0.3 * 15 - 0.4 * 9)]),
-    ("literal", [0.81 - 1.0 + 0.002 * (0.1 * 22 + 0.2 * 5),
-                 0.64 - 0.81 + 0.002 * (0.3 * 16 - 0.4 * 8)]),
-    ("none", [0.0, 0.0]),
-])
+@pytest.mark.parametrize(
+    ("centre", "expected"),
+    [
+        (
+            "lossless",
+            [0.81 - 1.0 + 0.002 * (0.1 * 20 + 0.2 * 3), 0.64 - 0.81 + 0.002 * (0.3 * 15 - 0.4 * 9)],
+        ),
+        (
+            "literal",
+            [0.81 - 1.0 + 0.002 * (0.1 * 22 + 0.2 * 5), 0.64 - 0.81 + 0.002 * (0.3 * 16 - 0.4 * 8)],
+        ),
+        ("none", [0.0, 0.0]),
+    ],
+)
 def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[float]) -> None:
     # Buses 2 and 3 take 5 and 15 kW, and 12 and -9 kvar: 20 and 15 kW flow without losses.
     point = OperatingPoint(
-        v_pu=np.array([1.0, 0.9, 0.8]), p_flow_kw=np.array([22.0, 16.0]),
-        q_flow_kvar=np.array([5.0, -8.0]), p_injection_kw=np.array([0.0, -5.0, -15.0]),
-        q_injection_kvar=np.array([0.0, -12.0, 9.0]))
+        v_pu=np.array([1.0, 0.9, 0.8]),
+        p_flow_kw=np.array([22.0, 16.0]),
+        q_flow_kvar=np.array([5.0, -8.0]),
+        p_injection_kw=np.array([0.0, -5.0, -15.0]),
+        q_injection_kvar=np.array([0.0, -12.0, 9.0]),
+    )
     assert delta_offset(site.network, point, centre) == pytest.approx(expected, abs=1e-15)
 
 
@@ -250,9 +340,16 @@ def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
     """One optimum, found at once by SCIP and level by level by the package."""
     site = Site.of(replace(tiny, objective=ObjectiveWeights(1e-3, 0.1, 1e-9, 1e-9)))
     b = site.batteries
-    data = WindowData(tiny.load_kw[2:4], tiny.pv_kw[2:4], tiny.price_gbp_per_kwh[2:4],
-                      tiny.grid_limit_kw[2:4], b.soc_initial, b.eta_charge, b.eta_discharge,
-                      np.zeros((2, site.network.n_lines)))
+    data = WindowData(
+        tiny.load_kw[2:4],
+        tiny.pv_kw[2:4],
+        tiny.price_gbp_per_kwh[2:4],
+        tiny.grid_limit_kw[2:4],
+        b.soc_initial,
+        b.eta_charge,
+        b.eta_discharge,
+        np.zeros((2, site.network.n_lines)),
+    )
     whole = paper_problem(site, 2)
     whole.p.fill(site, data)
     outcome = run(whole.problem, find_solver("scip"), gap_abs=1e-6, time_s=60.0)
@@ -267,16 +364,24 @@ def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> N
     args = (site, paper.v, paper.p)
     named = total_balance(*args) | inverter_active(site, paper.v) | battery_room(*args)
     assert isinstance(named["total_power_balance"], cp.constraints.Equality)
-    assert_missed(named, {
-        # import + export - (demand - self-consumption) - battery power
-        "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
-        "battery_charge_rating": [[10 - 50, 0 - 25], [0 - 50, 6 - 25]],
-        "battery_discharge_rating": [[0 - 50, 4 - 25], [12 - 50, 1 - 25]],
-        "pv_active_rating": [[20 - 105, 5 - 60], [28 - 105, 9 - 60]],
-        "battery_room": [[0.5 + 0.005 * 9 - 0.9, 0.4 - 0.8], [0.6 - 0.9, 0.3 + 0.01 * 4.8 - 0.8]],
-        "battery_reserve": [[0.1 - 0.5, 0.2 - (0.4 - 0.01 * 5)],
-                            [0.1 - (0.6 - 0.005 * 24), 0.2 - (0.3 - 0.01 * 1.25)]],
-    })
+    assert_missed(
+        named,
+        {
+            # import + export - (demand - self-consumption) - battery power
+            "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
+            "battery_charge_rating": [[10 - 50, 0 - 25], [0 - 50, 6 - 25]],
+            "battery_discharge_rating": [[0 - 50, 4 - 25], [12 - 50, 1 - 25]],
+            "pv_active_rating": [[20 - 105, 5 - 60], [28 - 105, 9 - 60]],
+            "battery_room": [
+                [0.5 + 0.005 * 9 - 0.9, 0.4 - 0.8],
+                [0.6 - 0.9, 0.3 + 0.01 * 4.8 - 0.8],
+            ],
+            "battery_reserve": [
+                [0.1 - 0.5, 0.2 - (0.4 - 0.01 * 5)],
+                [0.1 - (0.6 - 0.005 * 24), 0.2 - (0.3 - 0.01 * 1.25)],
+            ],
+        },
+    )
 
 
 def test_sides_of_polygons(site: Site, paper: PaperProblem) -> None:
@@ -287,7 +392,8 @@ def test_sides_of_polygons(site: Site, paper: PaperProblem) -> None:
     S = np.array([50, 25])
     inside = battery_polygon(site, paper.v, Polygon.inscribed(4))["battery_inverter_capacity"]
     assert missed(inside) == pytest.approx(
-        root * np.vstack([P + Q - S, Q - P - S, -P - Q - S, P - Q - S]), abs=1e-12)
+        root * np.vstack([P + Q - S, Q - P - S, -P - Q - S, P - Q - S]), abs=1e-12
+    )
     # Around: P, Q, -P and -Q less the rating, of PV with its own power and export.
     P, Q, S = np.array([[20, 5], [28, 9]]), np.array(VALUES["Q_pv"]), np.array([105, 60])
     outside = pv_polygon(site, paper.v, Polygon.around(4))["pv_inverter_capacity"]
@@ -300,17 +406,20 @@ def test_sides_of_polygons(site: Site, paper: PaperProblem) -> None:
 
 def physics() -> Physics:
     """Losses in both steps; in the second, an island that the battery at bus 3 holds."""
-    return Physics(loss_kw=np.array([[1.0, 2.0], [3.0, 4.0]]),
-                   loss_kvar=np.array([[0.5, 1.5], [2.5, 3.5]]), reference=np.array([0, 2]),
-                   headroom_kw=np.array([[0.0, 0.0], [0.0, 6.0]]),
-                   soc_reserve=np.array([[0.0, 0.0], [0.0, 0.05]]))
+    return Physics(
+        loss_kw=np.array([[1.0, 2.0], [3.0, 4.0]]),
+        loss_kvar=np.array([[0.5, 1.5], [2.5, 3.5]]),
+        reference=np.array([0, 2]),
+        headroom_kw=np.array([[0.0, 0.0], [0.0, 6.0]]),
+        soc_reserve=np.array([[0.0, 0.0], [0.0, 0.05]]),
+    )
 
 
 CHANGED = {
     # the loss of a line where it ends
     "active_power_balance": np.array(MISSED["active_power_balance"]) - [[0, 1, 2], [0, 3, 4]],
-    "reactive_power_balance":
-        np.array(MISSED["reactive_power_balance"]) - [[0, 0.5, 1.5], [0, 2.5, 3.5]],
+    "reactive_power_balance": np.array(MISSED["reactive_power_balance"])
+    - [[0, 0.5, 1.5], [0, 2.5, 3.5]],
     "voltage_reference": [1.05 - 1.0816, 1.01 - 1.0816],
     "root_voltage_min": [0 - 1.05, 0.81 - 1.02],
     "root_voltage_max": [1.05 - 4, 1.02 - 1.21],  # no limit at 4 pu² while the grid is there
@@ -360,19 +469,31 @@ def test_demand_that_the_paper_has_not_is_added_once(site: Site) -> None:
 
 def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProblem) -> None:
     dispatch: Dispatch = paper.v.dispatch(site)
-    columns = {"served": "x_served", "pv_self_kw": "P_self", "pv_export_kw": "P_exp",
-               "pv_curtailed_kw": "P_curt", "pv_q_kvar": "Q_pv", "charge_kw": "P_ch",
-               "discharge_kw": "P_dch", "batt_q_kvar": "Q_batt", "soc": "SoC",
-               "p_grid_kw": "P_grid", "q_grid_kvar": "Q_grid", "p_flow_kw": "P_flow",
-               "q_flow_kvar": "Q_flow"}
+    columns = {
+        "served": "x_served",
+        "pv_self_kw": "P_self",
+        "pv_export_kw": "P_exp",
+        "pv_curtailed_kw": "P_curt",
+        "pv_q_kvar": "Q_pv",
+        "charge_kw": "P_ch",
+        "discharge_kw": "P_dch",
+        "batt_q_kvar": "Q_batt",
+        "soc": "SoC",
+        "p_grid_kw": "P_grid",
+        "q_grid_kvar": "Q_grid",
+        "p_flow_kw": "P_flow",
+        "q_flow_kvar": "Q_flow",
+    }
     for name, variable in columns.items():
         assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
-            np.array(VALUES[variable], float)), name
+            np.array(VALUES[variable], float)
+        ), name
     assert dispatch.v_pu**2 == pytest.approx(np.array(VALUES["u"]))
 
 
 def test_cold_load_adds_demand_and_self_consumption(
-        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    site: Site, data: WindowData, paper: PaperProblem
+) -> None:
     cold = ColdDemand.create(site, STEPS)
     cold.z.value = np.array([[1.0, 0.0], [0.0, 1.0]])
     cold.P_cold.value = np.array([[3.0, 5.0], [7.0, 11.0]])
@@ -382,9 +503,11 @@ def test_cold_load_adds_demand_and_self_consumption(
     assert added is not None
     named = with_demand(paper.subject_to, site, paper.v, paper.p, added, cold)
     # The shop's at bus 2 and its deck's, then the home's at bus 3 and its roof's.
-    more = {"active_power_balance": [[0, 3, 0], [0, 0, 11]],
-            "reactive_power_balance": [[0, 2, 0], [0, 0, 8]],
-            "pv_self_consumption": [[0, 1.5], [2.5, 0]]}
+    more = {
+        "active_power_balance": [[0, 3, 0], [0, 0, 11]],
+        "reactive_power_balance": [[0, 2, 0], [0, 0, 8]],
+        "pv_self_consumption": [[0, 1.5], [2.5, 0]],
+    }
     for name, value in more.items():
         assert missed(named[name]) == pytest.approx(np.array(MISSED[name]) - value), name
     total = total_balance(site, paper.v, paper.p, added)["total_power_balance"]
@@ -397,8 +520,9 @@ def test_voltage_limits_give_both_ways(site: Site, paper: PaperProblem) -> None:
         assert missed(constraint) == pytest.approx(np.array(MISSED[name]) - 0.05), name
 
 
-def tie_breakers(site: Site, data: WindowData, paper: PaperProblem,
-                 curtailing: bool) -> TieBreakerModel:
+def tie_breakers(
+    site: Site, data: WindowData, paper: PaperProblem, curtailing: bool
+) -> TieBreakerModel:
     """The last level with the dispatch's service and these modes held: b2, b3 in each step."""
     model = TieBreakerModel(site, STEPS, curtailing)
     modes = np.array([[True, False], [False, True]])
@@ -412,16 +536,23 @@ def tie_breakers(site: Site, data: WindowData, paper: PaperProblem,
 
 
 def test_tie_breakers_hold_modes_cost_and_curtailment(
-        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    site: Site, data: WindowData, paper: PaperProblem
+) -> None:
     model = tie_breakers(site, data, paper, curtailing=True)
     drop = np.array(MISSED["delta_lindistflow"])
-    soc = {name: 1e4 * np.array(MISSED[name]) for name in (
-        "battery_soc_start", "battery_soc_min", "battery_soc_max")}
+    soc = {
+        name: 1e4 * np.array(MISSED[name])
+        for name in ("battery_soc_start", "battery_soc_min", "battery_soc_max")
+    }
     expected = {
         **soc,
-        "battery_soc_dynamics": 1e4 * np.array([
-            [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
-            [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * 0.8 * 5]]),
+        "battery_soc_dynamics": 1e4
+        * np.array(
+            [
+                [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
+                [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * 0.8 * 5],
+            ]
+        ),
         "delta_lindistflow": 1e2 * drop,
         "battery_power_min": [[0 - 10, -20 + 4], [-40 + 12, 0 - 5]],
         "battery_power_max": [[10 - 40, -4 - 0], [-12 - 0, 5 - 20]],
@@ -430,9 +561,17 @@ def test_tie_breakers_hold_modes_cost_and_curtailment(
         # Export is PV power less self-consumption of the served and curtailment.
         "pv_export": [[-(100 - 0 - 1), -(20 - 20 - 6)], [-(30 - 30 - 9), -(50 - 50 - 8)]],
         "circular_charging": [10 - 5 - (99 - 6), 5 - 8 + 17],
-        **{name: MISSED[name] for name in (
-            "battery_inverter_capacity", "reactive_power_balance", "grid_active_limit",
-            "voltage_slack", "voltage_min", "voltage_max")},
+        **{
+            name: MISSED[name]
+            for name in (
+                "battery_inverter_capacity",
+                "reactive_power_balance",
+                "grid_active_limit",
+                "voltage_slack",
+                "voltage_min",
+                "voltage_max",
+            )
+        },
     }
     for name, value in expected.items():
         assert missed(model.constraints[name]) == pytest.approx(np.array(value), abs=1e-9), name
@@ -442,7 +581,8 @@ def test_tie_breakers_hold_modes_cost_and_curtailment(
 
 
 def test_tie_breakers_without_curtailment_leave_an_interval_for_reactive_power(
-        site: Site, data: WindowData, paper: PaperProblem) -> None:
+    site: Site, data: WindowData, paper: PaperProblem
+) -> None:
     model = tie_breakers(site, data, paper, curtailing=False)
     left = np.sqrt([[105**2 - 100**2, 60**2 - 20**2], [105**2 - 30**2, 60**2 - 50**2]])
     limit = model.constraints["pv_reactive_limit"]
@@ -483,8 +623,10 @@ def test_power_that_fills_and_empties_a_battery(site: Site) -> None:
 def test_injections_flows_and_voltages_of_arrays(site: Site) -> None:
     net = site.network
     given: dict[formulas.Devices, Floats] = {
-        "pv": np.array([20.0, 5.0]), "batteries": np.array([-10.0, 4.0]),
-        "customers": np.array([-40.0, -60.0])}
+        "pv": np.array([20.0, 5.0]),
+        "batteries": np.array([-10.0, 4.0]),
+        "customers": np.array([-40.0, -60.0]),
+    }
     p_kw = formulas.bus_injections(site, given)
     assert p_kw.tolist() == [0.0, 5.0 - 10.0 - 40.0, 20.0 + 4.0 - 60.0]
     flows = formulas.lossless_flows(net, np.array([p_kw, -p_kw]))

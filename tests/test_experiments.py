@@ -62,17 +62,27 @@ def jobs_of(count: int) -> list[Job]:
 
 def test_digest_is_the_same_in_another_process() -> None:
     script = "from experiments.jobs import Job; print(Job().digest())"
-    printed = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True,
-                             capture_output=True, text=True).stdout
+    printed = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
     assert printed.strip() == Job().digest()
 
 
-@pytest.mark.parametrize("changed", [
-    Job(day=Day(seed=1)), Job(day=Day(critical_share=0.34)), Job(day=Day(price="A")),
-    Job(day=Day(outage_steps=7)), Job(day=Day(zone_pairing=(0, 1, 2, 3))),
-    Job(options=RunOptions(horizon_h=4.0)), Job(options=RunOptions(seed=1)),
-    Job(options=RunOptions(errors=ForecastErrors(pv_bias=0.1))),
-    Job(options=RunOptions(thermal="exact"))], ids=lambda job: job.text())
+@pytest.mark.parametrize(
+    "changed",
+    [
+        Job(day=Day(seed=1)),
+        Job(day=Day(critical_share=0.34)),
+        Job(day=Day(price="A")),
+        Job(day=Day(outage_steps=7)),
+        Job(day=Day(zone_pairing=(0, 1, 2, 3))),
+        Job(options=RunOptions(horizon_h=4.0)),
+        Job(options=RunOptions(seed=1)),
+        Job(options=RunOptions(errors=ForecastErrors(pv_bias=0.1))),
+        Job(options=RunOptions(thermal="exact")),
+    ],
+    ids=lambda job: job.text(),
+)
 def test_digest_tells_inputs_apart(changed: Job) -> None:
     assert changed.digest() != Job().digest()
 
@@ -148,9 +158,9 @@ def test_only_what_is_missing_is_run(counted: list[Job], tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SolveError])
-def test_finished_days_outlive_an_interrupt(error: type[BaseException], counted: list[Job],
-                                            tmp_path: Path,
-                                            monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_days_outlive_an_interrupt(
+    error: type[BaseException], counted: list[Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     jobs, simulate = jobs_of(4), runner.simulate
 
     def stopped(job: Job) -> tuple[Job, DayResult]:
@@ -173,14 +183,14 @@ def test_long_days_come_first(counted: list[Job], tmp_path: Path) -> None:
     assert counted == [PLAN, long, SHORT]
 
 
-def test_two_processes_give_what_one_gives(real_days: dict[str, DayResult],
-                                           tmp_path: Path) -> None:
+def test_two_processes_give_what_one_gives(real_days: dict[str, DayResult], tmp_path: Path) -> None:
     other = dataclasses.replace(SHORT, day=Day(seed=1))
     results, computed = run_jobs([SHORT, other], tmp_path, 2)
     assert computed == 2
     assert results[SHORT].resilience == real_days["mpc"].resilience
     assert results[SHORT].steps["p_grid_kw"] == pytest.approx(
-        real_days["mpc"].steps["p_grid_kw"], abs=1e-6)
+        real_days["mpc"].steps["p_grid_kw"], abs=1e-6
+    )
     assert results[other].steps["p_grid_kw"] != results[SHORT].steps["p_grid_kw"]
 
 
@@ -192,11 +202,20 @@ def test_every_number_of_the_paper_has_a_statement() -> None:
     assert numbers == set(range(1, 25))
 
 
-@pytest.mark.parametrize(("ours", "difference", "holds"), [
-    (0.91, 0.0, True), (0.90, 0.0, True), (0.89, -0.01, True), (0.93, 0.01, True),
-    (0.889, -0.011, False), (0.931, 0.011, False)])
-def test_difference_is_the_distance_to_the_range(ours: float, difference: float,
-                                                 holds: bool) -> None:
+@pytest.mark.parametrize(
+    ("ours", "difference", "holds"),
+    [
+        (0.91, 0.0, True),
+        (0.90, 0.0, True),
+        (0.89, -0.01, True),
+        (0.93, 0.01, True),
+        (0.889, -0.011, False),
+        (0.931, 0.011, False),
+    ],
+)
+def test_difference_is_the_distance_to_the_range(
+    ours: float, difference: float, holds: bool
+) -> None:
     statement = Statement("R0", "", "", "", 0.90, 0.92, 0.01)
     assert statement.difference(ours) == pytest.approx(difference)
     assert statement.holds(ours) is holds
@@ -212,7 +231,11 @@ def test_half_open_ranges() -> None:
 def test_row_of_a_number_gives_a_reason_only_where_it_misses() -> None:
     inside = measured("R1", 0.915, reason="never asked for")
     assert (inside.ours, inside.difference, inside.verdict, inside.reason) == (
-        "0.915", "-0.005", "yes", "")
+        "0.915",
+        "-0.005",
+        "yes",
+        "",
+    )
     outside = measured("R1", 0.80, reason=lambda: "too little")
     assert (outside.difference, outside.verdict, outside.reason) == ("-0.120", "no", "too little")
 
@@ -266,8 +289,7 @@ def test_horizons_go_from_0_to_12() -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_quick_is_a_smaller_study(name: str) -> None:
-    few, all_jobs = (set(ALL[name].jobs(read_config(name, quick)))
-                     for quick in (True, False))
+    few, all_jobs = (set(ALL[name].jobs(read_config(name, quick))) for quick in (True, False))
     assert 0 < len(few) <= len(all_jobs)
     assert few <= all_jobs
 
@@ -300,16 +322,24 @@ def test_report_has_every_figure_and_statement(report: Path) -> None:
 
 def test_report_names_machine_versions_seeds_and_time(report: Path) -> None:
     html = (report / "report.html").read_text(encoding="utf-8")
-    for words in ("logical cores", "min of wall time", "<td>highspy</td>", "error_seeds = 2",
-                  "simulated days"):
+    for words in (
+        "logical cores",
+        "min of wall time",
+        "<td>highspy</td>",
+        "error_seeds = 2",
+        "simulated days",
+    ):
         assert words in html
 
 
 def test_every_miss_has_a_measured_reason(counted: list[Job], tmp_path: Path) -> None:
     jobs = [job for name in EXPERIMENTS for job in EXPERIMENTS[name].jobs(read_config(name, True))]
     results, _ = run_jobs(jobs, tmp_path, 1)
-    rows = [row for name in EXPERIMENTS
-            for row in EXPERIMENTS[name].rows(read_config(name, True), results)]
+    rows = [
+        row
+        for name in EXPERIMENTS
+        for row in EXPERIMENTS[name].rows(read_config(name, True), results)
+    ]
     # With H = 0 in the place of every MPC day, much must miss.
     missed = [row for row in rows if not row.holds]
     assert {"R1", "R2", "R13"} <= {row.id for row in missed}
@@ -332,8 +362,9 @@ def invoke(tmp_path: Path) -> Callable[..., tuple[int, str]]:
     return run
 
 
-def test_only_one_experiment(counted: list[Job], invoke: Callable[..., tuple[int, str]],
-                             tmp_path: Path) -> None:
+def test_only_one_experiment(
+    counted: list[Job], invoke: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
     status, output = invoke("--only", "voltage", "--quick")
     assert status == 0
     assert f"Written to {tmp_path / 'report.html'}" in output.replace("\n", "")
@@ -345,12 +376,14 @@ def test_only_one_experiment(counted: list[Job], invoke: Callable[..., tuple[int
 def test_unknown_experiment_is_refused(invoke: Callable[..., tuple[int, str]]) -> None:
     status, output = invoke("--only", "volts")
     assert status == InputError.exit_status
-    assert output.startswith("experiments, only = volts: is not known. Use one of: "
-                             "prediction_horizon, voltage,")
+    assert output.startswith(
+        "experiments, only = volts: is not known. Use one of: prediction_horizon, voltage,"
+    )
 
 
-def test_interrupt_says_that_finished_days_are_kept(invoke: Callable[..., tuple[int, str]],
-                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_says_that_finished_days_are_kept(
+    invoke: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(job: Job) -> None:
         raise KeyboardInterrupt
 

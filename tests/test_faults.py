@@ -55,13 +55,15 @@ def test_plan_is_drawn_from_its_seed(tiny: Scenario) -> None:
 
 
 def test_fault_of_an_item_that_is_not_there_is_named(tiny: Scenario) -> None:
-    plan = FaultPlan(measurements=(MeasurementFault("load", True, 0, 1, (0, 3)),),
-                     trips=(BatteryTrip(2, 0, 1),))
+    plan = FaultPlan(
+        measurements=(MeasurementFault("load", True, 0, 1, (0, 3)),), trips=(BatteryTrip(2, 0, 1),)
+    )
     with pytest.raises(InputError) as error:
         FaultInjector(plan, tiny)
     assert str(error.value).splitlines() == [
         "faults, load = 3: is not in the scenario. Give a position from 0 to 2.",
-        "faults, soc = 2: is not in the scenario. Give a position from 0 to 1."]
+        "faults, soc = 2: is not in the scenario. Give a position from 0 to 1.",
+    ]
 
 
 # One fault at a time: the day goes on, and the record says what was done.
@@ -70,23 +72,28 @@ def test_fault_of_an_item_that_is_not_there_is_named(tiny: Scenario) -> None:
 @pytest.mark.parametrize("every_call", [True, False])
 @pytest.mark.parametrize("kind", SOLVER_FAULTS)
 def test_solver_fault_is_named_and_the_next_step_is_as_planned(
-        tiny: Scenario, kind: str, every_call: bool) -> None:
+    tiny: Scenario, kind: str, every_call: bool
+) -> None:
     steps = faulty(tiny, FaultPlan({1: SolverOutage(kind, every_call)})).steps
     expected = "voltage" if kind == "infeasible" and not every_call else "previous_plan"
     assert steps["fallback"].tolist() == ["none", expected, "none", "none", "none", "none"]
-    words = {"killed": "SolverKilledError: the solver's process was killed",
-             "timed_out": "LimitError: The window was not solved before the time limit.",
-             "infeasible": "InfeasibleError: The window has no feasible dispatch.",
-             "nan": "refused: served is not finite", "wrong_shape": "refused: served has shape",
-             "out_of_range": "refused: battery power"}
+    words = {
+        "killed": "SolverKilledError: the solver's process was killed",
+        "timed_out": "LimitError: The window was not solved before the time limit.",
+        "infeasible": "InfeasibleError: The window has no feasible dispatch.",
+        "nan": "refused: served is not finite",
+        "wrong_shape": "refused: served has shape",
+        "out_of_range": "refused: battery power",
+    }
     assert steps["fallback_reason"][1].startswith(words[kind])
     assert steps["fallback_reason"][0] == ""
 
 
 @pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
 @pytest.mark.parametrize("kind", SOLVER_FAULTS)
-def test_solver_that_never_works_leaves_the_rule(tiny: Scenario, controller: str,
-                                                 kind: str) -> None:
+def test_solver_that_never_works_leaves_the_rule(
+    tiny: Scenario, controller: str, kind: str
+) -> None:
     plan = FaultPlan({t: SolverOutage(kind) for t in range(6)})
     run = faulty(tiny, plan, replace(OPTIONS, controller=controller))
     assert set(run.steps["fallback"]) == {"rule"}
@@ -132,8 +139,9 @@ def test_pv_forecast_is_off_and_the_measurement_is_not(tiny: Scenario) -> None:
 
 
 def test_plant_and_record_keep_the_truth(tiny: Scenario) -> None:
-    plan = FaultPlan(measurements=(MeasurementFault("load", False, 0, 6),
-                                   MeasurementFault("soc", False, 0, 6)))
+    plan = FaultPlan(
+        measurements=(MeasurementFault("load", False, 0, 6), MeasurementFault("soc", False, 0, 6))
+    )
     run = faulty(tiny, plan)
     assert (run.customers["p_load_kw"].to_numpy().reshape(6, 3) == tiny.load_kw).all()
     assert np.isfinite(run.batteries["soc_end"]).all()
@@ -166,8 +174,9 @@ def test_power_flow_without_solution_sheds_the_lowest_tier(tiny: Scenario) -> No
     day, everyone = Day(scenario, OPTIONS), decision(scenario)
     done = realise(day.plant, day.ac, 1, everyone, day.state)
     assert done.realised.served.tolist() == [True, True, False]
-    assert done.ac_failed.startswith("low and below shed: the AC power flow has no solution: "
-                                     "net load 500")
+    assert done.ac_failed.startswith(
+        "low and below shed: the AC power flow has no solution: net load 500"
+    )
     assert done.ac.v_pu.min() > 0.9
 
 
@@ -190,7 +199,8 @@ def test_run_goes_on_where_the_power_flow_has_no_solution(tiny: Scenario) -> Non
 
 
 def test_a_power_flow_that_is_not_found_sheds_nobody(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scenario = overloaded(tiny)
     monkeypatch.setattr(nose, "MAX_POINTS", 1)
     day = Day(scenario, OPTIONS)
@@ -204,8 +214,14 @@ def test_a_power_flow_that_is_not_found_sheds_nobody(
 
 def test_the_record_tells_not_found_from_no_solution(tiny: Scenario) -> None:
     run = faulty(tiny, FaultPlan())
-    notes = ["low and below shed: the AC power flow has no solution", "",
-             "nobody shed: the AC power flow was not found", "nobody shed: not found", "", ""]
+    notes = [
+        "low and below shed: the AC power flow has no solution",
+        "",
+        "nobody shed: the AC power flow was not found",
+        "nobody shed: not found",
+        "",
+        "",
+    ]
     told = replace(run, steps=run.steps.assign(ac_failed=notes))
     assert (summarise(told)["ac_failures"], summarise(told)["ac_not_found"]) == (1, 2)
     found = findings(told)

@@ -23,8 +23,10 @@ def assert_equal(one: Forecast, other: Forecast) -> None:
 def sample(scenario: Scenario, errors: ForecastErrors, n: int = 3000) -> tuple[np.ndarray, ...]:
     """Relative errors of load and PV over ``n`` seeds, shape (n, T, items)."""
     forecasts = [Forecaster(scenario, errors, seed).at(0, DAY) for seed in range(n)]
-    return (np.array([f.load_kw / scenario.load_kw - 1 for f in forecasts]),
-            np.array([f.pv_kw / scenario.pv_kw - 1 for f in forecasts]))
+    return (
+        np.array([f.load_kw / scenario.load_kw - 1 for f in forecasts]),
+        np.array([f.pv_kw / scenario.pv_kw - 1 for f in forecasts]),
+    )
 
 
 def with_headroom(scenario: Scenario) -> Scenario:
@@ -33,8 +35,9 @@ def with_headroom(scenario: Scenario) -> Scenario:
 
 
 def test_without_errors_the_forecast_is_the_truth(tiny: Scenario) -> None:
-    truth = Forecast(tiny.load_kw, tiny.pv_kw, tiny.price_gbp_per_kwh, tiny.grid_limit_kw,
-                     tiny.temperature_c)
+    truth = Forecast(
+        tiny.load_kw, tiny.pv_kw, tiny.price_gbp_per_kwh, tiny.grid_limit_kw, tiny.temperature_c
+    )
     assert_equal(Forecaster(tiny, ForecastErrors(), seed=3).at(0, DAY), truth)
 
 
@@ -43,7 +46,7 @@ def test_first_step_is_exact_and_the_next_is_not(tiny: Scenario, t0: int) -> Non
     forecast = Forecaster(tiny, RANDOM, seed=3).at(t0, range(t0, 6))
     np.testing.assert_array_equal(forecast.load_kw[0], tiny.load_kw[t0])
     np.testing.assert_array_equal(forecast.pv_kw[0], tiny.pv_kw[t0])
-    assert (forecast.load_kw[1:] != tiny.load_kw[t0 + 1:]).all()
+    assert (forecast.load_kw[1:] != tiny.load_kw[t0 + 1 :]).all()
 
 
 def test_price_grid_and_temperature_are_known(tiny: Scenario) -> None:
@@ -71,8 +74,9 @@ def test_mean_and_deviation_of_the_errors(tiny: Scenario) -> None:
 
 def test_errors_of_items_steps_and_kinds_are_independent(tiny: Scenario) -> None:
     load, pv = sample(with_headroom(tiny), RANDOM)
-    columns = np.concatenate([load[:, 1:].reshape(len(load), -1), pv[:, 1:].reshape(len(pv), -1)],
-                             axis=1)
+    columns = np.concatenate(
+        [load[:, 1:].reshape(len(load), -1), pv[:, 1:].reshape(len(pv), -1)], axis=1
+    )
     correlation = np.corrcoef(columns, rowvar=False) - np.eye(columns.shape[1])
     # 300 pairs: the largest of them stays below 4.5 standard errors.
     assert np.abs(correlation).max() < 4.5 / np.sqrt(len(load))
@@ -125,9 +129,9 @@ def test_a_seeded_forecast_keeps_its_value(tiny: Scenario) -> None:
     # A change here changes every recorded run: the key of the streams is part of the interface.
     forecast = Forecaster(tiny, RANDOM, seed=2022).at(0, DAY)
     assert forecast.load_kw[2] == pytest.approx(
-        [73.40242082633061, 47.33405999210562, 50.59024663287279], rel=1e-12)
-    assert forecast.pv_kw[2] == pytest.approx(
-        [27.622670338050234, 18.465977980237895], rel=1e-12)
+        [73.40242082633061, 47.33405999210562, 50.59024663287279], rel=1e-12
+    )
+    assert forecast.pv_kw[2] == pytest.approx([27.622670338050234, 18.465977980237895], rel=1e-12)
 
 
 def test_errors_do_not_reach_the_scenario(tiny: Scenario) -> None:
@@ -140,18 +144,24 @@ def test_errors_do_not_reach_the_scenario(tiny: Scenario) -> None:
 
 
 def test_without_pv_the_forecast_has_no_column(tiny: Scenario) -> None:
-    none = replace(tiny, pv=replace(tiny.pv, id=[], customer=[], p_max_kw=[], s_max_kva=[]),
-                   pv_kw=np.zeros((6, 0)))
+    none = replace(
+        tiny,
+        pv=replace(tiny.pv, id=[], customer=[], p_max_kw=[], s_max_kva=[]),
+        pv_kw=np.zeros((6, 0)),
+    )
     assert Forecaster(none, RANDOM, seed=3).at(0, DAY).pv_kw.shape == (6, 0)
 
 
 @pytest.mark.parametrize(("t0", "steps", "step"), [(2, range(1, 4), 1), (2, range(2, 7), 6)])
-def test_steps_outside_the_day_or_in_the_past_are_refused(tiny: Scenario, t0: int, steps: range,
-                                                          step: int) -> None:
+def test_steps_outside_the_day_or_in_the_past_are_refused(
+    tiny: Scenario, t0: int, steps: range, step: int
+) -> None:
     with pytest.raises(InputError) as caught:
         Forecaster(tiny, RANDOM, seed=3).at(t0, steps)
-    assert str(caught.value) == (f"forecast, step = {step}: lies outside 2 .. 5. Ask for steps "
-                                 "from the current one to the last of the day.")
+    assert str(caught.value) == (
+        f"forecast, step = {step}: lies outside 2 .. 5. Ask for steps "
+        "from the current one to the last of the day."
+    )
 
 
 def test_wrong_errors_are_all_named() -> None:
@@ -163,14 +173,16 @@ def test_wrong_errors_are_all_named() -> None:
         "forecast errors, load_alpha_per_h = -0.1: must be a number not below 0. Give a share, for "
         "example 0.05.",
         "forecast errors, pv_bias = nan: must be a number not below -1. Give a share, for example "
-        "0.05."]
+        "0.05.",
+    ]
 
 
 def test_negative_seed_is_refused(tiny: Scenario) -> None:
     with pytest.raises(InputError) as caught:
         Forecaster(tiny, RANDOM, seed=-1)
-    assert str(caught.value) == ("options, seed = -1: must not be negative. Give a whole number "
-                                 "from zero.")
+    assert str(caught.value) == (
+        "options, seed = -1: must not be negative. Give a whole number from zero."
+    )
 
 
 def test_no_error_is_the_default() -> None:

@@ -41,11 +41,17 @@ def hostile() -> Scenario:
     tier = {"critical": FORMULA, "high": MARKUP, "low": TAG}
     owner = {"hospital": FORMULA, "homes": TAG}
     return replace(
-        day, title=TITLE, tiers=tuple(tier.values()),
-        customers=replace(day.customers, id=[FORMULA, MARKUP, TAG],
-                          tier=[tier[name] for name in day.customers.tier]),
+        day,
+        title=TITLE,
+        tiers=tuple(tier.values()),
+        customers=replace(
+            day.customers,
+            id=[FORMULA, MARKUP, TAG],
+            tier=[tier[name] for name in day.customers.tier],
+        ),
         pv=replace(day.pv, id=["$^$", "<i>"], customer=[owner[c] for c in day.pv.customer]),
-        batteries=replace(day.batteries, id=["$_$", MARKUP]))
+        batteries=replace(day.batteries, id=["$_$", MARKUP]),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +69,11 @@ def test_the_folder_reads_back(hostile: Scenario, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", [*FIGURES, *RUN_FIGURES])
 def test_figures_show_formulas_as_text(hostile_run: Trajectory, name: str, tmp_path: Path) -> None:
-    figure = (RUN_FIGURES[name](hostile_run) if name in RUN_FIGURES
-              else FIGURES[name]({FORMULA: hostile_run, "$x$": hostile_run}))
+    figure = (
+        RUN_FIGURES[name](hostile_run)
+        if name in RUN_FIGURES
+        else FIGURES[name]({FORMULA: hostile_run, "$x$": hostile_run})
+    )
     figure.savefig(tmp_path / "figure.png")
 
 
@@ -75,8 +84,7 @@ def test_a_tier_is_drawn_under_its_own_name(hostile_run: Trajectory) -> None:
     assert ticks[0] == r"\$\frac{\$"  # matplotlib's way to write dollars
 
 
-def test_the_page_of_a_run_holds_no_tag_of_others(
-        hostile_run: Trajectory, tmp_path: Path) -> None:
+def test_the_page_of_a_run_holds_no_tag_of_others(hostile_run: Trajectory, tmp_path: Path) -> None:
     write_run(hostile_run, tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "</script><b>" not in page
@@ -102,8 +110,9 @@ def test_the_terminal_shows_brackets_as_text(hostile_run: Trajectory) -> None:
 
 
 def test_messages_write_out_what_steers_a_terminal() -> None:
-    problem = Problem("a\x1b]0;owned\x07.csv", "is wrong", "Mend it.", row=2, field="\u202eid",
-                      value="\x1b[2J")
+    problem = Problem(
+        "a\x1b]0;owned\x07.csv", "is wrong", "Mend it.", row=2, field="\u202eid", value="\x1b[2J"
+    )
     assert str(problem) == (r"a\x1b]0;owned\x07.csv, row 2, \u202eid = \x1b[2J: is wrong. Mend it.")
 
 
@@ -117,7 +126,8 @@ def test_a_sweep_over_a_tier_writes_inside_its_folder(hostile: Scenario, tier: s
 
 
 def test_the_figure_of_a_sweep_shows_formulas_as_text(
-        hostile_run: Trajectory, hostile: Scenario) -> None:
+    hostile_run: Trajectory, hostile: Scenario
+) -> None:
     summary = summarise(hostile_run)
     rows: Sequence[SweepRow] = [SweepRow(value, "a", summary, None) for value in (0.1, 0.2)]
     sweep_figure(f"tiers.{FORMULA}", rows, hostile.tiers).canvas.draw()

@@ -33,9 +33,16 @@ each_run = pytest.mark.parametrize(("seed", "kind"), RUNS)
 def random_run(seed: int, kind: str) -> Trajectory:
     """A day of five steps; every second feeder is stressed, every third has hot batteries."""
     scenario = random_scenario(seed, stressed=seed % 2 == 1, n_steps=N_STEPS)
-    return run_day(scenario, RunOptions(
-        controller=kind, horizon_h=2 * scenario.grid.dt_h, errors=ERRORS, seed=seed,
-        thermal="exact" if seed % 3 == 0 else "off"))
+    return run_day(
+        scenario,
+        RunOptions(
+            controller=kind,
+            horizon_h=2 * scenario.grid.dt_h,
+            errors=ERRORS,
+            seed=seed,
+            thermal="exact" if seed % 3 == 0 else "off",
+        ),
+    )
 
 
 def per_step(run: Trajectory, table: str, column: str) -> Floats:
@@ -51,14 +58,21 @@ def nodal_injection(run: Trajectory) -> tuple[Floats, Floats]:
     served = per_step(run, "customers", "served")
     p, q = np.zeros((2, N_STEPS, s.network.n_buses))
     sources = [
-        (customer_bus, -served * per_step(run, "customers", "p_load_kw"),
-         -served * per_step(run, "customers", "q_load_kvar")),
-        ([customer_bus[c] for c in owners(s)],
-         per_step(run, "pv", "self_kw") + per_step(run, "pv", "export_kw"),
-         per_step(run, "pv", "q_kvar")),
-        ([bus[b] for b in s.batteries.bus],
-         per_step(run, "batteries", "discharge_kw") - per_step(run, "batteries", "charge_kw"),
-         per_step(run, "batteries", "q_kvar")),
+        (
+            customer_bus,
+            -served * per_step(run, "customers", "p_load_kw"),
+            -served * per_step(run, "customers", "q_load_kvar"),
+        ),
+        (
+            [customer_bus[c] for c in owners(s)],
+            per_step(run, "pv", "self_kw") + per_step(run, "pv", "export_kw"),
+            per_step(run, "pv", "q_kvar"),
+        ),
+        (
+            [bus[b] for b in s.batteries.bus],
+            per_step(run, "batteries", "discharge_kw") - per_step(run, "batteries", "charge_kw"),
+            per_step(run, "batteries", "q_kvar"),
+        ),
     ]
     for buses, p_kw, q_kvar in sources:
         for item, n in enumerate(buses):
@@ -77,9 +91,11 @@ def test_demand_and_pv_of_the_record_are_the_actual_ones(seed: int, kind: str) -
     run = random_run(seed, kind)
     assert per_step(run, "customers", "p_load_kw") == pytest.approx(run.scenario.load_kw)
     tan_phi = np.sqrt(1 - run.scenario.customers.power_factor**2) / (
-        run.scenario.customers.power_factor)
+        run.scenario.customers.power_factor
+    )
     assert per_step(run, "customers", "q_load_kvar") == pytest.approx(
-        run.scenario.load_kw * tan_phi, abs=1e-9)
+        run.scenario.load_kw * tan_phi, abs=1e-9
+    )
     assert per_step(run, "pv", "available_kw") == pytest.approx(run.scenario.pv_kw)
 
 
@@ -89,7 +105,8 @@ def test_soc_recursion(seed: int, kind: str) -> None:
     start, end = per_step(run, "batteries", "soc_start"), per_step(run, "batteries", "soc_end")
     kwh = run.scenario.grid.dt_h * (
         per_step(run, "batteries", "eta_charge") * per_step(run, "batteries", "charge_kw")
-        - per_step(run, "batteries", "discharge_kw") / per_step(run, "batteries", "eta_discharge"))
+        - per_step(run, "batteries", "discharge_kw") / per_step(run, "batteries", "eta_discharge")
+    )
     assert start[0] == pytest.approx(run.scenario.batteries.soc_initial)
     assert start[1:] == pytest.approx(end[:-1])
     assert end == pytest.approx(start + kwh / run.scenario.batteries.energy_kwh, abs=1e-9)
@@ -120,8 +137,9 @@ def test_ratings_and_exclusivity(seed: int, kind: str) -> None:
 def test_pv_split_and_self_consumption_of_the_served(seed: int, kind: str) -> None:
     run = random_run(seed, kind)
     s = run.scenario
-    own, export, curtailed = (per_step(run, "pv", name)
-                              for name in ("self_kw", "export_kw", "curtailed_kw"))
+    own, export, curtailed = (
+        per_step(run, "pv", name) for name in ("self_kw", "export_kw", "curtailed_kw")
+    )
     assert min(own.min(initial=0), export.min(initial=0), curtailed.min(initial=0)) >= 0.0
     assert own + export + curtailed == pytest.approx(s.pv_kw, abs=1e-9)
     served = per_step(run, "customers", "served")[:, owners(s)]
@@ -184,8 +202,9 @@ def test_runs_cover_what_they_are_meant_to() -> None:
     assert {len(s.batteries) == 0 for s in scenarios} == {True, False}
     assert {len(s.pv) == 0 for s in scenarios} == {True, False}
     assert {bool(s.outage.any()) for s in scenarios} == {True, False}
-    corrected = [run.steps["corrected"].to_numpy() for key, run in runs.items()
-                 if key[1] == "full-horizon"]
+    corrected = [
+        run.steps["corrected"].to_numpy() for key, run in runs.items() if key[1] == "full-horizon"
+    ]
     assert np.any(corrected) and not np.all(corrected)
     shares = [resilience(run) for run in runs.values() if run.scenario.outage.any()]
     assert min(shares) < 0.5 and max(shares) > 0.9
@@ -206,10 +225,12 @@ def linear_voltages(scenario: Scenario, point: OperatingPoint, offset: Floats) -
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("centre", "exact"), [("lossless", True), ("literal", False),
-                                               ("none", False)])
-def test_delta_form_meets_the_ac_point_it_was_taken_at(seed: int, centre: Centre,
-                                                       exact: bool) -> None:
+@pytest.mark.parametrize(
+    ("centre", "exact"), [("lossless", True), ("literal", False), ("none", False)]
+)
+def test_delta_form_meets_the_ac_point_it_was_taken_at(
+    seed: int, centre: Centre, exact: bool
+) -> None:
     scenario = random_scenario(seed, n_steps=1)
     p, q = np.zeros((2, scenario.network.n_buses))
     for c, bus in enumerate(scenario.customers.bus):

@@ -109,8 +109,9 @@ def test_order_of_shedding(tiny: Scenario) -> None:
     # A large critical customer has less weight per kW than a small low one, and goes last still.
     heavy = replace(tiny, load_kw=tiny.load_kw * np.array([1000.0, 1.0, 0.001]))
     assert shedding_order(heavy, T) == [2, 1, 0]
-    alike = replace(tiny, customers=replace(
-        tiny.customers, tier=np.array(["low", "low", "low"], dtype=object)))
+    alike = replace(
+        tiny, customers=replace(tiny.customers, tier=np.array(["low", "low", "low"], dtype=object))
+    )
     assert shedding_order(alike, T) == [2, 1, 0]
     assert shedding_order(replace(alike, load_kw=np.full((6, 3), [1.0, 50.0, 2.0])), T) == [1, 2, 0]
 
@@ -129,7 +130,8 @@ def test_surplus_is_curtailed(tiny: Scenario) -> None:
     assert done.realised.charge_kw[0] == pytest.approx(5.0 / 0.95, abs=2e-3)
     assert done.realised.soc_end[0] <= 0.85
     assert done.realised.pv_curtailed_kw.sum() == pytest.approx(
-        47.5 - 5.0 / 0.95 - done.ac.losses_kw, abs=2e-3)
+        47.5 - 5.0 / 0.95 - done.ac.losses_kw, abs=2e-3
+    )
     assert generation_less_use_kw(tiny, done) == pytest.approx(0.0, abs=1e-5)
 
 
@@ -144,9 +146,13 @@ def test_surplus_of_other_batteries_stops_their_discharge(tiny: Scenario) -> Non
 def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
     """Nobody served, nothing generated, no voltage, and the batteries as they were."""
     r = done.realised
-    return bool(done.dark and not r.served.any() and np.isnan(done.ac.v_pu).all()
-                and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
-                and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any())
+    return bool(
+        done.dark
+        and not r.served.any()
+        and np.isnan(done.ac.v_pu).all()
+        and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
+        and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any()
+    )
 
 
 def test_island_without_energy_is_dark(tiny: Scenario) -> None:
@@ -160,18 +166,21 @@ def test_island_without_energy_is_dark(tiny: Scenario) -> None:
 
 
 def test_island_without_a_battery_is_dark() -> None:
-    day = next(d for d in (random_scenario(seed, n_steps=1) for seed in range(20))
-               if len(d.batteries) == 0)
+    day = next(
+        d for d in (random_scenario(seed, n_steps=1) for seed in range(20)) if len(d.batteries) == 0
+    )
     plan = decision(day, served=False)
     before = BatteryState(*(np.zeros(0) for _ in range(4)))
     assert settle(day, plan, before, 0).dark_reason == NO_FORMER
 
 
 @pytest.mark.parametrize(("r_ohm", "reason"), [(1200.0, NO_SOLUTION), (600.0, COLLAPSE)])
-def test_lines_that_cannot_carry_it_leave_the_island_dark(tiny: Scenario, r_ohm: float,
-                                                          reason: str) -> None:
-    weak = Network([1, 2, 2], [2, 3, 4], [0.3, r_ohm, 0.5], [0.2, 0.3, 0.4], slack_bus=1,
-                   base_kv=11.0)
+def test_lines_that_cannot_carry_it_leave_the_island_dark(
+    tiny: Scenario, r_ohm: float, reason: str
+) -> None:
+    weak = Network(
+        [1, 2, 2], [2, 3, 4], [0.3, r_ohm, 0.5], [0.2, 0.3, 0.4], slack_bus=1, base_kv=11.0
+    )
     night = replace(tiny, network=weak, pv_kw=np.zeros((6, 2)))
     plan = decision(night, served=[False, True, False])
     done = settle(night, plan, state(0.85))
@@ -198,14 +207,18 @@ def test_sharing_fills_up_to_the_room_and_no_further(power: float, rooms: list[f
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), stressed=st.booleans(), size=st.sampled_from([0.1, 1.0, 3.0]))
 def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(
-        seed: int, stressed: bool, size: float) -> None:
+    seed: int, stressed: bool, size: float
+) -> None:
     day = random_scenario(seed, stressed, n_steps=1)
     rng, b, pv = np.random.default_rng(seed), day.batteries, day.pv
-    plan = decision(day, rng.random(len(day.customers)) < 0.7,
-                    rng.uniform(0.0, 1.0, len(pv)) * size * pv.p_max_kw,
-                    rng.uniform(-size, size, len(b)) * b.p_max_kw,
-                    rng.uniform(-0.3, 0.3, len(pv)) * pv.s_max_kva,
-                    rng.uniform(-0.3, 0.3, len(b)) * b.s_max_kva)
+    plan = decision(
+        day,
+        rng.random(len(day.customers)) < 0.7,
+        rng.uniform(0.0, 1.0, len(pv)) * size * pv.p_max_kw,
+        rng.uniform(-size, size, len(b)) * b.p_max_kw,
+        rng.uniform(-0.3, 0.3, len(pv)) * pv.s_max_kva,
+        rng.uniform(-0.3, 0.3, len(b)) * b.s_max_kva,
+    )
     before = Plant(day).initial_state()
     done = settle(day, plan, before, 0)
     r = done.realised
@@ -229,8 +242,9 @@ def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(
 def test_an_island_settles_over_a_line_that_is_almost_a_switch(tiny: Scenario, ohm: float) -> None:
     day = replace(tiny, load_kw=tiny.load_kw * 0.75)
     plan = decision(day, battery_kw=[-30.0, -28.0])
-    weak = Network([1, 2, 2], [2, 3, 4], [0.3, ohm, 0.5], [0.2, ohm, 0.4], slack_bus=1,
-                   base_kv=11.0)
+    weak = Network(
+        [1, 2, 2], [2, 3, 4], [0.3, ohm, 0.5], [0.2, ohm, 0.4], slack_bus=1, base_kv=11.0
+    )
     done = settle(replace(day, network=weak), plan, state([0.85, 0.85]))
     assert not done.dark
     assert not done.shed.any()
@@ -239,7 +253,8 @@ def test_an_island_settles_over_a_line_that_is_almost_a_switch(tiny: Scenario, o
 
 
 def test_an_island_whose_flow_is_not_found_keeps_its_customers(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     day = replace(tiny, load_kw=tiny.load_kw * 0.75)
     plan = decision(day, battery_kw=[-30.0, -28.0])
     monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
@@ -253,7 +268,8 @@ def test_an_island_whose_flow_is_not_found_keeps_its_customers(
 
 
 def test_an_island_whose_flow_is_not_found_sheds_what_the_balance_shows(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # 156 kW of demand against 47.5 kW of sun and 95 kW of the batteries: evidence without a flow.
     plan = decision(tiny, battery_kw=[-30.0, -28.0])
     monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)

@@ -14,12 +14,23 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vppres"
-LIBRARY_HOMES = {"cvxpy": {"model", "solve"}, "highspy": {"solve"},
-                 "pandapower": {"feeders", "physics"}, "typer": {"cli"},
-                 "matplotlib": {"report", "studies"}}
+LIBRARY_HOMES = {
+    "cvxpy": {"model", "solve"},
+    "highspy": {"solve"},
+    "pandapower": {"feeders", "physics"},
+    "typer": {"cli"},
+    "matplotlib": {"report", "studies"},
+}
 MOST_ENTRIES, MOST_LAYERS = 24, 12
-SOLVING = ("cvxpy", "highspy", "pyscipopt", "clarabel",
-           "vppres.model", "vppres.solve", "vppres.control")
+SOLVING = (
+    "cvxpy",
+    "highspy",
+    "pyscipopt",
+    "clarabel",
+    "vppres.model",
+    "vppres.solve",
+    "vppres.control",
+)
 
 
 def module_name(path: Path) -> str:
@@ -28,8 +39,10 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = {module_name(path): ast.parse(path.read_text(encoding="utf-8"))
-         for path in sorted(PACKAGE.rglob("*.py"))}
+TREES = {
+    module_name(path): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
 ROOMS = sorted({module.partition(".")[0] for module in TREES} - {""})
 
 
@@ -48,15 +61,18 @@ def imports(module: str) -> frozenset[str]:
 
 def own_imports(module: str) -> set[str]:
     """The package's modules among the imports: ``vppres.model.data.Site`` is ``model.data``."""
-    below = {name.removeprefix("vppres.") for name in imports(module)
-             if name.startswith("vppres.")}
+    below = {name.removeprefix("vppres.") for name in imports(module) if name.startswith("vppres.")}
     return {name if name in TREES else name.rpartition(".")[0] for name in below} - {module, ""}
 
 
 def rooms_entered(room: str) -> set[str]:
     """Rooms that the modules of a room import."""
-    return {other.partition(".")[0] for module in TREES if module.partition(".")[0] == room
-            for other in own_imports(module)} - {room}
+    return {
+        other.partition(".")[0]
+        for module in TREES
+        if module.partition(".")[0] == room
+        for other in own_imports(module)
+    } - {room}
 
 
 def documented_floors() -> list[list[str]]:
@@ -90,22 +106,30 @@ def test_rooms_stand_on_few_floors_without_a_circle() -> None:
 
 def test_the_table_is_the_house() -> None:
     measured = measured_floors()
-    listed = {room: floor for floor, rooms in enumerate(documented_floors(), start=1)
-              for room in rooms}
+    listed = {
+        room: floor for floor, rooms in enumerate(documented_floors(), start=1) for room in rooms
+    }
     assert listed == {room: floor for room, floor in measured.items() if room != "__main__"}
 
 
 def test_imports_lead_down() -> None:
     floors = measured_floors()
-    wrong = {f"{room} enters {other}" for room in ROOMS for other in rooms_entered(room)
-             if floors[other] >= floors[room]}
+    wrong = {
+        f"{room} enters {other}"
+        for room in ROOMS
+        for other in rooms_entered(room)
+        if floors[other] >= floors[room]
+    }
     assert wrong == set()
 
 
 def test_modules_import_in_no_circle() -> None:
     # A package's face imports its parts and is loaded before them, which is no circle.
-    graph = {module: {other for other in own_imports(module)
-                      if not other.startswith(f"{module}.")} for module in TREES if module}
+    graph = {
+        module: {other for other in own_imports(module) if not other.startswith(f"{module}.")}
+        for module in TREES
+        if module
+    }
     assert set(TopologicalSorter(graph).static_order()) >= set(graph)
 
 
@@ -137,12 +161,19 @@ def test_the_package_itself_loads_no_library() -> None:
 
 @pytest.mark.parametrize(("library", "homes"), LIBRARY_HOMES.items())
 def test_library_has_one_home(library: str, homes: set[str]) -> None:
-    importers = {module.partition(".")[0] for module in TREES
-                 if any(name.partition(".")[0] == library for name in imports(module))}
+    importers = {
+        module.partition(".")[0]
+        for module in TREES
+        if any(name.partition(".")[0] == library for name in imports(module))
+    }
     assert importers == homes
 
 
 def test_only_the_command_line_prints() -> None:
-    printing = {module for module, tree in TREES.items() for node in ast.walk(tree)
-                if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo")}
+    printing = {
+        module
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo")
+    }
     assert printing == {"cli.commands"}

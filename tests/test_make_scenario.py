@@ -41,8 +41,16 @@ def tagged() -> ImportedFeeder:
     pp.create_buses(net, 6, vn_kv=11.0)
     pp.create_ext_grid(net, 0)
     for bus in range(5):
-        pp.create_line_from_parameters(net, bus, bus + 1, length_km=1.0, r_ohm_per_km=0.3,
-                                       x_ohm_per_km=0.2, c_nf_per_km=0.0, max_i_ka=1.0)
+        pp.create_line_from_parameters(
+            net,
+            bus,
+            bus + 1,
+            length_km=1.0,
+            r_ohm_per_km=0.3,
+            x_ohm_per_km=0.2,
+            c_nf_per_km=0.0,
+            max_i_ka=1.0,
+        )
     for bus, p_mw, q_mvar in ((1, 0.1, 0.05), (2, 0.2, 0.0), (3, 0.0, 0.02), (4, 0.1, -0.02)):
         pp.create_load(net, bus, p_mw=p_mw, q_mvar=q_mvar)
     net.load["tier"] = ["critical", "", "", "low"]
@@ -53,7 +61,10 @@ def test_rules_of_size(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     peak_kw = case33.p_load_kw[case33.p_load_kw > 0]
     assert {t: int((day.customers.tier == t).sum()) for t in day.tiers} == {
-        "critical": 6, "high": 10, "low": 16}  # 20, 30 and 50 % of 32
+        "critical": 6,
+        "high": 10,
+        "low": 16,
+    }  # 20, 30 and 50 % of 32
     assert len(day.pv) == 26  # 80 % of 32
     owners = day.pv.owner(day.customers)
     assert day.pv.p_max_kw == pytest.approx(0.5 * peak_kw[owners])
@@ -70,14 +81,17 @@ def test_hourly_day_has_the_bundled_shape(case33: ImportedFeeder) -> None:
     assert day.load_kw.sum(axis=1) / 3715.0 == pytest.approx(LOAD_SHAPE)
     assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
     assert day.price_gbp_per_kwh[[0, 5, 6, 15, 16, 19, 20]] == pytest.approx(
-        [0.20, 0.20, 0.36, 0.36, 0.54, 0.54, 0.36])
+        [0.20, 0.20, 0.36, 0.36, 0.54, 0.54, 0.36]
+    )
     flat = new_scenario(case33, NewScenarioOptions(price="flat"))
     assert flat.price_gbp_per_kwh == pytest.approx(0.36)
 
 
 def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> None:
-    outages = (parse_outage("12:00..18:00", START),
-               parse_outage("2025-07-02T06:15Z..2025-07-02T09:00Z", START))
+    outages = (
+        parse_outage("12:00..18:00", START),
+        parse_outage("2025-07-02T06:15Z..2025-07-02T09:00Z", START),
+    )
     day = new_scenario(case33, NewScenarioOptions(step_minutes=15, days=2, outages=outages))
     assert day.grid.n_steps == 192
     dark = np.flatnonzero(day.outage)
@@ -100,7 +114,8 @@ def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     assert len(day.pv) == 8
     assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw[own.kind == "PV"].sum())
     assert "Generators that the scenario does not have: sgen 8 (WKA 7)." in assumptions(
-        cigre, day, NewScenarioOptions())
+        cigre, day, NewScenarioOptions()
+    )
     assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
     sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
     assert len(sized.pv) == round(0.8 * len(day.customers))
@@ -121,41 +136,68 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     assert "Loads that feed reactive power count as purely active: bus 4." in notes
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"step_minutes": 7.0}, "options, step_minutes = 7.0: must be at least 1 and divide a day. "
-                            "Give a step that divides the day, for example 60, 30 or 15."),
-    ({"step_minutes": 0.0}, "options, step_minutes = 0.0: must be at least 1 and divide a day. "
-                            "Give a step that divides the day, for example 60, 30 or 15."),
-    ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
-    ({"tier_shares": (0.5, 0.5, 0.5)},
-     "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
-     "and low, for example 0.2 0.3 0.5."),
-    ({"pv_share_of_peak": 0.0}, "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
-                                "kW of PV per kW of peak load, for example 0.5."),
-    ({"pv_share_of_buses": 1.2}, "options, pv_share_of_buses = 1.2: must lie between 0 and 1. Give "
-                                 "the share of customers with PV, for example 0.8."),
-    ({"battery_kwh_per_peak_kw": -1.0},
-     "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
-     "load, for example 0.625."),
-    ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
-    ({"v_slack_pu": 1.2}, "case33bw, v_slack_pu = 1.2: must lie between 0.947 and 1.053, the "
-                          "limits of the voltages. Give another one with --v-slack, or correct the "
-                          "source."),
-    ({"outages": (parse_outage("18:00..12:00", START),)},
-     "options, outage = 2025-07-01T18:00:00+00:00..2025-07-01T12:00:00+00:00: must end after it "
-     "begins. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
-     "60 min."),
-    ({"outages": (parse_outage("2025-07-03T12:00Z..2025-07-03T13:00Z", START),)},
-     "options, outage = 2025-07-03T12:00:00+00:00..2025-07-03T13:00:00+00:00: lies outside the "
-     "scenario. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
-     "60 min."),
-    ({"step_minutes": 480.0},
-     "options, outage = 2025-07-01T12:00:00+00:00..2025-07-01T18:00:00+00:00: begins or ends "
-     "inside a step. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in "
-     "steps of 480 min."),
-])
-def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any],
-                              message: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"step_minutes": 7.0},
+            "options, step_minutes = 7.0: must be at least 1 and divide a day. "
+            "Give a step that divides the day, for example 60, 30 or 15.",
+        ),
+        (
+            {"step_minutes": 0.0},
+            "options, step_minutes = 0.0: must be at least 1 and divide a day. "
+            "Give a step that divides the day, for example 60, 30 or 15.",
+        ),
+        ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
+        (
+            {"tier_shares": (0.5, 0.5, 0.5)},
+            "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
+            "and low, for example 0.2 0.3 0.5.",
+        ),
+        (
+            {"pv_share_of_peak": 0.0},
+            "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
+            "kW of PV per kW of peak load, for example 0.5.",
+        ),
+        (
+            {"pv_share_of_buses": 1.2},
+            "options, pv_share_of_buses = 1.2: must lie between 0 and 1. Give "
+            "the share of customers with PV, for example 0.8.",
+        ),
+        (
+            {"battery_kwh_per_peak_kw": -1.0},
+            "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
+            "load, for example 0.625.",
+        ),
+        ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
+        (
+            {"v_slack_pu": 1.2},
+            "case33bw, v_slack_pu = 1.2: must lie between 0.947 and 1.053, the "
+            "limits of the voltages. Give another one with --v-slack, or correct the "
+            "source.",
+        ),
+        (
+            {"outages": (parse_outage("18:00..12:00", START),)},
+            "options, outage = 2025-07-01T18:00:00+00:00..2025-07-01T12:00:00+00:00: must end after it "
+            "begins. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+            "60 min.",
+        ),
+        (
+            {"outages": (parse_outage("2025-07-03T12:00Z..2025-07-03T13:00Z", START),)},
+            "options, outage = 2025-07-03T12:00:00+00:00..2025-07-03T13:00:00+00:00: lies outside the "
+            "scenario. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+            "60 min.",
+        ),
+        (
+            {"step_minutes": 480.0},
+            "options, outage = 2025-07-01T12:00:00+00:00..2025-07-01T18:00:00+00:00: begins or ends "
+            "inside a step. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in "
+            "steps of 480 min.",
+        ),
+    ],
+)
+def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         new_scenario(case33, NewScenarioOptions(**change))
     assert str(caught.value) == message
@@ -169,22 +211,39 @@ def test_all_wrong_options_at_once(case33: ImportedFeeder) -> None:
 
 def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
     with pytest.raises(InputError) as caught:
-        new_scenario(replace(tagged, p_load_kw=0.0 * tagged.p_load_kw,
-                             tier=np.where(tagged.tier == "low", "vip", tagged.tier)))
+        new_scenario(
+            replace(
+                tagged,
+                p_load_kw=0.0 * tagged.p_load_kw,
+                tier=np.where(tagged.tier == "low", "vip", tagged.tier),
+            )
+        )
     assert str(caught.value) == (
         "pandapower net: has no load. Add the loads to the source: each bus with a load becomes a "
         "customer.\npandapower net, tier = vip: is not a tier. Write critical, high, low into the "
-        "loads' column tier, or leave it empty.")
+        "loads' column tier, or leave it empty."
+    )
 
 
-@pytest.mark.parametrize("text", ["12:00", "12:00..", "25:00..26:00", "12:00..2025-07-01T13:00",
-                                  "a..b", "1:00..2:00..3:00", "NaT..NaT"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "12:00",
+        "12:00..",
+        "25:00..26:00",
+        "12:00..2025-07-01T13:00",
+        "a..b",
+        "1:00..2:00..3:00",
+        "NaT..NaT",
+    ],
+)
 def test_intervals_that_are_none(text: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_outage(text, START)
     assert str(caught.value) == (
         f"options, outage = {text}: is not an interval of time. Write start..end, for example "
-        "12:00..18:00 (first day) or 2025-07-02T06:00Z..2025-07-02T09:00Z.")
+        "12:00..18:00 (first day) or 2025-07-02T06:00Z..2025-07-02T09:00Z."
+    )
 
 
 @pytest.mark.parametrize("text", ["2025-07-01", "noon", ""])
@@ -196,7 +255,9 @@ def test_starts_that_are_none(text: str) -> None:
 def test_clock_times_are_those_of_the_start() -> None:
     start = pd.Timestamp("2025-07-01T00:00:00+02:00")
     assert parse_outage("12:00..24:00", start) == (
-        pd.Timestamp("2025-07-01T10:00:00Z"), pd.Timestamp("2025-07-01T22:00:00Z"))
+        pd.Timestamp("2025-07-01T10:00:00Z"),
+        pd.Timestamp("2025-07-01T22:00:00Z"),
+    )
 
 
 def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path) -> None:
@@ -204,8 +265,11 @@ def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path
     notes = write_new_scenario(tagged, options, tmp_path / "mine")
     day = read_scenario(tmp_path / "mine")
     assert scenario_digest(day) == scenario_digest(new_scenario(tagged, options))
-    assert (tmp_path / "mine" / "scenario.toml").read_text(encoding="utf-8").startswith(
-        "#:schema ./scenario.schema.json\n")
+    assert (
+        (tmp_path / "mine" / "scenario.toml")
+        .read_text(encoding="utf-8")
+        .startswith("#:schema ./scenario.schema.json\n")
+    )
     text = (tmp_path / "mine" / "notes.md").read_text(encoding="utf-8")
     assert all(f"- {note}\n" in text for note in notes)
     trajectory = run_day(day, RunOptions(horizon_h=4.0))
@@ -220,9 +284,25 @@ def call(*arguments: str | Path) -> Any:
 
 def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
-    done = call("new", "cigre-mv-der", folder, "--step-minutes", 15, "--days", 2, "--start",
-                "2025-07-01T00:00Z", "--outage", "12:00..18:00", "--outage",
-                "2025-07-02T06:00Z..2025-07-02T09:00Z", "--seed", 2, "--price", "flat")
+    done = call(
+        "new",
+        "cigre-mv-der",
+        folder,
+        "--step-minutes",
+        15,
+        "--days",
+        2,
+        "--start",
+        "2025-07-01T00:00Z",
+        "--outage",
+        "12:00..18:00",
+        "--outage",
+        "2025-07-02T06:00Z..2025-07-02T09:00Z",
+        "--seed",
+        2,
+        "--price",
+        "flat",
+    )
     assert done.exit_code == 0, done.stderr
     assert "The charging of 15 lines" in done.stdout
     assert f"Written to {folder}" in done.stdout
@@ -239,8 +319,19 @@ def test_command_opens_a_loop_of_a_file(tmp_path: Path) -> None:
     assert refused.exit_code == 2
     assert "closes a loop" in refused.stderr
     assert not (tmp_path / "out").exists()
-    done = call("new", file, tmp_path / "out", "--from", "pandapower", "--open", "Line 6-7",
-                "--open", "line 13", "--open", "line 14")
+    done = call(
+        "new",
+        file,
+        tmp_path / "out",
+        "--from",
+        "pandapower",
+        "--open",
+        "Line 6-7",
+        "--open",
+        "line 13",
+        "--open",
+        "line 14",
+    )
     assert done.exit_code == 0, done.stderr
 
 

@@ -46,18 +46,29 @@ def packaged() -> Scenario:
 def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
     """Steps of a day at a state of charge, in plain LinDistFlow."""
     rows, b = slice(first, first + steps), day.batteries
-    return WindowData(day.load_kw[rows], day.pv_kw[rows], day.price_gbp_per_kwh[rows],
-                      day.grid_limit_kw[rows], np.full(len(b), soc), b.eta_charge,
-                      b.eta_discharge, np.zeros((steps, day.network.n_lines)))
+    return WindowData(
+        day.load_kw[rows],
+        day.pv_kw[rows],
+        day.price_gbp_per_kwh[rows],
+        day.grid_limit_kw[rows],
+        np.full(len(b), soc),
+        b.eta_charge,
+        b.eta_discharge,
+        np.zeros((steps, day.network.n_lines)),
+    )
 
 
 def point_of(model: DemandModel, data: WindowData, dispatch: Dispatch) -> np.ndarray:
     """Demand, loss and cost of a dispatch, as the masters know it."""
     site = model.relaxation.site
     lost = site.weights.lambda_curt * site.dt_h / model.relaxation.grid
-    return np.array([*(data.load_kw * dispatch.served).sum(axis=1),
-                     lost * dispatch.pv_curtailed_kw.sum(),
-                     data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h])
+    return np.array(
+        [
+            *(data.load_kw * dispatch.served).sum(axis=1),
+            lost * dispatch.pv_curtailed_kw.sum(),
+            data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h,
+        ]
+    )
 
 
 @pytest.mark.parametrize("lumped", [True, False])
@@ -90,8 +101,9 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("first", "steps", "soc"), [(12, 6, 0.5), (14, 4, 0.3), (10, 8, 0.7)])
-def test_counts_find_what_binaries_find(packaged: Scenario, first: int, steps: int,
-                                        soc: float) -> None:
+def test_counts_find_what_binaries_find(
+    packaged: Scenario, first: int, steps: int, soc: float
+) -> None:
     data, cache = day_window(packaged, first, steps, soc), ModelCache(Site.of(packaged))
     counted, _ = Counts(demand_of(cache, data, lumped=False), data, Deadline(TIME_S)).service(0.1)
     binary, _ = Binaries(cache, data, find_solver("highs"), Deadline(TIME_S)).service(0.1)
@@ -124,14 +136,17 @@ def test_any_prices_give_a_bound(packaged: Scenario) -> None:
     model.fill(day_window(packaged, 12, 3, 0.5))
     program, first = compiled(model.problem)
     cost = np.zeros(len(program.cost))
-    cost[first["load"]:first["load"] + 3] = -1.0
-    box = replace(program, cost=cost, x_lower=np.full(len(cost), -1e4),
-                  x_upper=np.full(len(cost), 1e4))
+    cost[first["load"] : first["load"] + 3] = -1.0
+    box = replace(
+        program, cost=cost, x_lower=np.full(len(cost), -1e4), x_upper=np.full(len(cost), 1e4)
+    )
     solver = box.loaded()
     solver.run()
     value = solver.getInfo().objective_function_value
-    for prices in (np.asarray(solver.getSolution().row_dual),
-                   np.random.default_rng(1).normal(size=len(box.lower))):
+    for prices in (
+        np.asarray(solver.getSolution().row_dual),
+        np.random.default_rng(1).normal(size=len(box.lower)),
+    ):
         worth, left = box.priced(prices)
         bound = worth + np.minimum(left * box.x_lower, left * box.x_upper).sum()
         assert bound <= value + 1e-6 * abs(value)
@@ -144,10 +159,17 @@ def test_voltages_follow_from_injections(seed: int) -> None:
     d = WindowSolver(site).solve(case.data).dispatch
     model = Injections(site, Reactance(site), case.data)
     x = np.zeros(model.size)
-    for name, values in {"x": d.served, "P_ch": d.charge_kw, "P_dch": d.discharge_kw,
-                         "Q_batt": d.batt_q_kvar, "P_exp": d.pv_export_kw, "Q_pv": d.pv_q_kvar,
-                         "energy": d.soc[1:] * site.batteries.energy_kwh,
-                         "P_grid": d.p_grid_kw[:, None], "Q_grid": d.q_grid_kvar[:, None]}.items():
+    for name, values in {
+        "x": d.served,
+        "P_ch": d.charge_kw,
+        "P_dch": d.discharge_kw,
+        "Q_batt": d.batt_q_kvar,
+        "P_exp": d.pv_export_kw,
+        "Q_pv": d.pv_q_kvar,
+        "energy": d.soc[1:] * site.batteries.energy_kwh,
+        "P_grid": d.p_grid_kw[:, None],
+        "Q_grid": d.q_grid_kvar[:, None],
+    }.items():
         x[model.at[name]] = values
     assert np.sqrt(model.u_pu2(x)) == pytest.approx(d.v_pu, abs=1e-6)
     rows = model.rows()
@@ -158,7 +180,8 @@ def test_voltages_follow_from_injections(seed: int) -> None:
 
 
 def test_counts_are_rounded_down_where_time_runs_out(
-        packaged: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data, site = day_window(packaged, 10, 8, 0.5), Site.of(packaged)
     best = WindowSolver(site).solve(data)
     search = Counts._most
@@ -185,8 +208,9 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data = day_window(heavy, 17, 3, 0.3)
     site = Site.of(heavy)
-    decomposed, whole = (WindowSolver(site, method).solve(data)
-                         for method in ("decomposed", "monolithic"))
+    decomposed, whole = (
+        WindowSolver(site, method).solve(data) for method in ("decomposed", "monolithic")
+    )
     assert "network_service[highs]" in decomposed.stages
     assert decomposed.status == whole.status == Status.OPTIMAL
     assert decomposed.bound >= whole.objective - 1e-6
@@ -199,7 +223,8 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
 
 
 def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
-        packaged: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
     data = day_window(heavy, 18, 4, 0.3)
     usual = WindowSolver(Site.of(heavy)).solve(data)
@@ -207,8 +232,10 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
     answer = WindowSolver(Site.of(heavy)).solve(data)
     first = answer.stages.index("network_service[highs]")
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages[:first])
-    assert answer.stages[first + 1:first + 3] == (
-        "network_dispatch[highs]", "reactive_power[clarabel]")
+    assert answer.stages[first + 1 : first + 3] == (
+        "network_dispatch[highs]",
+        "reactive_power[clarabel]",
+    )
     assert answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(usual.objective, abs=1e-4 * usual.objective)
     name, worst = check_dispatch(heavy, data, answer.dispatch).worst
@@ -233,15 +260,18 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: S
 
     def worth(d: Dispatch) -> float:
         used = (d.pv_q_kvar / site.pv.s_max_kva, d.batt_q_kvar / site.batteries.s_max_kva)
-        return float(weights.lambda_l * (d.q_flow_kvar**2 @ r).sum()
-                     + weights.lambda_q * sum((share**2).sum() for share in used))
+        return float(
+            weights.lambda_l * (d.q_flow_kvar**2 @ r).sum()
+            + weights.lambda_q * sum((share**2).sum() for share in used)
+        )
 
     assert worth(after) < 0.9 * worth(before)
 
 
 @pytest.mark.parametrize(("name", "cheaper_gbp"), [("s007", 150.0), ("s030", 150.0)])
-def test_a_cheaper_set_in_the_network_is_found(name: str, cheaper_gbp: float,
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cheaper_set_in_the_network_is_found(
+    name: str, cheaper_gbp: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (instance,) = (one for one in read_instances() if one.name == name)
     data = window_data(instance)
     found = WindowSolver(Site.of(instances_day())).solve(data)

@@ -21,10 +21,28 @@ from tests.support.made_up_runs import (
 from vppres.day import metrics
 from vppres.day.trajectory import Trajectory
 
-CONTRACT = {"resilience", "served_share", "cost_gbp", "import_kwh", "pv_curtailed_kwh",
-            "v_min_ac_pu", "v_max_ac_pu", "v_mean_of_min_ac_pu", "v_error_max_pu",
-            "island_import_max_kw", "corrections", "solve_s", "gap_max", "controller", "horizon_h",
-            "solver", "method", "seed", "versions", "input_digest"}
+CONTRACT = {
+    "resilience",
+    "served_share",
+    "cost_gbp",
+    "import_kwh",
+    "pv_curtailed_kwh",
+    "v_min_ac_pu",
+    "v_max_ac_pu",
+    "v_mean_of_min_ac_pu",
+    "v_error_max_pu",
+    "island_import_max_kw",
+    "corrections",
+    "solve_s",
+    "gap_max",
+    "controller",
+    "horizon_h",
+    "solver",
+    "method",
+    "seed",
+    "versions",
+    "input_digest",
+}
 
 
 def with_served(run: Trajectory, served: bool) -> Trajectory:
@@ -48,8 +66,7 @@ def test_resilience_limits(served, expected):
 def test_resilience_looks_at_the_outage_only():
     run = small_run()
     connected = ~run.customers["time"].isin(run.steps.loc[run.steps["outage"], "time"])
-    dark = replace(run, customers=run.customers.assign(
-        served=run.customers["served"] & ~connected))
+    dark = replace(run, customers=run.customers.assign(served=run.customers["served"] & ~connected))
     assert metrics.resilience(dark) == metrics.resilience(run)
     assert metrics.served_share(dark, outage=False) == {"critical": 0.0, "high": None, "low": 0.0}
 
@@ -102,14 +119,22 @@ def test_curtailed_energy_by_hand():
 def test_voltage_figures_by_hand():
     # Lowest AC voltages 0.98, 0.97, 0.96, 0.95; the model says 0.99.
     assert metrics.voltage_figures(small_run()) == pytest.approx(
-        {"v_min_ac_pu": 0.95, "v_max_ac_pu": 1.0, "v_mean_of_min_ac_pu": 0.965,
-         "v_error_max_pu": 0.04})
+        {
+            "v_min_ac_pu": 0.95,
+            "v_max_ac_pu": 1.0,
+            "v_mean_of_min_ac_pu": 0.965,
+            "v_error_max_pu": 0.04,
+        }
+    )
 
 
 def test_island_figures_by_hand():
     run = with_steps(small_run(), "p_grid_kw", [500.0, 3.0, -2.0, -700.0])
     assert metrics.island_figures(run) == {
-        "island_import_max_kw": 3.0, "island_export_max_kw": 2.0, "island_reactive_max_kvar": 2.0}
+        "island_import_max_kw": 3.0,
+        "island_export_max_kw": 2.0,
+        "island_reactive_max_kvar": 2.0,
+    }
 
 
 def test_an_island_that_only_exports_imports_nothing():
@@ -120,7 +145,8 @@ def test_an_island_that_only_exports_imports_nothing():
 def test_solve_times_by_hand():
     # 0, 1, 2 and 3 s; the 95th percentile lies 0.85 of the way from 2 to 3.
     assert metrics.solve_times(small_run()) == pytest.approx(
-        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0})
+        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0}
+    )
 
 
 def test_summary_has_the_keys_of_the_contract():
@@ -153,21 +179,40 @@ def test_summary_by_hand():
     assert summary.pop("v_mean_of_min_ac_pu") == pytest.approx(0.965)
     assert summary.pop("v_error_max_pu") == pytest.approx(0.04)
     assert summary.pop("solve_s") == pytest.approx(
-        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0})
+        {"total": 6.0, "median": 1.5, "p95": 2.85, "max": 3.0}
+    )
     # a goes off and on again, b off and on, c off and on: one pair each.
     assert summary == {
         "served_share": {"critical": 0.5, "high": None, "low": 0.25},
         "served_share_connected": {"critical": 1.0, "high": None, "low": 1.0},
-        "cost_gbp": pytest.approx(0.5 * (0.1 * 100 + 0.4 * 103)), "import_kwh": 101.5,
-        "pv_curtailed_kwh": 2.0, "v_min_ac_pu": 0.95, "v_max_ac_pu": 1.0,
-        "line_current_max_a": 0.0, "line_loading_max": None,
-        "island_import_max_kw": 102.0, "island_export_max_kw": 0.0,
+        "cost_gbp": pytest.approx(0.5 * (0.1 * 100 + 0.4 * 103)),
+        "import_kwh": 101.5,
+        "pv_curtailed_kwh": 2.0,
+        "v_min_ac_pu": 0.95,
+        "v_max_ac_pu": 1.0,
+        "line_current_max_a": 0.0,
+        "line_loading_max": None,
+        "island_import_max_kw": 102.0,
+        "island_export_max_kw": 0.0,
         "island_reactive_max_kvar": 2.0,
-        "switching_actions": 6, "actions_beyond_one_pair": 0, "switching_relaxed_steps": 0,
-        "setpoint_moves_kw": None, "corrections": 0, "fallbacks": 0, "fallbacks_by_kind": {},
-        "estimated_steps": 0, "ac_failures": 0, "ac_not_found": 0, "gap_max": 0.003,
-        "controller": "mpc", "horizon_h": 5.0, "solver": "highs", "method": "decomposed",
-        "seed": 7, "options": {"errors": {"load_bias": 0.1}, "thermal": "off"}}
+        "switching_actions": 6,
+        "actions_beyond_one_pair": 0,
+        "switching_relaxed_steps": 0,
+        "setpoint_moves_kw": None,
+        "corrections": 0,
+        "fallbacks": 0,
+        "fallbacks_by_kind": {},
+        "estimated_steps": 0,
+        "ac_failures": 0,
+        "ac_not_found": 0,
+        "gap_max": 0.003,
+        "controller": "mpc",
+        "horizon_h": 5.0,
+        "solver": "highs",
+        "method": "decomposed",
+        "seed": 7,
+        "options": {"errors": {"load_bias": 0.1}, "thermal": "off"},
+    }
 
 
 def test_operation_figures_by_hand():
@@ -183,14 +228,21 @@ def test_operation_figures_by_hand():
 
 
 def test_reason_figures_by_hand():
-    explained = pd.DataFrame({
-        "item": ["customer", "customer", "battery", "step", "pv"],
-        "action": ["not_served", "not_served", "charge", "balance", "curtailed"],
-        "driver": ["energy", "unexplained", "price", "unexplained", "energy"]})
+    explained = pd.DataFrame(
+        {
+            "item": ["customer", "customer", "battery", "step", "pv"],
+            "action": ["not_served", "not_served", "charge", "balance", "curtailed"],
+            "driver": ["energy", "unexplained", "price", "unexplained", "energy"],
+        }
+    )
     assert metrics.reason_figures(explained) == {
         "explained_share": 0.75,
-        "drivers": {"not_served": {"energy": 1, "unexplained": 1}, "charge": {"price": 1},
-                    "curtailed": {"energy": 1}}}
+        "drivers": {
+            "not_served": {"energy": 1, "unexplained": 1},
+            "charge": {"price": 1},
+            "curtailed": {"energy": 1},
+        },
+    }
     nothing = metrics.reason_figures(explained[explained["item"] == "step"])
     assert nothing == {"explained_share": None, "drivers": {}}
     run = replace(small_run(), explanations=explained)
@@ -201,8 +253,11 @@ def test_reason_figures_by_hand():
 
 def test_versions_of_what_is_not_installed_are_none(monkeypatch):
     monkeypatch.setattr(metrics, "PACKAGES", ("numpy", "no-such-package"))
-    assert metrics.versions() == {"python": platform.python_version(),
-                                  "numpy": np.__version__, "no-such-package": None}
+    assert metrics.versions() == {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "no-such-package": None,
+    }
 
 
 def test_summary_counts_corrections():
@@ -215,8 +270,10 @@ def test_without_outage_what_is_about_the_outage_is_null():
     assert summary["resilience"] is None
     assert set(summary["served_share"].values()) == {None}
     assert metrics.island_figures(small_run(small_scenario(outage=False))) == {
-        "island_import_max_kw": None, "island_export_max_kw": None,
-        "island_reactive_max_kvar": None}
+        "island_import_max_kw": None,
+        "island_export_max_kw": None,
+        "island_reactive_max_kvar": None,
+    }
     assert summary["island_import_max_kw"] is None
     assert summary["import_kwh"] == pytest.approx(0.5 * (100 + 101 + 102 + 103))
 
@@ -246,8 +303,10 @@ def test_the_full_horizon_has_no_prediction_horizon():
 
 def test_summary_is_strict_json_even_where_a_figure_is_undefined():
     run = with_steps(small_run(), "gap", [np.inf, 0.0, 0.0, 0.0])
-    run = replace(with_steps(run, "v_error_pu", [np.nan] * 4),
-                  options=OPTIONS | {"time_limit_s": np.inf, "seed": np.int64(3)})
+    run = replace(
+        with_steps(run, "v_error_pu", [np.nan] * 4),
+        options=OPTIONS | {"time_limit_s": np.inf, "seed": np.int64(3)},
+    )
     summary = metrics.summarise(run)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert summary["gap_max"] is None

@@ -23,8 +23,15 @@ pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::Deprec
 
 AGREEMENT = 1e-6
 LINE = {"r_ohm_per_km": 0.3, "x_ohm_per_km": 0.2, "c_nf_per_km": 0.0, "max_i_ka": 1.0}
-TRAFO = {"sn_mva": 1.0, "vn_hv_kv": 20.0, "vn_lv_kv": 0.4, "vkr_percent": 1.0, "vk_percent": 5.0,
-         "pfe_kw": 0.0, "i0_percent": 0.0}
+TRAFO = {
+    "sn_mva": 1.0,
+    "vn_hv_kv": 20.0,
+    "vn_lv_kv": 0.4,
+    "vkr_percent": 1.0,
+    "vk_percent": 5.0,
+    "pfe_kw": 0.0,
+    "i0_percent": 0.0,
+}
 
 
 def two_buses(**line: Any) -> Any:
@@ -56,9 +63,25 @@ def every_branch() -> Any:
     for _ in range(2):
         pp.create_transformer_from_parameters(net, 2, 4, **TRAFO)
     pp.create_transformer3w_from_parameters(
-        net, 2, 5, 6, vn_hv_kv=20.0, vn_mv_kv=10.0, vn_lv_kv=0.4, sn_hv_mva=2.0, sn_mv_mva=1.0,
-        sn_lv_mva=1.0, vk_hv_percent=6.0, vk_mv_percent=6.0, vk_lv_percent=6.0,
-        vkr_hv_percent=0.9, vkr_mv_percent=0.8, vkr_lv_percent=0.7, pfe_kw=0.0, i0_percent=0.0)
+        net,
+        2,
+        5,
+        6,
+        vn_hv_kv=20.0,
+        vn_mv_kv=10.0,
+        vn_lv_kv=0.4,
+        sn_hv_mva=2.0,
+        sn_mv_mva=1.0,
+        sn_lv_mva=1.0,
+        vk_hv_percent=6.0,
+        vk_mv_percent=6.0,
+        vk_lv_percent=6.0,
+        vkr_hv_percent=0.9,
+        vkr_mv_percent=0.8,
+        vkr_lv_percent=0.7,
+        pfe_kw=0.0,
+        i0_percent=0.0,
+    )
     pp.create_impedance(net, 2, 3, rft_pu=0.01, xft_pu=0.02, sn_mva=1.0)
     pp.create_line_from_parameters(net, 4, 7, length_km=0.02, **LINE)
     for bus, p_mw in ((3, 0.2), (4, 0.15), (5, 0.3), (6, 0.1), (7, 0.05)):
@@ -83,15 +106,25 @@ def differences(net: Any, feeder: ImportedFeeder) -> tuple[float, float]:
     """Largest voltage difference in pu, and difference of the losses in kW."""
     result = ACPowerFlow(feeder.network).solve(*feeder.injection)
     v_pu = {bus: result.v_pu[feeder.network.bus_index[b]] for bus, b in feeder.bus_of.items()}
-    losses_mw = sum(net[f"res_{table}"]["pl_mw"].sum()
-                    for table in ("line", "trafo", "trafo3w", "impedance"))
-    return (max(abs(v - net.res_bus.vm_pu[bus]) for bus, v in v_pu.items()),
-            abs(result.losses_kw - 1e3 * losses_mw))
+    losses_mw = sum(
+        net[f"res_{table}"]["pl_mw"].sum() for table in ("line", "trafo", "trafo3w", "impedance")
+    )
+    return (
+        max(abs(v - net.res_bus.vm_pu[bus]) for bus, v in v_pu.items()),
+        abs(result.losses_kw - 1e3 * losses_mw),
+    )
 
 
-@pytest.mark.parametrize("make", [
-    two_buses, every_branch, cigre_without_charging, pp_networks.case33bw,
-    pp_networks.create_cigre_network_lv])
+@pytest.mark.parametrize(
+    "make",
+    [
+        two_buses,
+        every_branch,
+        cigre_without_charging,
+        pp_networks.case33bw,
+        pp_networks.create_cigre_network_lv,
+    ],
+)
 def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     net = solved(make())
     feeder = import_network(net)
@@ -102,12 +135,16 @@ def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     assert set(feeder.bus_of) == set(net.bus.index)
 
 
-@pytest.mark.parametrize(("change", "note"), [
-    ({"c_nf_per_km": 300.0}, "The charging of 1 lines, 150.8 kvar in all, is left out."),
-    ({"g_us_per_km": 50.0}, "The leakage conductance of line 0 (feeder) is left out."),
-])
-def test_what_is_left_out_is_stated_with_what_it_changes(change: dict[str, float],
-                                                         note: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "note"),
+    [
+        ({"c_nf_per_km": 300.0}, "The charging of 1 lines, 150.8 kvar in all, is left out."),
+        ({"g_us_per_km": 50.0}, "The leakage conductance of line 0 (feeder) is left out."),
+    ],
+)
+def test_what_is_left_out_is_stated_with_what_it_changes(
+    change: dict[str, float], note: str
+) -> None:
     net = solved(two_buses(**change))
     feeder = import_network(net)
     assert feeder.notes == (note,)
@@ -146,7 +183,8 @@ def test_every_simplification_has_its_note() -> None:
         "Shunts are left out: shunt 0.",
         "Batteries of the source are left out: storage 0.",
         "Generators keep their active power and lose their voltage control: gen 0 (hydro).",
-        "Loads that follow the voltage are taken as constant power: load 0 (mill).")
+        "Loads that follow the voltage are taken as constant power: load 0 (mill).",
+    )
     assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu > 1e-3
     assert feeder.generators.id.tolist() == ["sgen 0", "gen 0 (hydro)"]
@@ -164,41 +202,67 @@ def test_impedances_by_hand() -> None:
     # A 1 MVA transformer of 20/0.4 kV with 1 % resistance has 0.01 (20²/1) = 4 ohm at 20 kV; two
     # parallel lines of 0.3 x 1.5 / 2 = 0.225 ohm beside one of 1.2 ohm, all with the same angle.
     network = import_network(every_branch()).network
-    r_ohm = dict(zip(zip(network.from_bus, network.to_bus, strict=True), network.r_ohm,
-                     strict=True))
+    r_ohm = dict(
+        zip(zip(network.from_bus, network.to_bus, strict=True), network.r_ohm, strict=True)
+    )
     assert network.base_kv == 20.0
     assert r_ohm[0, 1] == pytest.approx(0.225 * 1.2 / (0.225 + 1.2))
     assert r_ohm[1, 4] == pytest.approx(4.0 / 2)
     assert r_ohm[4, 7] == pytest.approx(0.3 * 0.02 * (20.0 / 0.4) ** 2)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    (lambda net: pp.create_ward(net, 1, ps_mw=0.1, qs_mvar=0, pz_mw=0, qz_mvar=0, name="w"),
-     "pandapower net: ward 0 (w) is not supported. Replace it by loads, static generators and "
-     "lines, or take it out of service."),
-    (lambda net: pp.create_ext_grid(net, 1, name="north"),
-     "pandapower net: has 2 external grids: ext_grid 0, ext_grid 1 (north). Keep the one that "
-     "feeds the feeder and take the others out of service."),
-    (lambda net: net.ext_grid.drop(0, inplace=True),
-     "pandapower net: has no external grid. Add one at the bus of the grid connection."),
-    (lambda net: (net.ext_grid.drop(0, inplace=True),
-                  pp.create_gen(net, 0, p_mw=0.0, slack=True)),
-     "pandapower net: gen 0 is the grid connection. Replace it by an external grid."),
-    (lambda net: net.line.__setitem__("r_ohm_per_km", 0.0),
-     "pandapower net: line 0 (feeder) has a resistance of 0 pu and a reactance of 0.002 pu. The "
-     "model needs a positive resistance and no negative reactance: correct it, or replace the "
-     "branch by a closed switch."),
-    (lambda net: net.line.__setitem__("in_service", False),
-     "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
-     "into service."),
-    (lambda net: net.ext_grid.__setitem__("in_service", False),
-     "pandapower net: has no external grid. Add one at the bus of the grid connection."),
-    (lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
-     "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service."),
-    (lambda net: pp.create_impedance(net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0),
-     "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
-     "in both."),
-])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda net: pp.create_ward(net, 1, ps_mw=0.1, qs_mvar=0, pz_mw=0, qz_mvar=0, name="w"),
+            "pandapower net: ward 0 (w) is not supported. Replace it by loads, static generators and "
+            "lines, or take it out of service.",
+        ),
+        (
+            lambda net: pp.create_ext_grid(net, 1, name="north"),
+            "pandapower net: has 2 external grids: ext_grid 0, ext_grid 1 (north). Keep the one that "
+            "feeds the feeder and take the others out of service.",
+        ),
+        (
+            lambda net: net.ext_grid.drop(0, inplace=True),
+            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
+        ),
+        (
+            lambda net: (
+                net.ext_grid.drop(0, inplace=True),
+                pp.create_gen(net, 0, p_mw=0.0, slack=True),
+            ),
+            "pandapower net: gen 0 is the grid connection. Replace it by an external grid.",
+        ),
+        (
+            lambda net: net.line.__setitem__("r_ohm_per_km", 0.0),
+            "pandapower net: line 0 (feeder) has a resistance of 0 pu and a reactance of 0.002 pu. The "
+            "model needs a positive resistance and no negative reactance: correct it, or replace the "
+            "branch by a closed switch.",
+        ),
+        (
+            lambda net: net.line.__setitem__("in_service", False),
+            "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
+            "into service.",
+        ),
+        (
+            lambda net: net.ext_grid.__setitem__("in_service", False),
+            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
+        ),
+        (
+            lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
+            "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service.",
+        ),
+        (
+            lambda net: pp.create_impedance(
+                net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0
+            ),
+            "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
+            "in both.",
+        ),
+    ],
+)
 def test_refusals_name_the_element(change: Callable[[Any], object], message: str) -> None:
     net = two_buses()
     change(net)
@@ -212,7 +276,8 @@ def test_loops_are_listed_with_what_to_open() -> None:
         import_network(three_buses_in_a_ring())
     assert str(caught.value) == (
         "pandapower net: line 2 (west) closes a loop: bus 2 - 0 - 1. The feeder must be radial: "
-        "open one of line 1 (east), line 0 (feeder), line 2 (west).")
+        "open one of line 1 (east), line 0 (feeder), line 2 (west)."
+    )
 
 
 @pytest.mark.parametrize(("opened", "fed_by"), [("line 1", 1), ("west", 0)])
@@ -237,8 +302,10 @@ def test_loops_of_closed_tie_switches() -> None:
     assert feeder.network.n_lines == feeder.network.n_buses - 1 == 14
 
 
-@pytest.mark.parametrize(("name", "losses_kw", "v_min_pu"), [
-    ("case33bw", 202.677, 0.91309), ("case69", 224.992, 0.90919)])
+@pytest.mark.parametrize(
+    ("name", "losses_kw", "v_min_pu"),
+    [("case33bw", 202.677, 0.91309), ("case69", 224.992, 0.90919)],
+)
 def test_published_feeders_by_name(name: str, losses_kw: float, v_min_pu: float) -> None:
     feeder = import_network(name)
     result = ACPowerFlow(feeder.network).solve(*feeder.injection)
@@ -269,8 +336,10 @@ def test_pandapower_file(tmp_path: Path) -> None:
     assert (feeder.name, feeder.network.n_buses) == ("mill.json", 2)
 
 
-MATPOWER_BUSES = [[10, 3, 0, 0, 0, 0, 1, 1, 0, 12.66, 1, 1.1, 0.9],
-                  [20, 1, 0.3, 0.1, 0, 0, 1, 1, 0, 12.66, 1, 1.1, 0.9]]
+MATPOWER_BUSES = [
+    [10, 3, 0, 0, 0, 0, 1, 1, 0, 12.66, 1, 1.1, 0.9],
+    [20, 1, 0.3, 0.1, 0, 0, 1, 1, 0, 12.66, 1, 1.1, 0.9],
+]
 MATPOWER_BRANCHES = [[10, 20, 0.05, 0.04, 0, 0, 0, 0, 0, 0, 1, -360, 360]]
 MATPOWER_GENS = [[10, 0, 0, 10, -10, 1, 100, 1, 10, 0] + [0] * 11]
 
@@ -280,9 +349,12 @@ def _matlab(name: str, table: list[list[float]]) -> str:
     return f"mpc.{name} = [\n{rows};\n];\n"
 
 
-MATPOWER_CASE = ("function mpc = pair\nmpc.version = '2';\nmpc.baseMVA = 10;\n"
-                 + _matlab("bus", MATPOWER_BUSES) + _matlab("gen", MATPOWER_GENS)
-                 + _matlab("branch", MATPOWER_BRANCHES))
+MATPOWER_CASE = (
+    "function mpc = pair\nmpc.version = '2';\nmpc.baseMVA = 10;\n"
+    + _matlab("bus", MATPOWER_BUSES)
+    + _matlab("gen", MATPOWER_GENS)
+    + _matlab("branch", MATPOWER_BRANCHES)
+)
 
 
 def matpower_m(folder: Path) -> Path:
@@ -293,9 +365,18 @@ def matpower_m(folder: Path) -> Path:
 
 def matpower_mat(folder: Path) -> Path:
     file = folder / "pair.mat"
-    scipy.io.savemat(file, {"mpc": {
-        "version": "2", "baseMVA": 10.0, "bus": np.array(MATPOWER_BUSES, float),
-        "gen": np.array(MATPOWER_GENS, float), "branch": np.array(MATPOWER_BRANCHES * 2, float)}})
+    scipy.io.savemat(
+        file,
+        {
+            "mpc": {
+                "version": "2",
+                "baseMVA": 10.0,
+                "bus": np.array(MATPOWER_BUSES, float),
+                "gen": np.array(MATPOWER_GENS, float),
+                "branch": np.array(MATPOWER_BRANCHES * 2, float),
+            }
+        },
+    )
     return file
 
 
@@ -349,11 +430,17 @@ def test_opendss_agrees_with_opendss(tmp_path: Path) -> None:
 
 
 def test_opendss_states_what_single_phases_lose(tmp_path: Path) -> None:
-    feeder = import_network(dss_file(
-        tmp_path, "new line.drop bus1=c.1 bus2=d.1 phases=1 r1=0.1 x1=0.1 r0=0.1 x0=0.1 c1=0 c0=0\n"
-        "new capacitor.bank bus1=a phases=3 kv=11 kvar=50\n"))
-    assert "1 of 3 lines have fewer than three phases; the equivalent understates their voltage " \
-           "drop and losses." in feeder.notes
+    feeder = import_network(
+        dss_file(
+            tmp_path,
+            "new line.drop bus1=c.1 bus2=d.1 phases=1 r1=0.1 x1=0.1 r0=0.1 x0=0.1 c1=0 c0=0\n"
+            "new capacitor.bank bus1=a phases=3 kv=11 kvar=50\n",
+        )
+    )
+    assert (
+        "1 of 3 lines have fewer than three phases; the equivalent understates their voltage "
+        "drop and losses." in feeder.notes
+    )
     assert "Capacitors are left out: bank." in feeder.notes
 
 
@@ -367,22 +454,33 @@ def test_opendss_line_that_is_open(command: str, tmp_path: Path) -> None:
 
 def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:
     file = tmp_path / "numbers.dss"
-    file.write_text("new circuit.n basekv=11 bus1=10 phases=3\n"
-                    "new line.l bus1=10 bus2=20 phases=3\n"
-                    "new load.d bus1=20 phases=3 kv=11 kw=50 kvar=10\nset voltagebases=[11]\n")
+    file.write_text(
+        "new circuit.n basekv=11 bus1=10 phases=3\n"
+        "new line.l bus1=10 bus2=20 phases=3\n"
+        "new load.d bus1=20 phases=3 kv=11 kw=50 kvar=10\nset voltagebases=[11]\n"
+    )
     assert import_network(file).network.buses.tolist() == [10, 20]
 
 
-@pytest.mark.parametrize(("more", "message"), [
-    ("new vsource.second bus1=c phases=3 basekv=0.4",
-     "mill.dss: vsource.second is a second source. Keep the circuit's own source and disable the "
-     "others."),
-    ("new reactor.x bus1=a bus2=b phases=3 kv=11 kvar=50",
-     "mill.dss: reactor.x is not supported. Disable it, or replace it by lines, transformers, "
-     "loads and generators."),
-    ("new transformer.t3 phases=3 windings=3 buses=(a d e) kvs=(11 0.4 0.4) kvas=(9 9 9)",
-     "mill.dss: transformer.t3 has 3 windings. Replace it by a transformer with two windings."),
-])
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            "new vsource.second bus1=c phases=3 basekv=0.4",
+            "mill.dss: vsource.second is a second source. Keep the circuit's own source and disable the "
+            "others.",
+        ),
+        (
+            "new reactor.x bus1=a bus2=b phases=3 kv=11 kvar=50",
+            "mill.dss: reactor.x is not supported. Disable it, or replace it by lines, transformers, "
+            "loads and generators.",
+        ),
+        (
+            "new transformer.t3 phases=3 windings=3 buses=(a d e) kvs=(11 0.4 0.4) kvas=(9 9 9)",
+            "mill.dss: transformer.t3 has 3 windings. Replace it by a transformer with two windings.",
+        ),
+    ],
+)
 def test_opendss_refusals(more: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         import_network(dss_file(tmp_path, more))
@@ -397,17 +495,28 @@ def test_opendss_levels_that_were_not_named(tmp_path: Path) -> None:
         import_network(file)
     assert str(caught.value).splitlines() == [
         f"mill.dss: {element}, whose nominal voltage is {level} kV. Name the levels with 'set "
-        "voltagebases=[...]'." for element, level in (
+        "voltagebases=[...]'."
+        for element, level in (
             ("vsource.source has 11 kV at bus src", 12.47),
             ("transformer.t1 has 11 kV at bus a", 12.47),
-            ("transformer.t1 has 0.4 kV at bus b", 0.48))]
+            ("transformer.t1 has 0.4 kV at bus b", 0.48),
+        )
+    ]
 
 
 def test_opendss_loops_are_listed(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"line 3 \(ring2\) closes a loop: .* open one of line 2 "
-                                         r"\(ring\), line 0 \(head\), line 3 \(ring2\)\."):
-        import_network(dss_file(tmp_path, "new line.ring bus1=src bus2=d phases=3 r1=1\n"
-                                          "new line.ring2 bus1=d bus2=a phases=3 r1=1"))
+    with pytest.raises(
+        InputError,
+        match=r"line 3 \(ring2\) closes a loop: .* open one of line 2 "
+        r"\(ring\), line 0 \(head\), line 3 \(ring2\)\.",
+    ):
+        import_network(
+            dss_file(
+                tmp_path,
+                "new line.ring bus1=src bus2=d phases=3 r1=1\n"
+                "new line.ring2 bus1=d bus2=a phases=3 r1=1",
+            )
+        )
 
 
 def test_simbench_grid_by_its_code() -> None:
@@ -424,21 +533,34 @@ def test_simbench_code_that_does_not_exist() -> None:
         import_network("1-LV-rural9", source="simbench")
 
 
-@pytest.mark.parametrize(("name", "text", "message"), [
-    ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
-    ("a.json", '{"a": 1}', "a.json: cannot be read as pandapower JSON ("
-                           "'dict' object has no attribute 'version'). Correct the file, or "
-                           "choose another format with --from."),
-    ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
-    ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
-    ("a.m", MATPOWER_CASE + "mpc.bus(:, 3) = mpc.bus(:, 3) / 1e3;\n",
-     "a.m: computes mpc.bus in code, which only MATPOWER can run. Load the case in MATPOWER, write "
-     "it with savecase, and import that file."),
-    ("a.dss", "new nothing.x", "a.dss, row 1: 'nothing' is not a class that a network needs. "
-                               "Remove the element."),
-    ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
-    ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
-])
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
+        (
+            "a.json",
+            '{"a": 1}',
+            "a.json: cannot be read as pandapower JSON ("
+            "'dict' object has no attribute 'version'). Correct the file, or "
+            "choose another format with --from.",
+        ),
+        ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
+        ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
+        (
+            "a.m",
+            MATPOWER_CASE + "mpc.bus(:, 3) = mpc.bus(:, 3) / 1e3;\n",
+            "a.m: computes mpc.bus in code, which only MATPOWER can run. Load the case in MATPOWER, write "
+            "it with savecase, and import that file.",
+        ),
+        (
+            "a.dss",
+            "new nothing.x",
+            "a.dss, row 1: 'nothing' is not a class that a network needs. Remove the element.",
+        ),
+        ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
+        ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
+    ],
+)
 def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:
@@ -446,25 +568,40 @@ def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) ->
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(("name", "source", "message"), [
-    ("case33bx", None, "network case33bx: is neither a named network nor a file that can be "
-                       "imported. "),
-    ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
-    ("case33bw", "cim", "options, from = cim: must be one of pandapower, matpower, opendss, "
-                        "simbench. Correct the source."),
-])
+@pytest.mark.parametrize(
+    ("name", "source", "message"),
+    [
+        (
+            "case33bx",
+            None,
+            "network case33bx: is neither a named network nor a file that can be imported. ",
+        ),
+        ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
+        (
+            "case33bw",
+            "cim",
+            "options, from = cim: must be one of pandapower, matpower, opendss, "
+            "simbench. Correct the source.",
+        ),
+    ],
+)
 def test_unknown_networks(name: str, source: Any, message: str) -> None:
     with pytest.raises(InputError) as caught:
         import_network(name, source)
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(("module", "extra", "name", "source"), [
-    ("matpowercaseframes", "matpower", "pair.m", None),
-    ("opendssdirect", "opendss", "mill.dss", None),
-    ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench")])
-def test_missing_library(module: str, extra: str, name: str, source: Any, tmp_path: Path,
-                         monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("module", "extra", "name", "source"),
+    [
+        ("matpowercaseframes", "matpower", "pair.m", None),
+        ("opendssdirect", "opendss", "mill.dss", None),
+        ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
+    ],
+)
+def test_missing_library(
+    module: str, extra: str, name: str, source: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text("")
     monkeypatch.setitem(sys.modules, module, None)
@@ -472,11 +609,13 @@ def test_missing_library(module: str, extra: str, name: str, source: Any, tmp_pa
         import_network(name, source)
     assert str(caught.value) == (
         f"network: needs the library {module}, which is not installed. Install it with: "
-        f"pip install 'vppres[{extra}]'")
+        f"pip install 'vppres[{extra}]'"
+    )
 
 
-def test_import_is_silent(recwarn: pytest.WarningsRecorder,
-                          capfd: pytest.CaptureFixture[str]) -> None:
+def test_import_is_silent(
+    recwarn: pytest.WarningsRecorder, capfd: pytest.CaptureFixture[str]
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         import_network("cigre-mv-der")

@@ -32,8 +32,9 @@ def leaves(record: dict[str, Any], above: str = "") -> dict[str, Any]:
     """Values of nested groups by their paths: ``errors.load_bias``."""
     found: dict[str, Any] = {}
     for name, value in record.items():
-        inside = leaves(value, f"{above}{name}.") if isinstance(value, dict) else {
-            above + name: value}
+        inside = (
+            leaves(value, f"{above}{name}.") if isinstance(value, dict) else {above + name: value}
+        )
         found |= inside
     return found
 
@@ -47,13 +48,17 @@ def test_every_field_of_the_options_has_one_row_with_its_default() -> None:
 def test_constants_of_other_rooms_are_those_of_the_table() -> None:
     options = RunOptions()
     assert (options.polygon_sides, options.headroom, options.passes) == (
-        POLYGON_SIDES, DEFAULT_HEADROOM, DEFAULT_PASSES)
+        POLYGON_SIDES,
+        DEFAULT_HEADROOM,
+        DEFAULT_PASSES,
+    )
     assert choices_of("centre") == CENTRES
     assert choices_of("pv_check") == PV_CHECKS
 
 
-@pytest.mark.parametrize(("section", "frozen"), [
-    ("controller", ControllerDefaults), ("switching", SwitchingRules)])
+@pytest.mark.parametrize(
+    ("section", "frozen"), [("controller", ControllerDefaults), ("switching", SwitchingRules)]
+)
 def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> None:
     assert list(section_options(section)) == [f.name for f in fields(frozen)]
 
@@ -62,14 +67,19 @@ def test_page_has_the_rows_of_the_table() -> None:
     page = PAGE.read_text(encoding="utf-8").splitlines()
     first = page.index("## Options of `run`") + 4
     rows = [cli_options.page_row(option) for option in cli_options.day_options()]
-    assert page[first:first + len(rows)] == rows
+    assert page[first : first + len(rows)] == rows
 
 
 def test_page_names_what_a_sweep_varies() -> None:
     page = PAGE.read_text(encoding="utf-8")
     of_run, python_alone = (
-        ", ".join(f"`{option.name}`" for option in OPTIONS
-                  if option.sweep and option.command_line is wanted) for wanted in (True, False))
+        ", ".join(
+            f"`{option.name}`"
+            for option in OPTIONS
+            if option.sweep and option.command_line is wanted
+        )
+        for wanted in (True, False)
+    )
     assert f"| {of_run} | the option of `run` |" in page
     assert f"| {python_alone} | the option of `RunOptions`" in page
 
@@ -79,16 +89,25 @@ def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_p
     day = replace(tiny_scenario(), controller=ControllerDefaults(kind, 2.0))
     write_scenario(day, tmp_path / "tiny")
     given = dict.fromkeys(cli_options._key(option) for option in cli_options.day_options())
-    given |= {cli_options._key(option): option.default for option in cli_options.day_options()
-              if not option.scenario_key}
+    given |= {
+        cli_options._key(option): option.default
+        for option in cli_options.day_options()
+        if not option.scenario_key
+    }
     options = cli_options.run_options(read_scenario(tmp_path / "tiny"), given)
     assert (options.controller, options.horizon_h) == (kind, 2.0)
 
 
-@pytest.mark.parametrize(("changes", "text"), [
-    ({"thermal": "hot"}, "options, thermal = hot: is not known. Use one of: off, exact, euler."),
-    ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
-])
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"thermal": "hot"},
+            "options, thermal = hot: is not known. Use one of: off, exact, euler.",
+        ),
+        ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
+    ],
+)
 def test_run_options_check_what_the_table_says(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**changes)
@@ -102,9 +121,16 @@ def test_options_of_studies_pass_the_check() -> None:
 @pytest.fixture
 def headroom_row(monkeypatch: pytest.MonkeyPatch) -> Option:
     """A row for an option that only Python had, put where the other rows are."""
-    row = Option("headroom", "headroom", float, 0.1, "free share of forming inverters",
-                 unit="share", choices=(), range=next(
-                     option.range for option in OPTIONS if option.field == "headroom"))
+    row = Option(
+        "headroom",
+        "headroom",
+        float,
+        0.1,
+        "free share of forming inverters",
+        unit="share",
+        choices=(),
+        range=next(option.range for option in OPTIONS if option.field == "headroom"),
+    )
     rows = tuple(row if option.field == "headroom" else option for option in OPTIONS)
     monkeypatch.setattr(cli_options, "OPTIONS", rows)
     monkeypatch.setattr(day_options, "OPTIONS", rows)
@@ -113,8 +139,9 @@ def headroom_row(monkeypatch: pytest.MonkeyPatch) -> Option:
     return row
 
 
-def test_a_row_is_enough_for_an_option(headroom_row: Option, tmp_path: Path,
-                                       monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_is_enough_for_an_option(
+    headroom_row: Option, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     caught: list[RunOptions] = []
 
     def catch(day: object, options: RunOptions, progress: object) -> None:
@@ -126,7 +153,8 @@ def test_a_row_is_enough_for_an_option(headroom_row: Option, tmp_path: Path,
 
     folder = str(tmp_path / "tiny")
     assert "Free share of forming inverters. [default: 0.1]" in " ".join(
-        call("run", "--help").stdout.replace("│", " ").split())
+        call("run", "--help").stdout.replace("│", " ").split()
+    )
     call("run", folder, "--headroom", "0.25", "--out", str(tmp_path / "run"))
     assert [options.headroom for options in caught] == [0.25]
     refused = call("run", folder, "--headroom", "1", "--out", str(tmp_path / "run"))
@@ -135,17 +163,26 @@ def test_a_row_is_enough_for_an_option(headroom_row: Option, tmp_path: Path,
     parameter = sweep_parameters.find_parameter("headroom", day)
     assert sweep_parameters.changed(parameter, 0.3, day, RunOptions())[1].headroom == 0.3
     assert cli_options.page_row(headroom_row) == (
-        "| `--headroom` | 0.1 | free share of forming inverters |")
+        "| `--headroom` | 0.1 | free share of forming inverters |"
+    )
     # The next test finds the command line as it was.
     monkeypatch.undo()
     cli_options._day_parameters.cache_clear()
 
 
 def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
-    row = replace(next(option for option in OPTIONS if option.field == "headroom"),
-                  scenario_key="controller.headroom")
+    row = replace(
+        next(option for option in OPTIONS if option.field == "headroom"),
+        scenario_key="controller.headroom",
+    )
     monkeypatch.setattr("vppres.scenario.option_table.OPTIONS", (*OPTIONS, row))
     section = schema._option_section("ControllerSection", "controller", "Words.")
     found = json.loads(json.dumps(section.model_json_schema()))["properties"]["headroom"]
-    assert found == {"default": 0.1, "description": row.meaning, "exclusiveMaximum": 1,
-                     "minimum": 0, "title": "Headroom", "type": "number"}
+    assert found == {
+        "default": 0.1,
+        "description": row.meaning,
+        "exclusiveMaximum": 1,
+        "minimum": 0,
+        "title": "Headroom",
+        "type": "number",
+    }

@@ -30,14 +30,32 @@ def is_another_test(name: str) -> bool:
 
 
 def test_test_modules_import_no_test_module() -> None:
-    wrong = [f"{path.relative_to(TESTS)}: {name}" for path in sorted(TESTS.rglob("*.py"))
-             for name in sorted(imported(path)) if is_another_test(name)]
+    wrong = [
+        f"{path.relative_to(TESTS)}: {name}"
+        for path in sorted(TESTS.rglob("*.py"))
+        for name in sorted(imported(path))
+        if is_another_test(name)
+    ]
     assert wrong == []
 
 
 def test_imports_of_test_modules_are_recognised() -> None:
-    assert all(map(is_another_test, [
-        "tests.test_plant.decision", "tests.conftest", "test_plant.decision", "conftest.tiny",
-        ".test_plant.decision", "tiny_day.tiny_scenario"]))
-    assert not any(map(is_another_test, [
-        "tests.support.set_points.decision", "vppres.plant.plant.Plant", "pytest"]))
+    assert all(
+        map(
+            is_another_test,
+            [
+                "tests.test_plant.decision",
+                "tests.conftest",
+                "test_plant.decision",
+                "conftest.tiny",
+                ".test_plant.decision",
+                "tiny_day.tiny_scenario",
+            ],
+        )
+    )
+    assert not any(
+        map(
+            is_another_test,
+            ["tests.support.set_points.decision", "vppres.plant.plant.Plant", "pytest"],
+        )
+    )

@@ -102,8 +102,9 @@ def physical_window(seed: int, stressed: bool) -> Window:
 def physical_answers(seed: int, stressed: bool) -> tuple[Window, list[WindowSolution]]:
     case = physical_window(seed, stressed)
     site = Site.of(case.scenario)
-    return case, [WindowSolver(site, method).solve(case.data)
-                  for method in ("decomposed", "monolithic")]
+    return case, [
+        WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
+    ]
 
 
 @pytest.mark.monolith
@@ -131,16 +132,19 @@ def test_windows_have_losses_islands_and_headroom() -> None:
 
 def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:
     case, (answer, _) = next(
-        found for found in (physical_answers(*key) for key in WINDOWS)
+        found
+        for found in (physical_answers(*key) for key in WINDOWS)
         if (found[0].data.require_physics().soc_reserve > 0).any()
-        and found[0].data.loss_kw.max() > 1.0)
+        and found[0].data.loss_kw.max() > 1.0
+    )
     paper = check_dispatch(case.scenario, replace(case.data, physics=None), answer.dispatch)
     assert paper.violations["active balance"] > CHECKER_TOLERANCE
     physics = case.data.require_physics()
     greedy = replace(case.data, physics=replace(physics, soc_reserve=physics.soc_reserve + 1.0))
     assert check_dispatch(case.scenario, greedy, answer.dispatch).violations["soc limits"] > 0.1
-    powerless = replace(case.data, physics=replace(
-        physics, headroom_kw=np.full_like(physics.headroom_kw, 1e4)))
+    powerless = replace(
+        case.data, physics=replace(physics, headroom_kw=np.full_like(physics.headroom_kw, 1e4))
+    )
     assert check_dispatch(case.scenario, powerless, answer.dispatch).violations["headroom"] > 1.0
 
 
@@ -153,7 +157,8 @@ def test_physical_problem_refuses_a_window_of_the_papers_mode(tiny: Scenario) ->
 
 
 def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_with(
-        tiny: Scenario) -> None:
+    tiny: Scenario,
+) -> None:
     site, data = Site.of(tiny), island_window(tiny, 0.85, 0, 3)
     empty = replace(data, soc=np.array([0.15 + 1e-16, 0.5]))
     for lumped in (True, False):
@@ -168,9 +173,16 @@ def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_
 
 def island_window(tiny: Scenario, soc: float, first: int, n_steps: int) -> WindowData:
     rows, b = slice(first, first + n_steps), tiny.batteries
-    return WindowData(tiny.load_kw[rows], tiny.pv_kw[rows], tiny.price_gbp_per_kwh[rows],
-                      tiny.grid_limit_kw[rows], np.full(2, soc), b.eta_charge, b.eta_discharge,
-                      np.zeros((n_steps, 3)))
+    return WindowData(
+        tiny.load_kw[rows],
+        tiny.pv_kw[rows],
+        tiny.price_gbp_per_kwh[rows],
+        tiny.grid_limit_kw[rows],
+        np.full(2, soc),
+        b.eta_charge,
+        b.eta_discharge,
+        np.zeros((n_steps, 3)),
+    )
 
 
 def test_reserve_pays_the_headroom_of_the_island_steps_that_remain(tiny: Scenario) -> None:
@@ -219,8 +231,12 @@ def test_record_keeps_its_claims(seed: int) -> None:
 @pytest.mark.parametrize("seed", DAYS)
 def test_plan_and_ac_agree_where_the_passes_sufficed(seed: int) -> None:
     run = physical_day(seed)
-    steps = run.steps[(run.steps["passes"] < RunOptions().passes) & ~run.steps["corrected"]
-                      & (run.steps["dark"] == 0) & (run.steps["status"] != "planned")]
+    steps = run.steps[
+        (run.steps["passes"] < RunOptions().passes)
+        & ~run.steps["corrected"]
+        & (run.steps["dark"] == 0)
+        & (run.steps["status"] != "planned")
+    ]
     assert not (steps["v_error_pu"] > 2 * VOLTAGE_TOLERANCE_PU).any()
     mpc = run.options["controller"] == "mpc"
     assert not mpc or not (steps["island_mismatch_kw"].abs() > LOSS_TOLERANCE_KW).any()
@@ -279,7 +295,8 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
 
 @pytest.mark.parametrize(("failures", "mark"), [(0, ""), (1, "nudged"), (2, "lossless")])
 def test_window_without_answer_is_tried_again_and_says_so(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch, failures: int, mark: str) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch, failures: int, mark: str
+) -> None:
     solver = WindowSolver(Site.of(tiny))
     solve, windows = solver.solve, list[WindowData]()
 
@@ -290,14 +307,20 @@ def test_window_without_answer_is_tried_again_and_says_so(
         return solve(data)
 
     monkeypatch.setattr(solver, "solve", failing)
-    seen = Observation(2, Forecaster(tiny, ForecastErrors(), 0).at(2, range(2, 5)),
-                       np.full(2, 0.5), tiny.batteries.eta_charge, tiny.batteries.eta_discharge)
+    seen = Observation(
+        2,
+        Forecaster(tiny, ForecastErrors(), 0).at(2, range(2, 5)),
+        np.full(2, 0.5),
+        tiny.batteries.eta_charge,
+        tiny.batteries.eta_discharge,
+    )
     answer = ConvergedPlanner(solver).plan(seen)
     assert ([s for s in answer.stages if s in ("nudged", "lossless")] or [""]) == [mark]
     assert np.ptp([w.soc[0] for w in windows]) == pytest.approx(0.0 if not mark else SOC_NUDGE)
     if failures == 2:
-        monkeypatch.setattr(solver, "solve", lambda data: (_ for _ in ()).throw(
-            NumericalError("gave up")))
+        monkeypatch.setattr(
+            solver, "solve", lambda data: (_ for _ in ()).throw(NumericalError("gave up"))
+        )
         with pytest.raises(NumericalError, match="gave up"):
             ConvergedPlanner(solver).plan(seen)
 
@@ -305,14 +328,23 @@ def test_window_without_answer_is_tried_again_and_says_so(
 def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> None:
     # 66.5 kWh at the terminals for 66.4 kW of demand behind a line that loses more than 1 kW.
     day = replace(
-        tiny, network=Network([1, 2, 2], [2, 3, 4], [0.3, 50.0, 5.0], [0.2, 9.0, 3.0],
-                             slack_bus=1, base_kv=11.0),
-        load_kw=np.tile([0.0, 60.0, 6.4], (6, 1)), pv_kw=np.zeros((6, 2)),
-        batteries=replace(tiny.batteries, p_max_kw=np.array([90.0, 1.0]),
-                          s_max_kva=np.array([120.0, 1.0])))
-    seen = Observation(3, Forecaster(day, ForecastErrors(), 0).at(3, range(3, 4)),
-                       np.array([0.85, 0.15]), day.batteries.eta_charge,
-                       day.batteries.eta_discharge)
+        tiny,
+        network=Network(
+            [1, 2, 2], [2, 3, 4], [0.3, 50.0, 5.0], [0.2, 9.0, 3.0], slack_bus=1, base_kv=11.0
+        ),
+        load_kw=np.tile([0.0, 60.0, 6.4], (6, 1)),
+        pv_kw=np.zeros((6, 2)),
+        batteries=replace(
+            tiny.batteries, p_max_kw=np.array([90.0, 1.0]), s_max_kva=np.array([120.0, 1.0])
+        ),
+    )
+    seen = Observation(
+        3,
+        Forecaster(day, ForecastErrors(), 0).at(3, range(3, 4)),
+        np.array([0.85, 0.15]),
+        day.batteries.eta_charge,
+        day.batteries.eta_discharge,
+    )
     planner = ConvergedPlanner(WindowSolver(Site.of(day)), headroom=0.0)
     assert planner.plan(seen).dispatch.served.tolist() == [[True, True, False]]
     lossless_plan = ConvergedPlanner(planner.solver, headroom=0.0, passes=0).plan(seen)
@@ -322,12 +354,21 @@ def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> N
 # Options and files.
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"mode": "real"}, "options, mode = real: is not known. Use one of: paper, physical."),
-    ({"headroom": 1.0}, "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
-     "of the inverter's rating, for example 0.1."),
-    ({"passes": -1}, "options, passes = -1: must not be negative. Give a whole number from zero."),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mode": "real"}, "options, mode = real: is not known. Use one of: paper, physical."),
+        (
+            {"headroom": 1.0},
+            "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
+            "of the inverter's rating, for example 0.1.",
+        ),
+        (
+            {"passes": -1},
+            "options, passes = -1: must not be negative. Give a whole number from zero.",
+        ),
+    ],
+)
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**options)
@@ -336,8 +377,10 @@ def test_options_that_make_no_sense(options: dict[str, object], message: str) ->
 
 def test_named_batteries_and_mode_survive_the_files(tiny: Scenario, tmp_path: Path) -> None:
     named = replace(
-        tiny, batteries=replace(tiny.batteries, grid_forming=np.array([False, True])),
-        controller=replace(tiny.controller, mode="physical"))
+        tiny,
+        batteries=replace(tiny.batteries, grid_forming=np.array([False, True])),
+        controller=replace(tiny.controller, mode="physical"),
+    )
     write_scenario(named, tmp_path / "named")
     read = read_scenario(tmp_path / "named")
     assert read.batteries.grid_forming.tolist() == [False, True]
@@ -353,9 +396,12 @@ def test_named_batteries_and_mode_survive_the_files(tiny: Scenario, tmp_path: Pa
 
 def test_problem_that_the_solver_refuses_is_an_error_and_no_crash() -> None:
     one = np.ones(1)
-    program = Program(one, 0.0 * one, one, sp.csc_array([[1e16]]), 0.0 * one, one,
-                      np.zeros(0, dtype=np.int64))
+    program = Program(
+        one, 0.0 * one, one, sp.csc_array([[1e16]]), 0.0 * one, one, np.zeros(0, dtype=np.int64)
+    )
     with pytest.raises(NumericalError) as error:
         program.loaded()
-    assert str(error.value) == ("HiGHS refuses a problem: its coefficients are not finite or too "
-                                "large. Check the data for extreme values.")
+    assert str(error.value) == (
+        "HiGHS refuses a problem: its coefficients are not finite or too "
+        "large. Check the data for extreme values."
+    )

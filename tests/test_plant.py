@@ -100,8 +100,9 @@ def test_pv_of_a_served_owner_feeds_the_owner_first(tiny: Scenario) -> None:
 
 
 def test_pv_of_an_owner_that_is_not_served_is_exported_or_curtailed(tiny: Scenario) -> None:
-    done = happened(tiny, 1, 0.5, decision(tiny, served=[False, True, True],
-                                           curtailed_kw=[8.0, 0.0]))
+    done = happened(
+        tiny, 1, 0.5, decision(tiny, served=[False, True, True], curtailed_kw=[8.0, 0.0])
+    )
     assert (done.pv_self_kw[0], done.pv_export_kw[0], done.pv_curtailed_kw[0]) == (0.0, 20.0, 8.0)
 
 
@@ -120,7 +121,8 @@ def test_inverter_curtails_what_it_cannot_pass(tiny: Scenario) -> None:
 
 
 def test_inverter_below_the_owners_demand_neither_overloads_nor_makes_energy(
-        tiny: Scenario) -> None:
+    tiny: Scenario,
+) -> None:
     # 28 kW of sun, 62 kW of demand, 21 kVA between them.
     small = replace(tiny, pv=replace(tiny.pv, s_max_kva=np.array([21.0, 30.0])))
     done = happened(small, 1, 0.5, decision(small))
@@ -136,14 +138,18 @@ def test_reactive_limit_counts_what_passes_the_inverter(tiny: Scenario) -> None:
     assert (done.pv_self_kw[0], done.pv_export_kw[0]) == (20.0, 8.0)
     assert done.pv_q_kvar == pytest.approx([np.sqrt(40.0**2 - 28.0**2), 0.0])
     # Charging and discharging take their share of 60 and 35 kVA alike.
-    assert done.batt_q_kvar == pytest.approx([np.sqrt(60.0**2 - 30.0**2),
-                                              np.sqrt(35.0**2 - 15.0**2)])
+    assert done.batt_q_kvar == pytest.approx(
+        [np.sqrt(60.0**2 - 30.0**2), np.sqrt(35.0**2 - 15.0**2)]
+    )
 
 
-@pytest.mark.parametrize(("change", "clipped_kw"), [
-    ({"battery_kw": [0.0, -30.0]}, 30.0 - 21.0 * 0.95), ({"curtailed_kw": [9.0, 30.0]}, 11.0)])
-def test_largest_move_of_a_set_point_is_named(tiny: Scenario, change: dict[str, list[float]],
-                                              clipped_kw: float) -> None:
+@pytest.mark.parametrize(
+    ("change", "clipped_kw"),
+    [({"battery_kw": [0.0, -30.0]}, 30.0 - 21.0 * 0.95), ({"curtailed_kw": [9.0, 30.0]}, 11.0)],
+)
+def test_largest_move_of_a_set_point_is_named(
+    tiny: Scenario, change: dict[str, list[float]], clipped_kw: float
+) -> None:
     # 21 kWh above the lower limit give 19.95 kW; of 19 kW nothing is used where nobody is served.
     done = happened(tiny, 1, 0.5, decision(tiny, served=False, **change))
     assert done.clipped_kw == pytest.approx(clipped_kw)
@@ -159,21 +165,34 @@ def test_demand_after_a_restoration_is_drawn_and_recorded(tiny: Scenario) -> Non
 
 
 def test_rounding_cannot_lift_the_charge_above_its_limit(tiny: Scenario) -> None:
-    powers = Powers(np.ones(3, bool), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2),
-                    np.array([50.0, -30.0]), np.zeros(2))
+    powers = Powers(
+        np.ones(3, bool),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(2),
+        np.array([50.0, -30.0]),
+        np.zeros(2),
+    )
     done = Plant(tiny).realise(0, powers, state([0.8, 0.2]))
     assert done.soc_end.tolist() == [0.85, 0.15]
     assert done.clipped_kw == 0.0
 
 
 def test_injections_are_the_sum_at_each_bus(tiny: Scenario) -> None:
-    plan = decision(tiny, served=[True, False, True], battery_kw=[10.0, -5.0],
-                    pv_q_kvar=[4.0, 0.0], batt_q_kvar=[1.0, 2.0])
+    plan = decision(
+        tiny,
+        served=[True, False, True],
+        battery_kw=[10.0, -5.0],
+        pv_q_kvar=[4.0, 0.0],
+        batt_q_kvar=[1.0, 2.0],
+    )
     done = happened(tiny, 1, 0.5, plan)
     q_hospital, _, q_homes = tiny.load_kw[1] * np.tan(np.arccos(tiny.customers.power_factor))
     assert done.p_injection_kw == pytest.approx([0.0, -62.0 + 28.0 - 10.0, 0.0, -48.0 + 19.0 + 5.0])
-    assert done.q_injection_kvar == pytest.approx([0.0, -q_hospital + 4.0 + 1.0, 0.0,
-                                                   -q_homes + 2.0])
+    assert done.q_injection_kvar == pytest.approx(
+        [0.0, -q_hospital + 4.0 + 1.0, 0.0, -q_homes + 2.0]
+    )
 
 
 def test_state_follows_the_steps(tiny: Scenario) -> None:
@@ -216,11 +235,14 @@ def test_limits_hold_whatever_is_asked_for(seed: int, stressed: bool, size: floa
     day = random_scenario(seed, stressed)
     rng, b, pv = np.random.default_rng(seed), day.batteries, day.pv
     scale = b.p_max_kw * size
-    plan = decision(day, rng.random(len(day.customers)) < 0.7,
-                    rng.uniform(0.0, 1.0, len(pv)) * size * pv.p_max_kw,
-                    np.clip(rng.uniform(-scale, scale), -b.s_max_kva, b.s_max_kva),
-                    rng.uniform(-size, size, len(pv)) * pv.s_max_kva,
-                    rng.uniform(-size, size, len(b)) * b.s_max_kva)
+    plan = decision(
+        day,
+        rng.random(len(day.customers)) < 0.7,
+        rng.uniform(0.0, 1.0, len(pv)) * size * pv.p_max_kw,
+        np.clip(rng.uniform(-scale, scale), -b.s_max_kva, b.s_max_kva),
+        rng.uniform(-size, size, len(pv)) * pv.s_max_kva,
+        rng.uniform(-size, size, len(b)) * b.s_max_kva,
+    )
     plant = Plant(day)
     before = plant.initial_state()
     done = plant.apply(0, plan, before)
@@ -237,4 +259,5 @@ def test_limits_hold_whatever_is_asked_for(seed: int, stressed: bool, size: floa
     assert (done.pv_self_kw + done.pv_export_kw <= pv.s_max_kva + 1e-9).all()
     served_kw = day.load_kw[0] @ done.served
     assert done.p_injection_kw.sum() == pytest.approx(
-        (day.pv_kw[0] - done.pv_curtailed_kw).sum() - served_kw - net.sum(), abs=1e-8)
+        (day.pv_kw[0] - done.pv_curtailed_kw).sum() - served_kw - net.sum(), abs=1e-8
+    )

@@ -46,8 +46,12 @@ def test_outage_spans_are_half_open_ranges_of_steps():
 
 def test_stored_energy_by_hand():
     run = small_run()
-    charged = replace(run, batteries=run.batteries.assign(soc_start=[0.2, 0.3, 0.4, 0.5],
-                                                          soc_end=[0.3, 0.4, 0.5, 0.6]))
+    charged = replace(
+        run,
+        batteries=run.batteries.assign(
+            soc_start=[0.2, 0.3, 0.4, 0.5], soc_end=[0.3, 0.4, 0.5, 0.6]
+        ),
+    )
     assert plots.stored_energy_kwh(charged) == pytest.approx([20, 30, 40, 50, 60])
 
 
@@ -77,15 +81,20 @@ def test_a_tile_and_a_cross_for_every_customer_and_step():
     tiles = plots.service_by_tier(small_run()).axes[0]
     mesh, crosses = tiles.collections
     # Customers in the order of the tiers: a (critical), b, c (low).
-    assert np.asarray(mesh.get_array()).reshape(3, 4).astype(bool).tolist() == np.transpose(
-        SERVED).tolist()
+    assert (
+        np.asarray(mesh.get_array()).reshape(3, 4).astype(bool).tolist()
+        == np.transpose(SERVED).tolist()
+    )
     assert len(crosses.get_offsets()) == 4
 
 
 def test_tiers_are_named_with_their_share_in_the_outage():
     texts = [text.get_text() for text in plots.service_by_tier(small_run()).axes[0].texts]
-    assert texts == ["critical (1)\n50% served\nin outage", "low (2)\n25% served\nin outage",
-                     "outage"]
+    assert texts == [
+        "critical (1)\n50% served\nin outage",
+        "low (2)\n25% served\nin outage",
+        "outage",
+    ]
 
 
 def test_customers_are_named_while_there_is_room():
@@ -103,30 +112,37 @@ def test_runs_are_told_apart_without_colour(draw):
     if draw is plots.service_by_tier:
         assert [ax.get_title(loc="left") for ax in figure.axes[:2]] == ["one", "two"]
         return
-    drawn = [[entry for entry in figure.axes[0].get_lines() if entry.get_color() == style.color]
-             for style in plots.RUN_STYLES[:2]]
+    drawn = [
+        [entry for entry in figure.axes[0].get_lines() if entry.get_color() == style.color]
+        for style in plots.RUN_STYLES[:2]
+    ]
     assert drawn[0][0].get_marker() != drawn[1][0].get_marker()
     assert any("one" in text for text in legend_texts(figure))
     assert any("two" in text for text in legend_texts(figure))
 
 
 def test_a_plan_is_drawn_beside_what_happened():
-    run = replace(small_run(planned={"served": SERVED, "energy_kwh": [15.0, 20, 30, 20, 15]}),
-                  options=OPTIONS | {"controller": "full-horizon"})
+    run = replace(
+        small_run(planned={"served": SERVED, "energy_kwh": [15.0, 20, 30, 20, 15]}),
+        options=OPTIONS | {"controller": "full-horizon"},
+    )
     figure = plots.energy_and_price(run)
     assert line(figure, 0, "full horizon: planned").get_ydata() == pytest.approx(
-        [15, 20, 30, 20, 15])
+        [15, 20, 30, 20, 15]
+    )
     assert line(figure, 0, "full horizon").get_ydata() == pytest.approx([15] * 5)
 
 
-@pytest.mark.parametrize("run", [small_run(bare(small_scenario())),
-                                 small_run(small_scenario(outage=False))],
-                         ids=["no devices", "no outage"])
+@pytest.mark.parametrize(
+    "run",
+    [small_run(bare(small_scenario())), small_run(small_scenario(outage=False))],
+    ids=["no devices", "no outage"],
+)
 def test_figures_of_days_without_devices_or_outage(run, tmp_path):
     files = plots.save_figures(run, tmp_path)
     assert [file.name for file in files] == [
-        f"{name}.{kind}" for name in [*plots.FIGURES, *plots.RUN_FIGURES]
-        for kind in ("png", "svg")]
+        f"{name}.{kind}" for name in [*plots.FIGURES, *plots.RUN_FIGURES] for kind in ("png", "svg")
+    ]
     assert all(file.stat().st_size > 1000 for file in files)
 
 
@@ -139,8 +155,9 @@ def test_equal_runs_give_equal_svg_files(tmp_path):
 
 def test_drawing_leaves_pyplot_alone():
     code = "import sys, vppres.report.plots; print('matplotlib.pyplot' in sys.modules)"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
-                            check=True)
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert answer.stdout.strip() == "False"
 
 
@@ -187,8 +204,15 @@ def test_line_loading_is_in_per_cent_where_lines_have_ratings():
     run = small_run(day)
     run = replace(run, lines=run.lines.assign(p_ac_kw=100.0, q_ac_kvar=0.0))
     assert plots.line_loadings(run).axes[0].get_ylabel() == "Largest line\ncurrent (A)"
-    net = Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0,
-                  i_max_a=[10.0, np.inf, np.inf])
+    net = Network(
+        [1, 2, 3],
+        [2, 3, 4],
+        [0.1] * 3,
+        [0.1] * 3,
+        slack_bus=1,
+        base_kv=11.0,
+        i_max_a=[10.0, np.inf, np.inf],
+    )
     rated = replace(run, scenario=replace(day, network=net))
     figure = plots.line_loadings(rated)
     assert figure.axes[0].get_ylabel() == "Largest line\nloading (%)"

@@ -24,8 +24,9 @@ OPENDSS_AGREEMENT_PU = 1e-6
 
 def _case(lines: pd.DataFrame, loads: pd.DataFrame) -> Case:
     """Network and net injections; tables of lines (ohm) and of loads (kW, kvar) by bus."""
-    network = Network(lines.from_bus, lines.to_bus, lines.r_ohm, lines.x_ohm, slack_bus=1,
-                      base_kv=12.66)
+    network = Network(
+        lines.from_bus, lines.to_bus, lines.r_ohm, lines.x_ohm, slack_bus=1, base_kv=12.66
+    )
     at = network.place(loads.bus.to_numpy())
     return network, -(at @ loads.p_kw.to_numpy()), -(at @ loads.q_kvar.to_numpy())
 
@@ -34,10 +35,21 @@ def case33(open_lines: tuple[int, ...] = TIE_LINES) -> Case:
     """Baran and Wu's 33 buses with the given lines (from 1) open."""
     source = pp_networks.case33bw()
     line = source.line[~(source.line.index + 1).isin(open_lines)]
-    lines = pd.DataFrame({"from_bus": line.from_bus + 1, "to_bus": line.to_bus + 1,
-                          "r_ohm": line.r_ohm_per_km, "x_ohm": line.x_ohm_per_km})
-    loads = pd.DataFrame({"bus": source.load.bus + 1, "p_kw": source.load.p_mw * 1e3,
-                          "q_kvar": source.load.q_mvar * 1e3})
+    lines = pd.DataFrame(
+        {
+            "from_bus": line.from_bus + 1,
+            "to_bus": line.to_bus + 1,
+            "r_ohm": line.r_ohm_per_km,
+            "x_ohm": line.x_ohm_per_km,
+        }
+    )
+    loads = pd.DataFrame(
+        {
+            "bus": source.load.bus + 1,
+            "p_kw": source.load.p_mw * 1e3,
+            "q_kvar": source.load.q_mvar * 1e3,
+        }
+    )
     return _case(lines, loads)
 
 
@@ -49,17 +61,24 @@ def case69() -> Case:
 
 def two_bus(v_slack_pu: float = 1.0) -> ACPowerFlow:
     """One line of 2 + 3j ohm at 10 kV: 0.02 + 0.03j pu for 1 MVA."""
-    return ACPowerFlow(Network(["grid"], ["end"], [2.0], [3.0], slack_bus="grid", base_kv=10.0,
-                               v_slack_pu=v_slack_pu))
+    return ACPowerFlow(
+        Network(
+            ["grid"], ["end"], [2.0], [3.0], slack_bus="grid", base_kv=10.0, v_slack_pu=v_slack_pu
+        )
+    )
 
 
-@pytest.mark.parametrize(("case", "load_kw", "load_kvar", "losses_kw", "v_min_pu"), [
-    pytest.param(case33(), 3715.0, 2300.0, 202.677, 0.91309, id="33 buses"),
-    pytest.param(case33(RECONFIGURED), 3715.0, 2300.0, 139.551, 0.93782, id="33 reconfigured"),
-    pytest.param(case69(), 3802.1, 2694.7, 224.99, 0.90919, id="69 buses"),
-])
-def test_published_feeders(case: Case, load_kw: float, load_kvar: float, losses_kw: float,
-                           v_min_pu: float) -> None:
+@pytest.mark.parametrize(
+    ("case", "load_kw", "load_kvar", "losses_kw", "v_min_pu"),
+    [
+        pytest.param(case33(), 3715.0, 2300.0, 202.677, 0.91309, id="33 buses"),
+        pytest.param(case33(RECONFIGURED), 3715.0, 2300.0, 139.551, 0.93782, id="33 reconfigured"),
+        pytest.param(case69(), 3802.1, 2694.7, 224.99, 0.90919, id="69 buses"),
+    ],
+)
+def test_published_feeders(
+    case: Case, load_kw: float, load_kvar: float, losses_kw: float, v_min_pu: float
+) -> None:
     network, p_kw, q_kvar = case
     result = ACPowerFlow(network).solve(p_kw, q_kvar)
     assert -p_kw.sum() == pytest.approx(load_kw)
@@ -116,8 +135,9 @@ def test_power_balances_at_every_bus(seed: int) -> None:
     result = ACPowerFlow(network).solve(p_kw * share, q_kvar * share)
     slack = np.eye(network.n_buses)[0]
     for injection, sent, arrived, from_slack in [
-            (p_kw * share, result.p_from_kw, result.p_to_kw, result.p_slack_kw),
-            (q_kvar * share, result.q_from_kvar, result.q_to_kvar, result.q_slack_kvar)]:
+        (p_kw * share, result.p_from_kw, result.p_to_kw, result.p_slack_kw),
+        (q_kvar * share, result.q_from_kvar, result.q_to_kvar, result.q_slack_kvar),
+    ]:
         leaving = np.bincount(network.parent, sent, network.n_buses)
         balance = injection + from_slack * slack + np.append(0.0, arrived) - leaving
         assert np.abs(balance).max() < 1e-5
@@ -129,16 +149,22 @@ def _opendss(network: Network, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, fl
     """Voltages in pu in the network's bus order and the losses in kW, by OpenDSS."""
     run = dss.Text.Command
     run("clear")
-    run(f"new circuit.feeder basekv={network.base_kv} pu={network.v_slack_pu} phases=3 "
-        f"bus1={network.buses[0]} isc3=1e9 isc1=1e9")
+    run(
+        f"new circuit.feeder basekv={network.base_kv} pu={network.v_slack_pu} phases=3 "
+        f"bus1={network.buses[0]} isc3=1e9 isc1=1e9"
+    )
     for line in range(network.n_lines):
         r, x = network.r_ohm[line], network.x_ohm[line]
-        run(f"new line.l{line} bus1={network.from_bus[line]} bus2={network.to_bus[line]} phases=3 "
-            f"r1={r} x1={x} r0={r} x0={x} c1=0 c0=0 length=1 units=none")
+        run(
+            f"new line.l{line} bus1={network.from_bus[line]} bus2={network.to_bus[line]} phases=3 "
+            f"r1={r} x1={x} r0={r} x0={x} c1=0 c0=0 length=1 units=none"
+        )
     for bus, p, q in zip(network.buses, p_kw, q_kvar, strict=True):
         # The wide band keeps the load a constant power at every voltage met here.
-        run(f"new load.d{bus} bus1={bus} phases=3 kv={network.base_kv} kw={-p} kvar={-q} model=1 "
-            "vminpu=0.5 vmaxpu=1.5")
+        run(
+            f"new load.d{bus} bus1={bus} phases=3 kv={network.base_kv} kw={-p} kvar={-q} model=1 "
+            "vminpu=0.5 vmaxpu=1.5"
+        )
     run(f"set voltagebases=[{network.base_kv}]")
     run("calcvoltagebases")
     run("set tolerance=1e-10 maxiterations=200")
@@ -151,11 +177,17 @@ def _opendss(network: Network, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, fl
     return np.array([by_name[bus] for bus in network.buses]), dss.Circuit.Losses()[0] / 1e3
 
 
-@pytest.mark.parametrize("case", [pytest.param(case33(), id="33 buses"),
-                                  pytest.param(case33(RECONFIGURED), id="33 reconfigured"),
-                                  pytest.param(case69(), id="69 buses")])
-@pytest.mark.parametrize(("lowest", "highest"), [(1.0, 1.0), (0.5, 0.5), (1.2, 1.2),
-                                                 (-1.5, 1.5), (-1.2, -0.8)])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case33(), id="33 buses"),
+        pytest.param(case33(RECONFIGURED), id="33 reconfigured"),
+        pytest.param(case69(), id="69 buses"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("lowest", "highest"), [(1.0, 1.0), (0.5, 0.5), (1.2, 1.2), (-1.5, 1.5), (-1.2, -0.8)]
+)
 def test_agrees_with_opendss(case: Case, lowest: float, highest: float) -> None:
     network, p_kw, q_kvar = case
     share = np.random.default_rng(5).uniform(lowest, highest, network.n_buses)
@@ -183,7 +215,8 @@ def test_divergence_names_the_load_and_the_next_solve_is_sound() -> None:
     assert str(caught.value) == (
         "the AC power flow has no solution: net load 18575.0 kW and 11500.0 kvar, the largest "
         "2100.0 kW at bus 24, and voltages collapse at 72.4% of it. The lines cannot carry it: "
-        "check the units of loads and impedances, or serve less.")
+        "check the units of loads and impedances, or serve less."
+    )
     _assert_same(flow.solve(p_kw, q_kvar), first)
 
 
@@ -230,8 +263,9 @@ def test_a_line_that_is_almost_a_switch(ohm: float) -> None:
         assert result.converged
         # 1e-3 ohm at 20 MVA and 12.47 kV are 1.3e-4 pu.
         assert result.v_pu == pytest.approx(near.v_pu, abs=1e-3)
-        assert result.p_slack_kw == pytest.approx(result.losses_kw - (p_kw * share).sum(),
-                                                  abs=1e3 * len(p_kw) * flow.tolerance_kva)
+        assert result.p_slack_kw == pytest.approx(
+            result.losses_kw - (p_kw * share).sum(), abs=1e3 * len(p_kw) * flow.tolerance_kva
+        )
 
 
 def test_the_curve_in_currents_is_newton_s_answer() -> None:
@@ -246,15 +280,17 @@ def test_the_curve_in_currents_is_newton_s_answer() -> None:
 
 
 @pytest.mark.parametrize("reference", [0, 20])
-def test_without_newton_all_results_are_the_same(reference: int,
-                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_newton_all_results_are_the_same(
+    reference: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     network, p_kw, q_kvar = case33()
     newton = ACPowerFlow(network).solve(0.2 * p_kw, 0.2 * q_kvar, reference)
     monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
     curve = ACPowerFlow(network).solve(0.2 * p_kw, 0.2 * q_kvar, reference)
     _assert_same(curve, newton)
     assert (curve.p_slack_kw, curve.q_slack_kvar, curve.losses_kw) == pytest.approx(
-        (newton.p_slack_kw, newton.q_slack_kvar, newton.losses_kw), abs=1e-5)
+        (newton.p_slack_kw, newton.q_slack_kvar, newton.losses_kw), abs=1e-5
+    )
     assert curve.p_to_kw == pytest.approx(newton.p_to_kw, abs=1e-5)
     assert curve.q_to_kvar == pytest.approx(newton.q_to_kvar, abs=1e-5)
 
@@ -282,8 +318,9 @@ def test_not_found_is_not_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
     message = str(caught.value)
     assert message.startswith("the AC power flow was not found: net load 74300.0 kW and 46000.0 ")
     assert "; the best answer misses " in message
-    assert message.endswith(" Nothing shows that there is no solution: check the impedances of "
-                            "the lines.")
+    assert message.endswith(
+        " Nothing shows that there is no solution: check the impedances of the lines."
+    )
     assert not caught.value.best.converged
     assert np.isfinite(caught.value.best.v_pu).all()
 
@@ -294,12 +331,21 @@ def test_results_are_read_only() -> None:
         result.v_pu[0] = 0.0
 
 
-@pytest.mark.parametrize(("p_kw", "message"), [
-    ([0.0, -1.0, -1.0], "power flow, p_kw = (3,): has the wrong shape. Give one injection for each "
-                        "of the 2 buses."),
-    ([0.0, np.nan], "power flow, p_kw = nan: is not a finite number. Correct the load, PV or "
-                    "battery power at bus end."),
-])
+@pytest.mark.parametrize(
+    ("p_kw", "message"),
+    [
+        (
+            [0.0, -1.0, -1.0],
+            "power flow, p_kw = (3,): has the wrong shape. Give one injection for each "
+            "of the 2 buses.",
+        ),
+        (
+            [0.0, np.nan],
+            "power flow, p_kw = nan: is not a finite number. Correct the load, PV or "
+            "battery power at bus end.",
+        ),
+    ],
+)
 def test_wrong_injections_are_named(p_kw: list[float], message: str) -> None:
     with pytest.raises(InputError) as caught:
         two_bus().solve(p_kw, [0.0, 0.0])

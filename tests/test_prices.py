@@ -31,10 +31,13 @@ def test_files_hold_prices_below_zero(paid: Scenario, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
 def test_a_day_with_prices_below_zero_is_certified_as_by_the_monolith(
-        paid: Scenario, controller: str) -> None:
+    paid: Scenario, controller: str
+) -> None:
     """Both methods solve the same first window; each one's bound holds for the other's answer."""
-    runs = {method: run_day(paid, RunOptions(controller=controller, horizon_h=5.0, method=method))
-            for method in ("decomposed", "monolithic")}
+    runs = {
+        method: run_day(paid, RunOptions(controller=controller, horizon_h=5.0, method=method))
+        for method in ("decomposed", "monolithic")
+    }
     first = {method: run.steps.iloc[0] for method, run in runs.items()}
     for method, run in runs.items():
         other = first["monolithic" if method == "decomposed" else "decomposed"]
@@ -44,8 +47,10 @@ def test_a_day_with_prices_below_zero_is_certified_as_by_the_monolith(
         assert (solved["bound"] >= solved["objective"] - 1e-6).all()
     cost = {method: summarise(run)["cost_gbp"] for method, run in runs.items()}
     assert cost["decomposed"] == pytest.approx(cost["monolithic"], abs=0.05)
-    assert summarise(runs["decomposed"])["served_share"] == summarise(
-        runs["monolithic"])["served_share"]
+    assert (
+        summarise(runs["decomposed"])["served_share"]
+        == summarise(runs["monolithic"])["served_share"]
+    )
 
 
 def test_the_day_takes_more_when_it_is_paid(tiny: Scenario, paid: Scenario) -> None:

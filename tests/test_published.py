@@ -25,10 +25,13 @@ from experiments.voltage import rows as voltage_rows
 Days = Callable[[Iterable[Job]], dict[Job, DayResult]]
 
 IDEAL: Config = {"horizon_h": 5, "horizons_h": [0, 2, 4, 5]}
-LOAD_ERROR: Config = {"field": "load_alpha_per_h", "levels": [0.02], "error_seeds": 1,
-                      "builder_seeds": 2}
-HEATING: Config = {"horizon_h": 6, "scheme": "euler", "other_schemes": [],
-                   "builder_seeds": 0}
+LOAD_ERROR: Config = {
+    "field": "load_alpha_per_h",
+    "levels": [0.02],
+    "error_seeds": 1,
+    "builder_seeds": 2,
+}
+HEATING: Config = {"horizon_h": 6, "scheme": "euler", "other_schemes": [], "builder_seeds": 0}
 
 
 @pytest.fixture(scope="session")
@@ -69,8 +72,11 @@ def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
 
 def test_ideal_day_of_both_controllers(days: Days) -> None:
     results = days(ideal.jobs(IDEAL))
-    rows = [*voltage_rows(IDEAL, results), *battery_rows(IDEAL, results),
-            *import_rows(IDEAL, results)]
+    rows = [
+        *voltage_rows(IDEAL, results),
+        *battery_rows(IDEAL, results),
+        *import_rows(IDEAL, results),
+    ]
     found = {row.id for row in rows}
     assert {"R4", "R5", "R6a", "R6b", "R7", "R8", "R9", "R10", "R11", "R22", "R23"} <= found
     assert misses(rows) == []

@@ -28,8 +28,7 @@ def test_cases_of_a_function_share_its_name() -> None:
     assert function_of("vppres/x.py::vppres.x.f") == "vppres/x.py::vppres.x.f"
 
 
-def test_short_tests_are_not_listed(monkeypatch: pytest.MonkeyPatch,
-                                    tmp_path: Path) -> None:
+def test_short_tests_are_not_listed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(durations, "FILE", tmp_path / "durations.csv")
     assert read_durations() == {}
     write_durations({"b": 2.0, "a": 0.5, "short": 0.01})

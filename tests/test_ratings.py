@@ -30,8 +30,15 @@ pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::Deprec
 def rated_scenario() -> Scenario:
     """The small day; the line to bus 4 has no rating."""
     day = small_scenario()
-    net = Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0,
-                  i_max_a=[10.0, 20.0, np.inf])
+    net = Network(
+        [1, 2, 3],
+        [2, 3, 4],
+        [0.1] * 3,
+        [0.1] * 3,
+        slack_bus=1,
+        base_kv=11.0,
+        i_max_a=[10.0, 20.0, np.inf],
+    )
     return replace(day, network=net)
 
 
@@ -41,20 +48,26 @@ def test_lines_have_no_rating_unless_given() -> None:
 
 
 def test_ratings_follow_their_lines_when_these_are_sorted() -> None:
-    net = Network([2, 1], [3, 2], [0.2, 0.1], [0.1, 0.1], slack_bus=1, base_kv=11.0,
-                  i_max_a=[30.0, 20.0])
+    net = Network(
+        [2, 1], [3, 2], [0.2, 0.1], [0.1, 0.1], slack_bus=1, base_kv=11.0, i_max_a=[30.0, 20.0]
+    )
     assert net.to_bus.tolist() == [2, 3]
     assert net.i_max_a.tolist() == [20.0, 30.0]
 
 
-@pytest.mark.parametrize(("i_max_a", "message"), [
-    ([10.0, 0.0, 1.0], "lines, row 1, i_max_a = 0.0: must be positive"),
-    ([10.0, np.nan, 1.0], "must be positive. Give the thermal rating in A"),
-    ([10.0], "must have one value for each of the 3 lines")])
+@pytest.mark.parametrize(
+    ("i_max_a", "message"),
+    [
+        ([10.0, 0.0, 1.0], "lines, row 1, i_max_a = 0.0: must be positive"),
+        ([10.0, np.nan, 1.0], "must be positive. Give the thermal rating in A"),
+        ([10.0], "must have one value for each of the 3 lines"),
+    ],
+)
 def test_a_wrong_rating_is_refused(i_max_a: list[float], message: str) -> None:
     with pytest.raises(InputError) as caught:
-        Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0,
-                i_max_a=i_max_a)
+        Network(
+            [1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0, i_max_a=i_max_a
+        )
     assert message in str(caught.value)
 
 
@@ -62,7 +75,10 @@ def test_a_folder_keeps_ratings_and_an_empty_cell_is_none(tmp_path: Path) -> Non
     day = rated_scenario()
     write_scenario(day, tmp_path / "day")
     assert pd.read_csv(tmp_path / "day" / "lines.csv")["i_max_a"].isna().tolist() == [
-        False, False, True]
+        False,
+        False,
+        True,
+    ]
     again = read_scenario(tmp_path / "day")
     assert again.network.i_max_a.tolist() == [10.0, 20.0, np.inf]
     assert scenario_digest(again) == scenario_digest(day) != scenario_digest(small_scenario())
@@ -91,13 +107,15 @@ def test_currents_and_loading_by_hand() -> None:
 
 def test_a_dead_line_carries_no_current() -> None:
     run = small_run(rated_scenario())
-    run = replace(run, lines=run.lines.assign(p_ac_kw=0.0, q_ac_kvar=0.0),
-                  buses=run.buses.assign(v_ac_pu=0.0))
+    run = replace(
+        run, lines=run.lines.assign(p_ac_kw=0.0, q_ac_kvar=0.0), buses=run.buses.assign(v_ac_pu=0.0)
+    )
     assert (metrics.line_current_a(run) == 0.0).all()
 
 
-@pytest.mark.parametrize("source", [networks.create_cigre_network_mv,
-                                    networks.simple_mv_open_ring_net])
+@pytest.mark.parametrize(
+    "source", [networks.create_cigre_network_mv, networks.simple_mv_open_ring_net]
+)
 def test_loading_is_pandapower_s(source: Callable[[], Any]) -> None:
     """Line by line; charging, which the feeder leaves out, is taken from the source too."""
     net = source()
@@ -106,11 +124,13 @@ def test_loading_is_pandapower_s(source: Callable[[], Any]) -> None:
     feeder = import_network(net)
     result = ACPowerFlow(feeder.network).solve(*feeder.injection)
     own = feeder.network
-    current = kva_to_a(np.hypot(result.p_from_kw, result.q_from_kvar),
-                       result.v_pu[own.parent] * own.base_kv)
+    current = kva_to_a(
+        np.hypot(result.p_from_kw, result.q_from_kvar), result.v_pu[own.parent] * own.base_kv
+    )
     ends_of = zip(own.from_bus, own.to_bus, strict=True)
-    at = {frozenset(ends): share for ends, share
-          in zip(ends_of, current / own.i_max_a, strict=True)}
+    at = {
+        frozenset(ends): share for ends, share in zip(ends_of, current / own.i_max_a, strict=True)
+    }
     pp.runpp(net, calculate_voltage_angles=False, tolerance_mva=1e-9, numba=False)
     compared = 0
     for row, line in net.line.iterrows():
@@ -128,10 +148,12 @@ def test_parallel_lines_are_limited_by_the_first_that_is_full() -> None:
     pp.create_ext_grid(net, 0)
     each = {"length_km": 1.0, "c_nf_per_km": 0.0}
     # A third of the impedance takes three quarters of the current.
-    pp.create_line_from_parameters(net, 0, 1, r_ohm_per_km=0.3, x_ohm_per_km=0.3, max_i_ka=0.1,
-                                   **each)
-    pp.create_line_from_parameters(net, 0, 1, r_ohm_per_km=0.1, x_ohm_per_km=0.1, max_i_ka=0.15,
-                                   **each)
+    pp.create_line_from_parameters(
+        net, 0, 1, r_ohm_per_km=0.3, x_ohm_per_km=0.3, max_i_ka=0.1, **each
+    )
+    pp.create_line_from_parameters(
+        net, 0, 1, r_ohm_per_km=0.1, x_ohm_per_km=0.1, max_i_ka=0.15, **each
+    )
     pp.create_load(net, 1, p_mw=0.1)
     assert import_network(net).network.i_max_a == pytest.approx([200.0])
 
@@ -143,14 +165,17 @@ def test_a_current_that_no_line_carries_is_no_rating() -> None:
 def test_opendss_gives_its_normal_currents(tmp_path: Path) -> None:
     pytest.importorskip("opendssdirect")
     file = tmp_path / "two.dss"
-    file.write_text("""clear
+    file.write_text(
+        """clear
 new circuit.two bus1=a basekv=11 pu=1.0 r1=0 x1=0.0001 r0=0 x0=0.0001
 new line.first bus1=a bus2=b length=1 units=km r1=0.2 x1=0.1 r0=0.2 x0=0.1 c1=0 c0=0 normamps=120
 new line.second bus1=b bus2=c length=1 units=km r1=0.2 x1=0.1 r0=0.2 x0=0.1 c1=0 c0=0
 new load.end bus1=c kv=11 kw=100 kvar=0
 set voltagebases=[11]
 calcvoltagebases
-""", encoding="utf-8")
+""",
+        encoding="utf-8",
+    )
     feeder = import_network(file)
     assert feeder.network.i_max_a == pytest.approx([120.0, 400.0])
     assert any("1 of 2 lines are rated at 400 A" in note for note in feeder.notes)

@@ -15,13 +15,22 @@ from vppres.report.run_folder import write_run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
-               None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on the path")
 
 LOCAL = ("file:", "data:", "blob:")
-SECTIONS = ["overview", "timeline", "service", "feeder", "energy", "network", "solver",
-            "assumptions"]
+SECTIONS = [
+    "overview",
+    "timeline",
+    "service",
+    "feeder",
+    "energy",
+    "network",
+    "solver",
+    "assumptions",
+]
 WORST = 17  # of the made-up day: the last step of the outage serves the least
 DESKTOP = {"width": 1280, "height": 900}
 
@@ -58,8 +67,8 @@ def opened(browser: Any, report: Path) -> Iterator[tuple[Any, list[str], list[st
 
 def show(page: Any, step: int) -> None:
     page.locator("#step-slider").evaluate(
-        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }",
-        step)
+        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }", step
+    )
 
 
 def test_all_sections_are_seen(opened: tuple[Any, list[str], list[str]]) -> None:
@@ -87,7 +96,8 @@ def test_the_diagram_starts_with_the_worst_step(opened: tuple[Any, list[str], li
 
 
 def test_the_slider_moves_the_diagram_and_the_charts(
-        opened: tuple[Any, list[str], list[str]]) -> None:
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
     page = opened[0]
     show(page, 3)
     assert page.locator("#step-words").inner_text().startswith("19 Jul 03:00 UTC: import ")
@@ -126,17 +136,23 @@ def test_a_click_on_a_chart_moves_the_diagram(opened: tuple[Any, list[str], list
 
 def test_zooms_are_tied(opened: tuple[Any, list[str], list[str]]) -> None:
     page = opened[0]
-    page.evaluate("Plotly.relayout('chart-energy', {'xaxis.range[0]': '2022-07-19T06:00:00',"
-                  " 'xaxis.range[1]': '2022-07-19T12:00:00'})")
-    page.wait_for_function("document.getElementById('chart-grid').layout.xaxis.range[0]"
-                           ".startsWith('2022-07-19T06:00')")
+    page.evaluate(
+        "Plotly.relayout('chart-energy', {'xaxis.range[0]': '2022-07-19T06:00:00',"
+        " 'xaxis.range[1]': '2022-07-19T12:00:00'})"
+    )
+    page.wait_for_function(
+        "document.getElementById('chart-grid').layout.xaxis.range[0].startsWith('2022-07-19T06:00')"
+    )
     page.evaluate("Plotly.relayout('chart-grid', {'xaxis.autorange': true})")
-    page.wait_for_function("document.getElementById('chart-energy').layout.xaxis.range[0]"
-                           ".startsWith('2022-07-19T00:00')")
+    page.wait_for_function(
+        "document.getElementById('chart-energy').layout.xaxis.range[0]"
+        ".startsWith('2022-07-19T00:00')"
+    )
 
 
 def test_paper_shows_static_figures_and_the_worst_step(
-        opened: tuple[Any, list[str], list[str]]) -> None:
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
     page = opened[0]
     show(page, 2)
     page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
@@ -159,7 +175,8 @@ def test_it_prints_on_a4(opened: tuple[Any, list[str], list[str]]) -> None:
 
 
 def test_nothing_fails_and_nothing_leaves_the_machine(
-        opened: tuple[Any, list[str], list[str]]) -> None:
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
     _, messages, addresses = opened
     assert messages == []
     assert [address for address in addresses if not address.startswith(LOCAL)] == []

@@ -67,19 +67,40 @@ def test_round_trip(tiny: Scenario, tiny_folder: Path) -> None:
 def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path: Path) -> None:
     net = tiny.network
     scenario = replace(
-        tiny, title='A "quoted" title, £ and \\',
+        tiny,
+        title='A "quoted" title, £ and \\',
         grid=TimeGrid(pd.Timestamp("2022-03-27T00:30:00+01:00"), 7.5, 6),
-        network=Network(np.array(["gsp", "a 1", "a 1"], object),
-                        np.array(["a 1", "3", "b"], object), net.r_ohm, net.x_ohm, "gsp", 20.0,
-                        0.98, 0.9, 1.1, 0.89, 1.2),
-        customers=replace(tiny.customers, bus=["a 1", "3", "b"], weight=[3.0, 0.1, 0.02],
-                          tier=["vital", "high", "high"]),
-        batteries=replace(tiny.batteries, bus=["a 1", "b"], t_initial_c=[22.0, np.nan],
-                          r_theta_c_per_kw=[2.771, 4.486], eta_charge=[0.9, 1.0]),
+        network=Network(
+            np.array(["gsp", "a 1", "a 1"], object),
+            np.array(["a 1", "3", "b"], object),
+            net.r_ohm,
+            net.x_ohm,
+            "gsp",
+            20.0,
+            0.98,
+            0.9,
+            1.1,
+            0.89,
+            1.2,
+        ),
+        customers=replace(
+            tiny.customers,
+            bus=["a 1", "3", "b"],
+            weight=[3.0, 0.1, 0.02],
+            tier=["vital", "high", "high"],
+        ),
+        batteries=replace(
+            tiny.batteries,
+            bus=["a 1", "b"],
+            t_initial_c=[22.0, np.nan],
+            r_theta_c_per_kw=[2.771, 4.486],
+            eta_charge=[0.9, 1.0],
+        ),
         grid_limit_kw=[120.0, 0.0, np.inf, 0.0, 0.0, 0.0],
         tiers=("vital", "high", "unused"),
         objective=ObjectiveWeights(1e-5, 0.2, 0.0, 1e-300),
-        controller=ControllerDefaults("full-horizon", 0.25))
+        controller=ControllerDefaults("full-horizon", 0.25),
+    )
     read = round_trip(scenario, tmp_path / "other")
     assert_equal(read, scenario)
     assert scenario_digest(read) == scenario_digest(scenario)
@@ -90,7 +111,8 @@ def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(values=st.lists(st.floats(0, 1e6), min_size=18, max_size=18))
 def test_numbers_come_back_to_the_last_digit(
-        tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
+    tmp_path_factory: pytest.TempPathFactory, values: list[float]
+) -> None:
     from tests.support.tiny_day import tiny_scenario
 
     scenario = replace(tiny_scenario(), load_kw=np.reshape(values, (6, 3)))
@@ -100,8 +122,9 @@ def test_numbers_come_back_to_the_last_digit(
 
 def test_scenario_without_pv_and_batteries(tiny: Scenario, tmp_path: Path) -> None:
     none = {f.name: [] for f in fields(Batteries)}
-    bare = replace(tiny, pv=PVSystems([], [], [], []), batteries=Batteries(**none),
-                   pv_kw=np.empty((6, 0)))
+    bare = replace(
+        tiny, pv=PVSystems([], [], [], []), batteries=Batteries(**none), pv_kw=np.empty((6, 0))
+    )
     folder = tmp_path / "bare"
     assert_equal(round_trip(bare, folder), bare)
     for file in ("pv.csv", "pv_kw.csv", "batteries.csv"):
@@ -128,11 +151,13 @@ def test_parquet_gives_the_same_scenario(tiny: Scenario, tiny_folder: Path) -> N
 def test_defaults_fill_what_the_files_leave_out(tiny_folder: Path) -> None:
     (tiny_folder / "batteries.csv").write_text(
         "id,bus,energy_kwh,p_max_kw,s_max_kva,soc_min,t_ref_c\nb,2,100,50,60,0.2,\n",
-        encoding="utf-8")
+        encoding="utf-8",
+    )
     (tiny_folder / "scenario.toml").write_text(
         'name = "short"\ntime = {start = 2022-07-19T10:00:00Z, step_minutes = 60, steps = 6}\n'
         "network = {base_kv = 11, slack_bus = 1}\ntiers = {critical = 2, high = 1, low = 0.5}\n",
-        encoding="utf-8")
+        encoding="utf-8",
+    )
     read = read_scenario(tiny_folder)
     assert read.title == "short"
     assert read.objective == ObjectiveWeights()
@@ -144,18 +169,37 @@ def test_defaults_fill_what_the_files_leave_out(tiny_folder: Path) -> None:
     battery = {f.name: getattr(read.batteries, f.name)[0] for f in fields(Batteries)}
     assert np.isnan(battery.pop("t_initial_c"))
     assert battery == {
-        "id": "b", "bus": 2, "energy_kwh": 100.0, "p_max_kw": 50.0, "s_max_kva": 60.0,
-        "soc_min": 0.2, "soc_max": 0.85, "soc_initial": 0.2, "eta_charge": 0.95,
-        "eta_discharge": 0.95, "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "grid_forming": False}
+        "id": "b",
+        "bus": 2,
+        "energy_kwh": 100.0,
+        "p_max_kw": 50.0,
+        "s_max_kva": 60.0,
+        "soc_min": 0.2,
+        "soc_max": 0.85,
+        "soc_initial": 0.2,
+        "eta_charge": 0.95,
+        "eta_discharge": 0.95,
+        "r_theta_c_per_kw": 3.5,
+        "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 1e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "grid_forming": False,
+    }
 
 
 def test_one_named_bus_makes_all_buses_text(tiny_folder: Path) -> None:
     for file in ("lines.csv", "batteries.csv", "customers.csv"):
         text = (tiny_folder / file).read_text(encoding="utf-8")
-        (tiny_folder / file).write_text(text.replace("2,4,0.5", "2,north,0.5").replace(
-            "small,4,", "small,north,").replace("homes,4,", "homes,north,"), encoding="utf-8")
+        (tiny_folder / file).write_text(
+            text.replace("2,4,0.5", "2,north,0.5")
+            .replace("small,4,", "small,north,")
+            .replace("homes,4,", "homes,north,"),
+            encoding="utf-8",
+        )
     read = read_scenario(tiny_folder)
     assert set(read.network.buses) == {"1", "2", "3", "north"}
     assert read.network.slack_bus == "1"
@@ -163,7 +207,8 @@ def test_one_named_bus_makes_all_buses_text(tiny_folder: Path) -> None:
 
 
 def test_series_may_use_another_offset_and_reordered_columns(
-        tiny: Scenario, tiny_folder: Path) -> None:
+    tiny: Scenario, tiny_folder: Path
+) -> None:
     frame = pd.read_csv(tiny_folder / "load_kw.csv")
     frame["time"] = [f"2022-07-19 {hour}:00+01:00" for hour in range(11, 17)]
     frame[["homes", "time", "hospital", "shop"]].to_csv(tiny_folder / "load_kw.csv", index=False)
@@ -172,8 +217,9 @@ def test_series_may_use_another_offset_and_reordered_columns(
 
 def test_pv_may_exceed_its_rating_by_rounding(tiny_folder: Path) -> None:
     text = (tiny_folder / "pv_kw.csv").read_text(encoding="utf-8")
-    (tiny_folder / "pv_kw.csv").write_text(text.replace("30.0,20.0", "30.02,20.0"),
-                                           encoding="utf-8")
+    (tiny_folder / "pv_kw.csv").write_text(
+        text.replace("30.0,20.0", "30.02,20.0"), encoding="utf-8"
+    )
     assert read_scenario(tiny_folder).pv_kw.max() == 30.02
 
 
@@ -186,42 +232,73 @@ def test_spreadsheet_habits_are_read(tiny: Scenario, tiny_folder: Path) -> None:
 
 
 def test_an_unwritable_scenario_is_refused_before_anything_is_written(
-        tiny: Scenario, tmp_path: Path) -> None:
+    tiny: Scenario, tmp_path: Path
+) -> None:
     with pytest.raises(InputError) as caught:
         write_scenario(replace(tiny, name="a b"), tmp_path / "out")
     assert str(caught.value) == (
         "scenario.toml, name = a b: is not allowed. Give the short name of the scenario: letters, "
-        "digits, '-', '_' and '.'.")
+        "digits, '-', '_' and '.'."
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 # --- digest -------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize("change", [
-    {"load_kw": np.full((6, 3), 1.0)},
-    {"name": "other"},
-    {"tiers": ("high", "critical", "low")},
-    {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
-    {"grid_limit_kw": np.full(6, np.inf)},
-    {"objective": ObjectiveWeights(lambda_q=1e-16)},
-    {"network": Network(np.array([1, 2, 2]), np.array([2, 3, 4]), np.array([0.3, 0.4, 0.5]),
-                        np.array([0.2, 0.3, 0.4]), slack_bus=1, base_kv=11.0, v_min_pu=0.95)},
-    {"customers": Customers(["hospital", "shop", "homes"], ["2", "3", "4"],
-                            ["critical", "high", "low"], [1.0, 0.1, 0.02], [0.95, 0.9, 0.98])},
-])
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"load_kw": np.full((6, 3), 1.0)},
+        {"name": "other"},
+        {"tiers": ("high", "critical", "low")},
+        {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
+        {"grid_limit_kw": np.full(6, np.inf)},
+        {"objective": ObjectiveWeights(lambda_q=1e-16)},
+        {
+            "network": Network(
+                np.array([1, 2, 2]),
+                np.array([2, 3, 4]),
+                np.array([0.3, 0.4, 0.5]),
+                np.array([0.2, 0.3, 0.4]),
+                slack_bus=1,
+                base_kv=11.0,
+                v_min_pu=0.95,
+            )
+        },
+        {
+            "customers": Customers(
+                ["hospital", "shop", "homes"],
+                ["2", "3", "4"],
+                ["critical", "high", "low"],
+                [1.0, 0.1, 0.02],
+                [0.95, 0.9, 0.98],
+            )
+        },
+    ],
+)
 def test_digest_sees_every_change(tiny: Scenario, change: dict[str, object]) -> None:
     assert scenario_digest(replace(tiny, **change)) != scenario_digest(tiny)
 
 
 def test_digest_ignores_what_means_nothing(tiny: Scenario) -> None:
     same = replace(
-        tiny, grid=TimeGrid(pd.Timestamp("2022-07-19T11:00:00+01:00"), 60, 6),
-        network=Network(np.array([4, 3, 1]), np.array([2, 2, 2]), np.array([0.5, 0.4, 0.3]),
-                        np.array([0.4, 0.3, 0.2]), slack_bus=1, base_kv=11))
+        tiny,
+        grid=TimeGrid(pd.Timestamp("2022-07-19T11:00:00+01:00"), 60, 6),
+        network=Network(
+            np.array([4, 3, 1]),
+            np.array([2, 2, 2]),
+            np.array([0.5, 0.4, 0.3]),
+            np.array([0.4, 0.3, 0.2]),
+            slack_bus=1,
+            base_kv=11,
+        ),
+    )
     assert scenario_digest(same) == scenario_digest(tiny)
 
 
 # --- finding ------------------------------------------------------------------------------------
+
 
 def test_find_packaged_scenarios() -> None:
     for name in packaged_scenarios():
@@ -237,15 +314,19 @@ def test_find_by_name_beside_a_folder(tiny_folder: Path, monkeypatch: pytest.Mon
     assert find_scenario(str(tiny_folder)) == tiny_folder
     with pytest.raises(InputError) as caught:
         find_scenario("tinny")
-    assert str(caught.value) == ("scenario tinny: is neither a packaged scenario nor a folder. "
-                                 "Did you mean tiny?")
+    assert str(caught.value) == (
+        "scenario tinny: is neither a packaged scenario nor a folder. Did you mean tiny?"
+    )
     with pytest.raises(InputError) as caught:
         find_scenario("x")
-    assert str(caught.value) == ("scenario x: is neither a packaged scenario nor a folder. "
-                                 "Give the path of a scenario folder. Known: tiny.")
+    assert str(caught.value) == (
+        "scenario x: is neither a packaged scenario nor a folder. "
+        "Give the path of a scenario folder. Known: tiny."
+    )
 
 
 # --- whole or absent ----------------------------------------------------------------------------
+
 
 def test_atomic_folder_appears_only_when_it_is_whole(tmp_path: Path) -> None:
     target = tmp_path / "runs" / "a"
@@ -258,7 +339,8 @@ def test_atomic_folder_appears_only_when_it_is_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_atomic_folder_leaves_nothing_when_stopped(
-        tmp_path: Path, stop: type[BaseException]) -> None:
+    tmp_path: Path, stop: type[BaseException]
+) -> None:
     with pytest.raises(stop), atomic_folder(tmp_path / "a") as aside:
         (aside / "steps.parquet").write_bytes(b"half")
         raise stop
@@ -276,7 +358,8 @@ def test_atomic_folder_replaces_an_older_run_only_on_success(tmp_path: Path) -> 
     with atomic_folder(target) as aside:
         (aside / "summary.json").write_text("new", encoding="utf-8")
     assert [(f.name, f.read_text(encoding="utf-8")) for f in target.iterdir()] == [
-        ("summary.json", "new")]
+        ("summary.json", "new")
+    ]
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -288,15 +371,18 @@ def test_atomic_folder_refuses_what_is_not_a_run(tmp_path: Path) -> None:
         pytest.fail("the block must not run")
     assert str(caught.value) == (
         f"{target}: exists and is not a run folder (it has no summary.json). "
-        "Choose another folder, or remove this one.")
+        "Choose another folder, or remove this one."
+    )
     file = target / "chapter.txt"
     with pytest.raises(InputError) as caught, atomic_folder(file):
         pytest.fail("the block must not run")
     assert str(caught.value) == f"{file}: exists and is not a folder. Choose another name."
     with pytest.raises(InputError) as caught, atomic_folder(file / "run"):
         pytest.fail("the block must not run")
-    assert str(caught.value) == (f"{file / 'run'}: cannot be written (Not a directory). "
-                                 "Choose another folder, or check its permissions.")
+    assert str(caught.value) == (
+        f"{file / 'run'}: cannot be written (Not a directory). "
+        "Choose another folder, or check its permissions."
+    )
 
 
 def test_atomic_folder_fills_an_empty_folder(tmp_path: Path) -> None:
@@ -306,7 +392,11 @@ def test_atomic_folder_fills_an_empty_folder(tmp_path: Path) -> None:
     with atomic_folder(tmp_path / "b") as aside:
         (aside / "x").write_text("x", encoding="utf-8")
     assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")) == [
-        "a", "a/x", "b", "b/x"]
+        "a",
+        "a/x",
+        "b",
+        "b/x",
+    ]
 
 
 def test_atomic_write_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,6 +417,7 @@ def test_atomic_write_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 # --- one table of attributes --------------------------------------------------------------------
 
+
 def test_the_page_holds_the_table_of_attributes() -> None:
     page = (ROOT / "docs" / "scenario_format.md").read_text(encoding="utf-8")
     assert page.endswith("\n" + schema_tables.attribute_table_markdown())
@@ -339,18 +430,38 @@ def test_the_example_of_the_page_is_read(tiny: Scenario, tiny_folder: Path) -> N
     assert_equal(read_scenario(tiny_folder), tiny)
 
 
-@pytest.mark.parametrize(("model", "frozen"), [
-    (schema.CustomerRow, Customers), (schema.PVRow, PVSystems), (schema.BatteryRow, Batteries),
-    (schema.ObjectiveSection, ObjectiveWeights), (schema.ControllerSection, ControllerDefaults)])
+@pytest.mark.parametrize(
+    ("model", "frozen"),
+    [
+        (schema.CustomerRow, Customers),
+        (schema.PVRow, PVSystems),
+        (schema.BatteryRow, Batteries),
+        (schema.ObjectiveSection, ObjectiveWeights),
+        (schema.ControllerSection, ControllerDefaults),
+    ],
+)
 def test_the_table_has_the_attributes_of_the_data(model: type, frozen: type) -> None:
     assert set(model.model_fields) == {f.name for f in fields(frozen)}
 
 
 def test_every_attribute_is_described_and_physical_ones_have_the_unit_of_their_name() -> None:
-    suffixes = {"_kw": "kW", "_kva": "kVA", "_kwh": "kWh", "_ohm": "ohm", "_pu": "pu",
-                "_c": "°C", "_v": "V", "_h": "h", "_kv": "kV", "_minutes": "min",
-                "_gbp_per_kwh": "GBP/kWh", "_c_per_kw": "°C/kW", "_kwh_per_c": "kWh/°C",
-                "_per_c": "1/°C", "_per_c2": "1/°C²"}
+    suffixes = {
+        "_kw": "kW",
+        "_kva": "kVA",
+        "_kwh": "kWh",
+        "_ohm": "ohm",
+        "_pu": "pu",
+        "_c": "°C",
+        "_v": "V",
+        "_h": "h",
+        "_kv": "kV",
+        "_minutes": "min",
+        "_gbp_per_kwh": "GBP/kWh",
+        "_c_per_kw": "°C/kW",
+        "_kwh_per_c": "kWh/°C",
+        "_per_c": "1/°C",
+        "_per_c2": "1/°C²",
+    }
     for model in schema.TABLES.values():
         for name, field in model.model_fields.items():
             assert field.description
@@ -362,14 +473,22 @@ def test_every_attribute_is_described_and_physical_ones_have_the_unit_of_their_n
 def test_json_schema_states_units_bounds_and_required_keys() -> None:
     definitions = json.loads(json.dumps(schema_tables.json_schema(), allow_nan=False))["$defs"]
     assert definitions["PVRow"]["properties"]["p_max_kw"] == {
-        "description": "largest active power", "minimum": 0.001, "maximum": 1e6,
-        "title": "P Max Kw", "type": "number", "unit": "kW"}
+        "description": "largest active power",
+        "minimum": 0.001,
+        "maximum": 1e6,
+        "title": "P Max Kw",
+        "type": "number",
+        "unit": "kW",
+    }
     assert definitions["ScenarioFile"]["required"] == ["name", "time", "network", "tiers"]
 
 
 def test_reading_loads_no_solver_power_flow_or_plot_library() -> None:
-    code = ("import sys, vppres.io.schema, vppres.io; "
-            "print([m for m in ('cvxpy', 'pandapower', 'matplotlib') if m in sys.modules])")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, check=True,
-                          capture_output=True)
+    code = (
+        "import sys, vppres.io.schema, vppres.io; "
+        "print([m for m in ('cvxpy', 'pandapower', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, text=True, check=True, capture_output=True
+    )
     assert done.stdout.strip() == "[]"

@@ -55,12 +55,18 @@ def test_other_seeds_draw_other_days() -> None:
 def test_hours_around_the_first_outage_run(day: Scenario) -> None:
     first, count = 44, 28  # 11:00 to 18:00
     part = replace(
-        day, grid=TimeGrid(day.grid.times[first], 15.0, count),
-        **{name: getattr(day, name)[first:first + count] for name in (
-            "load_kw", "pv_kw", "price_gbp_per_kwh", "temperature_c", "grid_limit_kw")})
+        day,
+        grid=TimeGrid(day.grid.times[first], 15.0, count),
+        **{
+            name: getattr(day, name)[first : first + count]
+            for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "temperature_c", "grid_limit_kw")
+        },
+    )
     run = run_day(part, RunOptions(horizon_h=1.0))
     served = run.customers.set_index("time")["served"].groupby(level=0).mean()
-    assert (served[:pd.Timestamp("2025-07-01T11:45Z")] == 1.0).all()
-    assert served[pd.Timestamp("2025-07-01T12:00Z"):pd.Timestamp("2025-07-01T15:45Z")].mean() < 1.0
-    restored = run.steps.set_index("time")["p_grid_kw"][pd.Timestamp("2025-07-01T16:00Z"):]
+    assert (served[: pd.Timestamp("2025-07-01T11:45Z")] == 1.0).all()
+    assert (
+        served[pd.Timestamp("2025-07-01T12:00Z") : pd.Timestamp("2025-07-01T15:45Z")].mean() < 1.0
+    )
+    restored = run.steps.set_index("time")["p_grid_kw"][pd.Timestamp("2025-07-01T16:00Z") :]
     assert restored.max() <= builder.PARTIAL_KW * 1.02  # losses come on top

@@ -33,12 +33,15 @@ Test = Callable[[dict[str, Scenario]], None]
 @pytest.fixture(scope="module")
 def days() -> dict[str, Scenario]:
     """The packaged day, and the day of ten other seeds."""
-    return {"packaged": read_scenario(find_scenario(PACKAGED)),
-            **{f"seed {seed}": build(seed=seed) for seed in range(10)}}
+    return {
+        "packaged": read_scenario(find_scenario(PACKAGED)),
+        **{f"seed {seed}": build(seed=seed) for seed in range(10)},
+    }
 
 
 def on_every_day(check: Check) -> Test:
     """One test that makes the check on every day and names the days that fail."""
+
     def test(days: dict[str, Scenario]) -> None:
         assert_for_all(days, check)
 
@@ -245,8 +248,9 @@ def test_packaged_day_is_what_the_builder_builds() -> None:
     assert scenario_digest(packaged) == scenario_digest(build())
 
 
-def test_writing_anew_gives_the_packaged_files(tmp_path: Path,
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writing_anew_gives_the_packaged_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(builder, "FOLDER", tmp_path / "anew")
     builder.write()
     builder.write()  # over an older one
@@ -258,8 +262,9 @@ def test_feeder_has_the_known_losses() -> None:
     """AC losses and lowest voltage of case33bw at nominal load with its tie lines open."""
     network, _ = feeder()
     net = pandapower.networks.case33bw()
-    r_ohm, x_ohm = (dict(zip(network.to_bus, values, strict=True))
-                    for values in (network.r_ohm, network.x_ohm))
+    r_ohm, x_ohm = (
+        dict(zip(network.to_bus, values, strict=True)) for values in (network.r_ohm, network.x_ohm)
+    )
     net.line = net.line[net.line["in_service"]]
     net.line["r_ohm_per_km"] = [r_ohm[bus + 1] for bus in net.line["to_bus"]]
     net.line["x_ohm_per_km"] = [x_ohm[bus + 1] for bus in net.line["to_bus"]]
@@ -299,9 +304,15 @@ def test_pv_stays_near_the_public_shape() -> None:
     assert (pv_kw[public == 0.0] == 0.0).all()
 
 
-@pytest.mark.parametrize(("name", "bound_hours"), [
-    ("load", [17, 18, 19, 20]), ("pv", [11, 12, 18, 19]),
-    ("A", [1, 2, 6, 7, 18, 23]), ("B", [1, 2, 6, 7, 10, 11, 18, 23])])
+@pytest.mark.parametrize(
+    ("name", "bound_hours"),
+    [
+        ("load", [17, 18, 19, 20]),
+        ("pv", [11, 12, 18, 19]),
+        ("A", [1, 2, 6, 7, 18, 23]),
+        ("B", [1, 2, 6, 7, 10, 11, 18, 23]),
+    ],
+)
 def test_hours_without_a_margin_keep_the_public_shape(name: str, bound_hours: list[int]) -> None:
     """Optimality of the least-squares problem: all free hours are scaled by one factor."""
     load_kw, pv_kw = series.load_and_pv_kw()
@@ -332,8 +343,11 @@ def test_price_a_lacks_it() -> None:
 
 def test_seed_changes_the_unpublished_data_only() -> None:
     one, other = build(seed=1), build(seed=2)
-    for table, names in (("customers", ("tier", "power_factor")), ("pv", ("p_max_kw",)),
-                         ("batteries", ("energy_kwh",))):
+    for table, names in (
+        ("customers", ("tier", "power_factor")),
+        ("pv", ("p_max_kw",)),
+        ("batteries", ("energy_kwh",)),
+    ):
         for name in names:
             values = [getattr(getattr(day, table), name).tolist() for day in (one, other)]
             assert values[0] != values[1], name
@@ -378,14 +392,14 @@ def test_share_out_of_reach() -> None:
         build(critical_share=0.9)
     assert str(caught.value) == (
         "build, critical_share = 0.9: no 12 customers have this share of the load. "
-        "Choose a share between 0.190 and 0.633.")
+        "Choose a share between 0.190 and 0.633."
+    )
 
 
 def test_unknown_price() -> None:
     with pytest.raises(InputError) as caught:
         build(price="C")
-    assert str(caught.value) == (
-        "build, price = C: is not a rebuild of the price. Choose A or B.")
+    assert str(caught.value) == ("build, price = C: is not a rebuild of the price. Choose A or B.")
 
 
 @pytest.mark.parametrize("steps", [0, 13])
@@ -393,7 +407,8 @@ def test_outage_that_does_not_fit(steps: int) -> None:
     with pytest.raises(InputError) as caught:
         build(outage_steps=steps)
     assert str(caught.value) == (
-        f"build, outage_steps = {steps}: does not fit into the day. Give 1 to 12 steps.")
+        f"build, outage_steps = {steps}: does not fit into the day. Give 1 to 12 steps."
+    )
 
 
 def test_wrong_zone_pairing() -> None:
@@ -401,7 +416,8 @@ def test_wrong_zone_pairing() -> None:
         build(zone_pairing=(0, 0, 1, 2))
     assert str(caught.value) == (
         "build, zone_pairing = (0, 0, 1, 2): does not name each rank once. "
-        "Give a permutation of (0, 1, 2, 3).")
+        "Give a permutation of (0, 1, 2, 3)."
+    )
 
 
 def test_aggregates_that_contradict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,4 +76,5 @@ def test_identifier_of_a_part_is_reserved(tiny: Scenario, tmp_path: Path) -> Non
         read_scenario(tmp_path / "parts")
     assert str(error.value) == (
         "customers.csv, row 4, id = shop/3: is reserved for a part of shop while customers have "
-        "several shed_steps. Choose another identifier.")
+        "several shed_steps. Choose another identifier."
+    )

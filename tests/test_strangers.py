@@ -40,10 +40,25 @@ WATCHING: list[bool] = []
 
 
 def _watch(event: str, arguments: tuple[Any, ...]) -> None:
-    if WATCHING and event in ("import", "open", "subprocess.Popen", "os.system", "os.exec",
-                              "os.posix_spawn", "os.fork", "ctypes.dlopen", "os.remove",
-                              "os.rename", "os.mkdir", "os.symlink", "socket.connect",
-                              "webbrowser.open", "pickle.find_class", "exec", "compile"):
+    if WATCHING and event in (
+        "import",
+        "open",
+        "subprocess.Popen",
+        "os.system",
+        "os.exec",
+        "os.posix_spawn",
+        "os.fork",
+        "ctypes.dlopen",
+        "os.remove",
+        "os.rename",
+        "os.mkdir",
+        "os.symlink",
+        "socket.connect",
+        "webbrowser.open",
+        "pickle.find_class",
+        "exec",
+        "compile",
+    ):
         WATCHED.append((event, " ".join(str(argument) for argument in arguments)))
 
 
@@ -65,7 +80,8 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "circuit.dss").write_text(CIRCUIT)
     (tmp_path / "table.json").write_text('{"columns":["the-secret"],"index":[0],"data":[[1]]}')
     (tmp_path / "canary_module.py").write_text(
-        f"open({str(tmp_path / 'canary')!r}, 'w').write('run')\nclass Bird: pass\n")
+        f"open({str(tmp_path / 'canary')!r}, 'w').write('run')\nclass Bird: pass\n"
+    )
     folder = tmp_path / "stranger"
     folder.mkdir()
     monkeypatch.syspath_prepend(tmp_path)
@@ -75,9 +91,11 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def everything(root: Path) -> dict[str, bytes]:
     """Names and contents of all regular files."""
-    return {str(file.relative_to(root)): file.read_bytes()
-            for file in sorted(root.rglob("*")) if file.is_file() and not file.is_symlink()
-            and file.stat().st_size < 1_000_000}
+    return {
+        str(file.relative_to(root)): file.read_bytes()
+        for file in sorted(root.rglob("*"))
+        if file.is_file() and not file.is_symlink() and file.stat().st_size < 1_000_000
+    }
 
 
 def refused(file: Path) -> str:
@@ -97,14 +115,23 @@ def refused(file: Path) -> str:
     assert everything(root) == before
     assert not (root / "canary").exists()
     assert {m for m in set(sys.modules) - modules if not m.startswith(("vppres.", "scipy."))} <= {
-        "matpowercaseframes", *(m for m in sys.modules if m.startswith("matpowercaseframes."))}
+        "matpowercaseframes",
+        *(m for m in sys.modules if m.startswith("matpowercaseframes.")),
+    }
     for event, arguments in WATCHED:
         assert "canary" not in arguments, (event, arguments)
         assert "the-secret" not in arguments, (event, arguments)
         if event == "subprocess.Popen":
             assert str(Path(confined.__file__).with_name("child.py")) in arguments
-        assert event not in ("os.system", "os.exec", "os.posix_spawn", "ctypes.dlopen",
-                             "socket.connect", "webbrowser.open", "pickle.find_class")
+        assert event not in (
+            "os.system",
+            "os.exec",
+            "os.posix_spawn",
+            "ctypes.dlopen",
+            "socket.connect",
+            "webbrowser.open",
+            "pickle.find_class",
+        )
     message = str(caught.value)
     assert "the-secret" not in message
     assert len(message) < 20_000
@@ -290,9 +317,13 @@ def named(module: str, kind: str, content: Any = "x", **more: Any) -> dict[str, 
 
 def frame(cell: Any) -> dict[str, Any]:
     """A table with one cell."""
-    return named("pandas.core.frame", "DataFrame", json.dumps(
-        {"columns": ["a"], "index": [0], "data": [[cell]]}), orient="split",
-        dtype={"a": "object"})
+    return named(
+        "pandas.core.frame",
+        "DataFrame",
+        json.dumps({"columns": ["a"], "index": [0], "data": [[cell]]}),
+        orient="split",
+        dtype={"a": "object"},
+    )
 
 
 BIRD = named("canary_module", "Bird")
@@ -303,34 +334,56 @@ TEXTS: dict[str, tuple[str, str]] = {
     "module": (made_of({"x": BIRD}), f"canary_module.Bird, {NO_OBJECT}"),
     "instead of a net": (json.dumps(BIRD), f"canary_module.Bird, {NO_OBJECT}"),
     "in a cell": (made_of({"x": frame(BIRD)}), "canary_module.Bird, "),
-    "in a text in a cell": (made_of({"x": frame(json.dumps(json.dumps(BIRD)))}),
-                            "canary_module.Bird, "),
+    "in a text in a cell": (
+        made_of({"x": frame(json.dumps(json.dumps(BIRD)))}),
+        "canary_module.Bird, ",
+    ),
     "in a list": (made_of({"x": [[{"y": BIRD}]]}), "canary_module.Bird, "),
-    "in a net in a net": (json.dumps(named("pandapower.auxiliary", "pandapowerNet",
-                                           made_of({"x": BIRD}))), "canary_module.Bird, "),
-    "escaped": (made_of({"x": json.dumps(json.dumps(BIRD)).replace("_module", "\\u005fmodule")}),
-                "canary_module.Bird, "),
-    "lenient": (made_of({"x": "{'_module': 'canary_module', '_class': 'Bird'}"}),
-                "has a text that names a module and is not JSON"),
-    "twice": (made_of({"x": {}}).replace(
-        '"x": {}', '"x": {"_module": "canary_module", "_class": "Bird", "_module": "numpy"}'),
-        "has an object with the same key twice"),
+    "in a net in a net": (
+        json.dumps(named("pandapower.auxiliary", "pandapowerNet", made_of({"x": BIRD}))),
+        "canary_module.Bird, ",
+    ),
+    "escaped": (
+        made_of({"x": json.dumps(json.dumps(BIRD)).replace("_module", "\\u005fmodule")}),
+        "canary_module.Bird, ",
+    ),
+    "lenient": (
+        made_of({"x": "{'_module': 'canary_module', '_class': 'Bird'}"}),
+        "has a text that names a module and is not JSON",
+    ),
+    "twice": (
+        made_of({"x": {}}).replace(
+            '"x": {}', '"x": {"_module": "canary_module", "_class": "Bird", "_module": "numpy"}'
+        ),
+        "has an object with the same key twice",
+    ),
     "system": (made_of({"x": named("posix", "system", "touch canary")}), "posix.system, "),
     "eval": (made_of({"x": named("builtins", "eval", "open('canary', 'w')")}), "builtins.eval, "),
-    "function": (made_of({"x": named("canary_module", "function", "Bird")}),
-                 "canary_module.function, "),
-    "function of a controller": (made_of({"x": named("pandapower.control.run_control",
-                                                     "function", "run_control")}),
-                                 "pandapower.control.run_control.function, "),
-    "pickle": (made_of({"x": named("pandas.io.pickle", "read_pickle", "canary.p")}),
-               "pandas.io.pickle.read_pickle, "),
-    "load": (made_of({"x": named("numpy", "load", "canary.npy", allow_pickle=True)}),
-             "numpy.load, "),
+    "function": (
+        made_of({"x": named("canary_module", "function", "Bird")}),
+        "canary_module.function, ",
+    ),
+    "function of a controller": (
+        made_of({"x": named("pandapower.control.run_control", "function", "run_control")}),
+        "pandapower.control.run_control.function, ",
+    ),
+    "pickle": (
+        made_of({"x": named("pandas.io.pickle", "read_pickle", "canary.p")}),
+        "pandas.io.pickle.read_pickle, ",
+    ),
+    "load": (
+        made_of({"x": named("numpy", "load", "canary.npy", allow_pickle=True)}),
+        "numpy.load, ",
+    ),
     "no class": (made_of({"x": {"_module": "canary_module"}}), "canary_module.None, "),
-    "path": (made_of({"x": named("pandas.core.frame", "DataFrame", "PATH/table.json",
-                                 orient="split")}), "has a table that is not given as JSON"),
-    "setting": (made_of({"x": {**frame(1), "storage_options": {"a": 1}}}),
-                "gives DataFrame the setting 'storage_options'"),
+    "path": (
+        made_of({"x": named("pandas.core.frame", "DataFrame", "PATH/table.json", orient="split")}),
+        "has a table that is not given as JSON",
+    ),
+    "setting": (
+        made_of({"x": {**frame(1), "storage_options": {"a": 1}}}),
+        "gives DataFrame the setting 'storage_options'",
+    ),
     "deep": (made_of({"x": DEEP}), "nests deeper than 30 levels"),
     "very deep": ("[" * 200_000 + "]" * 200_000, "cannot be read as pandapower JSON"),
     "long": (" " * (33 * 2**20), "has more than 32 MB"),
@@ -349,8 +402,15 @@ def test_hostile_pandapower_files(name: str, house: Path) -> None:
 
 def test_honest_pandapower_files(house: Path) -> None:
     file = house / "net.json"
-    file.write_text(made_of({"x": frame("a text"), "y": named("numpy", "float64", 1.0),
-                             "z": named("builtins", "tuple", [1, 2])}))
+    file.write_text(
+        made_of(
+            {
+                "x": frame("a text"),
+                "y": named("numpy", "float64", 1.0),
+                "z": named("builtins", "tuple", [1, 2]),
+            }
+        )
+    )
     assert import_network(file).network.buses.tolist() == [0, 1]
 
 
@@ -360,7 +420,8 @@ def test_controllers_are_left_out_and_not_imported(house: Path) -> None:
     file.write_text(made_of({"x": frame(controller)}))
     assert "pandapower.control.canary" not in sys.modules
     assert import_network(file).notes == (
-        "Controllers, time series and protection of the source are left out.",)
+        "Controllers, time series and protection of the source are left out.",
+    )
 
 
 # MATLAB's files, and what is never opened
@@ -384,9 +445,13 @@ def mat_file(*elements: bytes) -> bytes:
 
 def matrix(kind: int, name: bytes, *rest: bytes) -> bytes:
     """A matrix of one element: flags, dimensions, name, and what it holds."""
-    return mat_element(14, mat_element(6, struct.pack("<II", kind, 0))
-                       + mat_element(5, struct.pack("<ii", 1, 1))
-                       + mat_element(1, name.ljust(8, b"\0")) + b"".join(rest))
+    return mat_element(
+        14,
+        mat_element(6, struct.pack("<II", kind, 0))
+        + mat_element(5, struct.pack("<ii", 1, 1))
+        + mat_element(1, name.ljust(8, b"\0"))
+        + b"".join(rest),
+    )
 
 
 def nested_cells(depth: int) -> bytes:
@@ -399,9 +464,13 @@ def nested_cells(depth: int) -> bytes:
 
 def unpacking_to(size: int) -> bytes:
     """Zeros that take a thousandth of their size."""
-    raw = mat_element(14, mat_element(6, struct.pack("<II", 6, 0))
-                      + mat_element(5, struct.pack("<ii", 1, size // 8))
-                      + mat_element(1, b"mpc".ljust(8, b"\0")) + mat_element(9, bytes(size)))
+    raw = mat_element(
+        14,
+        mat_element(6, struct.pack("<II", 6, 0))
+        + mat_element(5, struct.pack("<ii", 1, size // 8))
+        + mat_element(1, b"mpc".ljust(8, b"\0"))
+        + mat_element(9, bytes(size)),
+    )
     return mat_file(mat_element(15, zlib.compress(raw, 9)))
 
 
@@ -415,12 +484,21 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "zeros": ("net.mat", lambda: unpacking_to(200 * 2**20), "cannot be read as"),
     "no mpc": ("net.mat", lambda: mat_file(), "cannot be read as"),
     "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
-    "computes": ("net.m", lambda: b"function mpc = c\nmpc.bus(1) = system('touch canary');\n",
-                 "computes mpc.bus in code"),
-    "calls": ("net.m", lambda: b"function mpc = c\nsystem('touch canary');\n",
-              "cannot be read as a MATPOWER case"),
-    "many names": ("net.m", lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 500_000,
-                   "cannot be read as a MATPOWER case"),
+    "computes": (
+        "net.m",
+        lambda: b"function mpc = c\nmpc.bus(1) = system('touch canary');\n",
+        "computes mpc.bus in code",
+    ),
+    "calls": (
+        "net.m",
+        lambda: b"function mpc = c\nsystem('touch canary');\n",
+        "cannot be read as a MATPOWER case",
+    ),
+    "many names": (
+        "net.m",
+        lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 500_000,
+        "cannot be read as a MATPOWER case",
+    ),
     "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "cannot be read as a MATPOWER case"),
     "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
 }
@@ -441,8 +519,12 @@ def test_hostile_matlab_files_and_others(name: str, house: Path) -> None:
 def test_a_reader_that_does_not_end_is_ended(house: Path) -> None:
     start = time.monotonic()
     with pytest.raises(InputError, match=r"^mill\.dss: is not read within 0\.001 s\. Give "):
-        read_opendss(master(house, *[f"new line.l{i} bus1=a bus2=b{i} phases=3 r1=1 x1=1"
-                                     for i in range(5000)]), time_limit_s=0.001)
+        read_opendss(
+            master(
+                house, *[f"new line.l{i} bus1=a bus2=b{i} phases=3 r1=1 x1=1" for i in range(5000)]
+            ),
+            time_limit_s=0.001,
+        )
     assert time.monotonic() - start < LONGEST_S
 
 
@@ -450,9 +532,13 @@ def test_a_reader_that_does_not_end_is_ended(house: Path) -> None:
 def test_the_process_can_write_no_file(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Past the check: even if a command that writes went through it, nothing would come of it.
     canary = house.parent / "canary.csv"
-    script = dss_text.Script(tuple(
-        dss_text.Command("mill.dss", 1, text) for text in (
-            *CIRCUIT.splitlines(), "solve", f"export voltages {canary}")), ())
+    script = dss_text.Script(
+        tuple(
+            dss_text.Command("mill.dss", 1, text)
+            for text in (*CIRCUIT.splitlines(), "solve", f"export voltages {canary}")
+        ),
+        (),
+    )
     monkeypatch.setattr(dss_text, "read_script", lambda path: script)
     with pytest.raises(InputError, match=r"OpenDSS refuses the file|ends the process"):
         read_opendss(master(house))
@@ -465,13 +551,25 @@ def test_files_below_the_master_are_read_in_their_place(where: str, house: Path)
     (house / "lines").mkdir()
     (house / where / "more.dss").write_text(
         "new line.tail bus1=a bus2=b phases=3 linecode=std length=2 units=km\n"
-        "new load.e bus1=b phases=3 kv=11 kw=(20 2 /) kvar=1 ! a remark\n")
+        "new load.e bus1=b phases=3 kv=11 kw=(20 2 /) kvar=1 ! a remark\n"
+    )
     (house.parent / "codes.dss").write_text(
-        "new linecode.std nphases=3 r1=0.1 x1=0.1\n~ units=km // as above\n")
-    feeder = import_network(master(house, "redirect ../codes.dss", "/* nothing", "here */",
-                                   f"redirect {where}/more.dss", "calcv", "solve",
-                                   "new loadshape.day npts=2 interval=12 mult=[1 0.5]",
-                                   "load.d.daily=day", "new energymeter.m line.head 1"))
+        "new linecode.std nphases=3 r1=0.1 x1=0.1\n~ units=km // as above\n"
+    )
+    feeder = import_network(
+        master(
+            house,
+            "redirect ../codes.dss",
+            "/* nothing",
+            "here */",
+            f"redirect {where}/more.dss",
+            "calcv",
+            "solve",
+            "new loadshape.day npts=2 interval=12 mult=[1 0.5]",
+            "load.d.daily=day",
+            "new energymeter.m line.head 1",
+        )
+    )
     assert feeder.network.buses.tolist() == ["src", "a", "b"]
     assert feeder.network.r_ohm.tolist() == pytest.approx([0.3, 0.2])
     assert feeder.p_load_kw.tolist() == pytest.approx([0.0, 50.0, 10.0])

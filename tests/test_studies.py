@@ -29,7 +29,9 @@ def test_a_seed_makes_the_same_day_again() -> None:
     one, same, other = random_day(1), random_day(1), random_day(2)
     assert scenario_digest(one.scenario) == scenario_digest(same.scenario)
     assert (one.errors, FaultPlan.draw(one.scenario, 1)) == (
-        same.errors, FaultPlan.draw(same.scenario, 1))
+        same.errors,
+        FaultPlan.draw(same.scenario, 1),
+    )
     assert scenario_digest(one.scenario) != scenario_digest(other.scenario)
     sizes = {random_day(seed).scenario.network.n_buses for seed in range(12)}
     assert 33 in sizes and len(sizes) > 3
@@ -47,12 +49,14 @@ def test_judge_finds_a_critical_customer_that_was_shed_without_need() -> None:
     nobody = np.zeros(len(first), dtype=bool)
     whole = drawn.scenario.customers.weight[first].sum()
     assert judge(drawn, [StepToJudge(0, guard.known, nobody)]) == [
-        f"step 0: 0 of the critical weight served, {whole:g} possible; all measured"]
+        f"step 0: 0 of the critical weight served, {whole:g} possible; all measured"
+    ]
     assert judge(drawn, [StepToJudge(0, guard.known, first)]) == []
 
 
-def test_campaign_day_is_finished_and_counted(monkeypatch: pytest.MonkeyPatch,
-                                              tmp_path: Path) -> None:
+def test_campaign_day_is_finished_and_counted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(campaign, "random_day", small)
     outcome = run_one(4)
     assert (outcome.error, outcome.steps, outcome.unnamed) == ("", 12, 0)
@@ -63,8 +67,7 @@ def test_campaign_day_is_finished_and_counted(monkeypatch: pytest.MonkeyPatch,
     assert "- day 4: ValueError: no\n- day 4, step 3: 0 of 1" in text
     record = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
     assert [day["seed"] for day in record["days"]] == [4, 4]
-    assert "<td>days that finished</td>" in (tmp_path / "campaign.html").read_text(
-        encoding="utf-8")
+    assert "<td>days that finished</td>" in (tmp_path / "campaign.html").read_text(encoding="utf-8")
 
 
 def test_day_that_ends_early_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,8 +92,11 @@ def test_interval_holds_the_mean() -> None:
 
 def test_baselines_are_compared_day_by_day(tmp_path: Path) -> None:
     rank = {"perfect": 0.9, "mpc": 0.88, "full-horizon": 0.8, "reserve": 0.7, "idle": 0.5}
-    runs = [Run(seed, name, rank[name] + 0.01 * seed, 100.0, 1.0, 0.0, 0, 1.0)
-            for seed in (2, 0, 1) for name in CONTROLLERS]
+    runs = [
+        Run(seed, name, rank[name] + 0.01 * seed, 100.0, 1.0, 0.0, 0, 1.0)
+        for seed in (2, 0, 1)
+        for name in CONTROLLERS
+    ]
     assert column(runs, "mpc", lambda run: run.resilience).tolist() == [0.88, 0.89, 0.9]
     text = write_report(runs, 1.0, tmp_path).read_text(encoding="utf-8")
     # The regret is the same on all three days, whatever the days are like.

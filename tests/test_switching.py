@@ -42,15 +42,25 @@ from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 PAGE = Path(__file__).parents[1] / "docs" / "switching.md"
-RANDOM = [(seed, stressed) for stressed, count in ((False, 30), (True, 20))
-          for seed in range(count)]
+RANDOM = [
+    (seed, stressed) for stressed, count in ((False, 30), (True, 20)) for seed in range(count)
+]
 
 
-def state_of(rules: SwitchingRules, served: Sequence[bool], since_h: Sequence[float],
-             actions: Sequence[int] | None = None) -> SwitchingState:
+def state_of(
+    rules: SwitchingRules,
+    served: Sequence[bool],
+    since_h: Sequence[float],
+    actions: Sequence[int] | None = None,
+) -> SwitchingState:
     """A state in hourly steps."""
-    return SwitchingState(rules, 1.0, np.array(served), np.array(since_h, dtype=float),
-                          np.array(actions or [0] * len(served), dtype=float))
+    return SwitchingState(
+        rules,
+        1.0,
+        np.array(served),
+        np.array(since_h, dtype=float),
+        np.array(actions or [0] * len(served), dtype=float),
+    )
 
 
 def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
@@ -64,12 +74,16 @@ def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
     return answer
 
 
-def island(load_kw: Sequence[Sequence[float]], weights: Sequence[float],
-           energy_kwh: float) -> Scenario:
+def island(
+    load_kw: Sequence[Sequence[float]], weights: Sequence[float], energy_kwh: float
+) -> Scenario:
     """A dark feeder whose battery can give this much energy at its terminals, and any power."""
-    return replace(two_buses(load_kw, weights, [DARK] * len(load_kw)),
-                   batteries=battery(energy_kwh=energy_kwh / 0.7 / 0.95, p_max_kw=1e3,
-                                     s_max_kva=1e3, soc=0.85))
+    return replace(
+        two_buses(load_kw, weights, [DARK] * len(load_kw)),
+        batteries=battery(
+            energy_kwh=energy_kwh / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3, soc=0.85
+        ),
+    )
 
 
 NEVER = float("inf")
@@ -79,10 +93,12 @@ NEVER = float("inf")
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("hours", "expected"), [
-    (0.0, [True, False, True]), (2.0, [True, False, False])])
-def test_minimum_time_off_keeps_a_customer_off(method: str, hours: float,
-                                               expected: list[bool]) -> None:
+@pytest.mark.parametrize(
+    ("hours", "expected"), [(0.0, [True, False, True]), (2.0, [True, False, False])]
+)
+def test_minimum_time_off_keeps_a_customer_off(
+    method: str, hours: float, expected: list[bool]
+) -> None:
     # 21 kWh: the dear hour in the middle (100 kW) is left out, the third hour only if it may be.
     day = island([[10.0], [100.0], [10.0]], [1.0], 21.0)
     answer = solved(day, state_of(SwitchingRules(min_unserved_h=hours), [True], [NEVER]), method)
@@ -90,14 +106,19 @@ def test_minimum_time_off_keeps_a_customer_off(method: str, hours: float,
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("rules", "expected"), [
-    (SwitchingRules(), [True, False, True]),
-    (SwitchingRules(min_served_h=2.0), [False, False, True]),
-    (SwitchingRules(stay_restored=True), [False, False, True]),
-    (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
-    (SwitchingRules(max_actions_per_customer=3), [True, False, True])])
-def test_restored_customer_is_not_dropped_at_once(method: str, rules: SwitchingRules,
-                                                  expected: list[bool]) -> None:
+@pytest.mark.parametrize(
+    ("rules", "expected"),
+    [
+        (SwitchingRules(), [True, False, True]),
+        (SwitchingRules(min_served_h=2.0), [False, False, True]),
+        (SwitchingRules(stay_restored=True), [False, False, True]),
+        (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
+        (SwitchingRules(max_actions_per_customer=3), [True, False, True]),
+    ],
+)
+def test_restored_customer_is_not_dropped_at_once(
+    method: str, rules: SwitchingRules, expected: list[bool]
+) -> None:
     # Off before the window. There is energy for the first and the last hour, but not for the
     # middle: who may not be dropped in the middle is restored in the last hour only.
     day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
@@ -107,13 +128,13 @@ def test_restored_customer_is_not_dropped_at_once(method: str, rules: SwitchingR
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("price", "actions"), [(0.0, 4), (0.04, 4), (0.06, 2)])
-def test_price_refuses_what_gains_less_than_it_costs(method: str, price: float,
-                                                     actions: int) -> None:
+def test_price_refuses_what_gains_less_than_it_costs(
+    method: str, price: float, actions: int
+) -> None:
     # Serving the customer for one more hour gains 0.1; it takes another off/on pair.
     day = island([[10.0], [100.0], [10.0], [100.0], [10.0]], [0.1], 31.0)
     day = replace(day, grid_limit_kw=np.array([DARK] * 4 + [OPEN]))
-    answer = solved(day, state_of(SwitchingRules(price_per_action=price), [True], [NEVER]),
-                    method)
+    answer = solved(day, state_of(SwitchingRules(price_per_action=price), [True], [NEVER]), method)
     on_off = np.abs(np.diff([1, *answer.dispatch.served[:, 0]])).sum()
     assert (on_off, answer.terms.f6) == (actions, pytest.approx(actions * price))
     assert answer.dispatch.served[:, 0].sum() == (3 if actions == 4 else 2)
@@ -149,14 +170,18 @@ def test_cold_load_of_an_earlier_restoration_lasts(method: str) -> None:
 def test_interruption_that_cannot_be_ended_is_not_shortened() -> None:
     # The grid is back, but the customer was switched off an hour ago and has two hours to go.
     day = two_buses([[10.0]] * 3, [1.0], [OPEN] * 3)
-    answer = solved(day, state_of(SwitchingRules(min_unserved_h=3.0), [False], [1.0]),
-                    "decomposed")
+    answer = solved(day, state_of(SwitchingRules(min_unserved_h=3.0), [False], [1.0]), "decomposed")
     assert answer.dispatch.served[:, 0].tolist() == [False, False, True]
 
 
 def test_minimum_times_count_in_steps_of_any_length() -> None:
-    state = SwitchingState(SwitchingRules(min_served_h=0.6, min_unserved_h=0.25), 0.25,
-                           np.array([True]), np.array([0.25]), np.zeros(1))
+    state = SwitchingState(
+        SwitchingRules(min_served_h=0.6, min_unserved_h=0.25),
+        0.25,
+        np.array([True]),
+        np.array([0.25]),
+        np.zeros(1),
+    )
     data = state.window(4)
     assert data.steps == RuleSteps(served=3, unserved=1, cold=0)
     # One of the three quarters of an hour is over.
@@ -169,17 +194,19 @@ def test_minimum_times_count_in_steps_of_any_length() -> None:
 def seen(day: Scenario, state: SwitchingState) -> Observation:
     """All steps of a scenario, as a controller sees them."""
     b = day.batteries
-    forecast = Forecast(day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw,
-                        day.temperature_c)
-    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge,
-                       switching=state)
+    forecast = Forecast(
+        day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw, day.temperature_c
+    )
+    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("energy_kwh", "served", "let_go"), [
-    (15.0, [False, True], True), (35.0, [True, False], False)])
+@pytest.mark.parametrize(
+    ("energy_kwh", "served", "let_go"), [(15.0, [False, True], True), (35.0, [True, False], False)]
+)
 def test_duty_is_let_go_only_where_it_cannot_be_met(
-        method: str, energy_kwh: float, served: list[bool], let_go: bool) -> None:
+    method: str, energy_kwh: float, served: list[bool], let_go: bool
+) -> None:
     # With 35 kWh the duty costs the critical customer: 30 go to the one that was just restored.
     day = island([[30.0, 10.0]], [0.1, 1.0], energy_kwh)
     state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
@@ -279,11 +306,16 @@ def packaged() -> Scenario:
     return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
-@pytest.mark.parametrize(("controller", "rules"), [
-    ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
-    ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True))])
-def test_real_day_obeys_the_rules(packaged: Scenario, controller: str,
-                                  rules: SwitchingRules) -> None:
+@pytest.mark.parametrize(
+    ("controller", "rules"),
+    [
+        ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
+        ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True)),
+    ],
+)
+def test_real_day_obeys_the_rules(
+    packaged: Scenario, controller: str, rules: SwitchingRules
+) -> None:
     options = RunOptions(controller, switching=rules, errors=ForecastErrors(pv_bias=0.3))
     run = run_day(packaged, options)
     assert not run.steps["switching_relaxed"].any()
@@ -327,8 +359,14 @@ def test_steps_that_the_plan_before_did_not_reach_are_free() -> None:
 
 def test_fewer_moves_cost_no_service(packaged: Scenario) -> None:
     errors = ForecastErrors(load_alpha_per_h=0.1, pv_alpha_per_h=0.1)
-    found = [summarise(run_day(packaged, RunOptions(
-        errors=errors, switching=SwitchingRules(move_weight=weight)))) for weight in (0.0, 10.0)]
+    found = [
+        summarise(
+            run_day(
+                packaged, RunOptions(errors=errors, switching=SwitchingRules(move_weight=weight))
+            )
+        )
+        for weight in (0.0, 10.0)
+    ]
     assert found[1]["setpoint_moves_kw"] < 0.9 * found[0]["setpoint_moves_kw"]
     assert found[1]["resilience"] >= found[0]["resilience"] - 0.002
 
@@ -345,7 +383,8 @@ def test_values_out_of_range_are_named() -> None:
         "switching rules, cold_load_factor = 0.5: must be at least 1. Give a factor, for example "
         "1.5.",
         "switching rules, max_actions_per_customer = -1: must not be negative. Give a whole "
-        "number, for example 2."]
+        "number, for example 2.",
+    ]
 
 
 def test_equations_are_those_of_the_page(tiny: Scenario) -> None:

@@ -27,13 +27,30 @@ from vppres.scenario.assets import Batteries
 def batteries(r_theta_c_per_kw: list[float], c_theta_kwh_per_c: list[float]) -> Batteries:
     """Batteries with the published electric constants and the given thermal ones."""
     n = len(r_theta_c_per_kw)
-    rest = {"energy_kwh": 80.0, "p_max_kw": 40.0, "s_max_kva": 45.0, "soc_min": 0.15,
-            "soc_max": 0.85, "soc_initial": 0.15, "eta_charge": 0.95, "eta_discharge": 0.9,
-            "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 2e-4, "r_int_ohm": 0.0035,
-            "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": np.nan}
-    return Batteries(id=[f"b{i}" for i in range(n)], bus=[2] * n,
-                     r_theta_c_per_kw=r_theta_c_per_kw, c_theta_kwh_per_c=c_theta_kwh_per_c,
-                     **{name: np.full(n, value) for name, value in rest.items()})
+    rest = {
+        "energy_kwh": 80.0,
+        "p_max_kw": 40.0,
+        "s_max_kva": 45.0,
+        "soc_min": 0.15,
+        "soc_max": 0.85,
+        "soc_initial": 0.15,
+        "eta_charge": 0.95,
+        "eta_discharge": 0.9,
+        "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 2e-4,
+        "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003,
+        "u_batt_v": 900.0,
+        "t_ref_c": 25.0,
+        "t_initial_c": np.nan,
+    }
+    return Batteries(
+        id=[f"b{i}" for i in range(n)],
+        bus=[2] * n,
+        r_theta_c_per_kw=r_theta_c_per_kw,
+        c_theta_kwh_per_c=c_theta_kwh_per_c,
+        **{name: np.full(n, value) for name, value in rest.items()},
+    )
 
 
 ONE = batteries([4.0], [0.25])
@@ -50,15 +67,20 @@ def power(charge_kw: float, discharge_kw: float, n: int = 1) -> Power:
 
 # Resistance and heat
 
-@pytest.mark.parametrize(("t_cell_c", "expected_ohm"), [
-    (25.0, 0.0035),
-    (15.0, 0.0035 * 1.03),
-    (125.0, 0.0035 * 0.7),
-    (25.0 + 1 / 0.003, 0.0),
-    (1000.0, 0.0),
-])
-def test_resistance_falls_with_temperature_down_to_zero(t_cell_c: float,
-                                                        expected_ohm: float) -> None:
+
+@pytest.mark.parametrize(
+    ("t_cell_c", "expected_ohm"),
+    [
+        (25.0, 0.0035),
+        (15.0, 0.0035 * 1.03),
+        (125.0, 0.0035 * 0.7),
+        (25.0 + 1 / 0.003, 0.0),
+        (1000.0, 0.0),
+    ],
+)
+def test_resistance_falls_with_temperature_down_to_zero(
+    t_cell_c: float, expected_ohm: float
+) -> None:
     assert internal_resistance_ohm(ONE, t_cell_c) == pytest.approx([expected_ohm], abs=1e-15)
 
 
@@ -85,6 +107,7 @@ def test_an_idle_battery_makes_no_heat() -> None:
 
 
 # Steps
+
 
 def test_exact_step_by_hand() -> None:
     # R C = 1 h, so after 1 h the distance to 20 + 4 * 2 = 28 °C has shrunk by e: 28 + 12 / e.
@@ -122,12 +145,14 @@ def test_euler_is_the_first_order_of_the_exact_step() -> None:
 def test_two_half_steps_of_the_exact_solution_are_one_whole() -> None:
     half = step_exact(40.0, 2.0, 20.0, 4.0, 0.25, 0.5)
     assert step_exact(half, 2.0, 20.0, 4.0, 0.25, 0.5) == pytest.approx(
-        step_exact(40.0, 2.0, 20.0, 4.0, 0.25, 1.0), abs=1e-12)
+        step_exact(40.0, 2.0, 20.0, 4.0, 0.25, 1.0), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(("dt_over_time_constant", "grows"), [(1.9, False), (2.1, True)])
-def test_euler_is_unstable_beyond_twice_the_time_constant(dt_over_time_constant: float,
-                                                          grows: bool) -> None:
+def test_euler_is_unstable_beyond_twice_the_time_constant(
+    dt_over_time_constant: float, grows: bool
+) -> None:
     # The distance to ambient is multiplied by 1 - dt / (R C) in every step; R C = 1 h.
     t_c = np.array(21.0)
     for _ in range(100):
@@ -147,10 +172,17 @@ def test_fastest_published_zone_is_unstable_with_hourly_euler_and_not_with_exact
     assert run["exact"][-1] < 1e-6
 
 
-@given(st.floats(-20, 60), st.floats(0, 10), st.floats(-20, 45), st.floats(0.5, 10),
-       st.floats(0.05, 1), st.floats(0.01, 24))
+@given(
+    st.floats(-20, 60),
+    st.floats(0, 10),
+    st.floats(-20, 45),
+    st.floats(0.5, 10),
+    st.floats(0.05, 1),
+    st.floats(0.01, 24),
+)
 def test_exact_step_never_passes_the_settled_temperature(
-        t_cell_c: float, heat: float, t_ambient_c: float, r: float, c: float, dt_h: float) -> None:
+    t_cell_c: float, heat: float, t_ambient_c: float, r: float, c: float, dt_h: float
+) -> None:
     settled_c = t_ambient_c + r * heat
     after_c = float(step_exact(t_cell_c, heat, t_ambient_c, r, c, dt_h))
     low, high = sorted((t_cell_c, settled_c))
@@ -158,6 +190,7 @@ def test_exact_step_never_passes_the_settled_temperature(
 
 
 # Efficiencies
+
 
 def test_efficiencies_by_hand() -> None:
     # 20 °C off the reference: 1 - 1e-4 * 400 = 0.96 and 1 - 2e-4 * 400 = 0.92.
@@ -182,6 +215,7 @@ def test_efficiencies_have_a_floor(t_cell_c: float) -> None:
 
 # State
 
+
 def test_initial_temperature_is_the_ambient_where_none_is_given() -> None:
     two = replace(batteries([4.0, 4.0], [0.25, 0.25]), t_initial_c=[np.nan, 35.0])
     start = initial_state(two, 15.0)
@@ -198,12 +232,18 @@ def test_off_keeps_nominal_efficiencies_and_the_temperature() -> None:
     assert [v.tolist() for v in after] == [[5.0], [0.95], [0.9]]
 
 
-@pytest.mark.parametrize(("scheme", "step", "joule_unit"), [
-    ("exact", step_exact, "w"), ("euler", step_euler, "w"),
-    ("exact-joule-kw", step_exact, "kw"), ("euler-joule-kw", step_euler, "kw"),
-])
+@pytest.mark.parametrize(
+    ("scheme", "step", "joule_unit"),
+    [
+        ("exact", step_exact, "w"),
+        ("euler", step_euler, "w"),
+        ("exact-joule-kw", step_exact, "kw"),
+        ("euler-joule-kw", step_euler, "kw"),
+    ],
+)
 def test_advance_heats_with_the_old_state_and_rates_the_new_temperature(
-        scheme: ThermalScheme, step: Step, joule_unit: str) -> None:
+    scheme: ThermalScheme, step: Step, joule_unit: str
+) -> None:
     before = state(30.0)
     after = advance(ONE, scheme, before, power(36.0, 0.0), 22.0, 0.5)
     kilowatts = {"w": 1e-3, "kw": 1.0}[joule_unit]
@@ -217,13 +257,22 @@ def test_advance_heats_with_the_old_state_and_rates_the_new_temperature(
 @pytest.mark.parametrize("scheme", ["exact", "euler"])
 def test_a_fleet_is_its_batteries_one_by_one(scheme: ThermalScheme) -> None:
     charge, discharge = np.array([30.0, 0.0, 5.0]), np.array([0.0, 20.0, 0.0])
-    start = ThermalState(np.array([30.0, 40.0, 20.0]), *efficiencies(PAPER_ZONES, [30., 40., 20.]))
+    start = ThermalState(
+        np.array([30.0, 40.0, 20.0]), *efficiencies(PAPER_ZONES, [30.0, 40.0, 20.0])
+    )
     fleet = advance(PAPER_ZONES, scheme, start, Power(charge, discharge), 28.0, 1.0)
     for b in range(3):
-        single = Batteries(**{f.name: getattr(PAPER_ZONES, f.name)[b:b + 1]
-                              for f in fields(Batteries)})
-        alone = advance(single, scheme, ThermalState(*(v[b:b + 1] for v in start)),
-                        Power(charge[b:b + 1], discharge[b:b + 1]), 28.0, 1.0)
+        single = Batteries(
+            **{f.name: getattr(PAPER_ZONES, f.name)[b : b + 1] for f in fields(Batteries)}
+        )
+        alone = advance(
+            single,
+            scheme,
+            ThermalState(*(v[b : b + 1] for v in start)),
+            Power(charge[b : b + 1], discharge[b : b + 1]),
+            28.0,
+            1.0,
+        )
         for whole, part in zip(fleet, alone, strict=True):
             assert whole[b] == part[0]
 
@@ -240,4 +289,5 @@ def test_unknown_scheme_is_named() -> None:
         advance(ONE, "runge", state(30.0), power(1.0, 0.0), 22.0, 1.0)  # type: ignore[arg-type]
     assert str(caught.value) == (
         "options, thermal = runge: is not known. Use one of: off, exact, euler, exact-joule-kw, "
-        "euler-joule-kw.")
+        "euler-joule-kw."
+    )

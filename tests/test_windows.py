@@ -40,12 +40,19 @@ NEGATIVE_PRICES = [(seed, stressed) for stressed in (False, True) for seed in ra
 CONE_WINDOWS = [(seed, True) for seed in range(11, 22)]
 WRONGLY_INFEASIBLE = (10, True)
 """A window that SCIP calls infeasible, although each of its four steps alone is feasible for it."""
-PACKAGED_WINDOWS = [(t0, steps, soc) for steps in (1, 2, 3)
-                    for t0, soc in ((2, 0.15), (12, 0.5), (12 - steps, 0.85), (16, 0.3))]
+PACKAGED_WINDOWS = [
+    (t0, steps, soc)
+    for steps in (1, 2, 3)
+    for t0, soc in ((2, 0.15), (12, 0.5), (12 - steps, 0.85), (16, 0.3))
+]
 
 
-def solve(scenario: Scenario, method: str = "decomposed", solver: str = "highs",
-          limits: SolveLimits | None = None) -> WindowSolution:
+def solve(
+    scenario: Scenario,
+    method: str = "decomposed",
+    solver: str = "highs",
+    limits: SolveLimits | None = None,
+) -> WindowSolution:
     """All steps of a scenario as one window."""
     return WindowSolver(Site.of(scenario), method, solver, limits).solve(window(scenario))
 
@@ -61,8 +68,10 @@ def packaged() -> Scenario:
 @pytest.mark.parametrize("method", METHODS)
 def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     # 70 kWh between the SoC limits give 66.5 kWh at the terminals: one customer of 66 kW.
-    day = replace(two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
-                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    day = replace(
+        two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
+        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85),
+    )
     answer = solve(day, method)
     assert answer.dispatch.served.tolist() == [[False, True]]
     assert answer.objective == pytest.approx(1.0, abs=1e-9)
@@ -72,43 +81,53 @@ def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_energy_that_falls_short_by_a_hair_serves_nobody(method: str) -> None:
-    day = replace(two_buses([[66.6]], [1.0], [DARK]),
-                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    day = replace(
+        two_buses([[66.6]], [1.0], [DARK]),
+        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85),
+    )
     assert not solve(day, method).dispatch.served.any()
 
 
 def test_many_low_customers_outweigh_a_larger_one() -> None:
     # 1.0 for the large customer alone, 0.6 + 0.6 for the two small ones: 60 kW either way.
-    day = replace(two_buses([[60.0, 30.0, 30.0]], [1.0, 0.6, 0.6], [DARK]),
-                  batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85))
+    day = replace(
+        two_buses([[60.0, 30.0, 30.0]], [1.0, 0.6, 0.6], [DARK]),
+        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85),
+    )
     assert solve(day).dispatch.served.tolist() == [[False, True, True]]
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_arbitrage_earns_what_the_efficiencies_leave(method: str) -> None:
     # 50 kWh bought at 0.1 come back as 45.125 kWh that need not be bought at 0.5.
-    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]),
-                  batteries=battery())
+    day = replace(
+        two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]), batteries=battery()
+    )
     answer = solve(day, method)
     assert answer.dispatch.charge_kw[:, 0] == pytest.approx([50.0, 0.0], abs=1e-3)
     assert answer.dispatch.discharge_kw[:, 0] == pytest.approx([0.0, 45.125], abs=1e-3)
     assert answer.terms.f2 == pytest.approx(0.1 * 150.0 + 0.5 * (100.0 - 45.125), abs=1e-3)
 
 
-@pytest.mark.parametrize(("second_price", "cost_gbp"), [
-    (0.33, 0.3 * 100.0 + 0.33 * 100.0), (0.34, 0.3 * 150.0 + 0.34 * (100.0 - 45.125))])
+@pytest.mark.parametrize(
+    ("second_price", "cost_gbp"),
+    [(0.33, 0.3 * 100.0 + 0.33 * 100.0), (0.34, 0.3 * 150.0 + 0.34 * (100.0 - 45.125))],
+)
 def test_arbitrage_starts_where_prices_differ_by_more_than_the_losses(
-        second_price: float, cost_gbp: float) -> None:
+    second_price: float, cost_gbp: float
+) -> None:
     # 0.95² = 0.9025: it pays from 0.3 / 0.9025 = 0.3324 GBP/kWh. The tie-breakers may spend 1e-6
     # of the cost and 1e-5 GBP.
-    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.3, second_price]),
-                  batteries=battery())
+    day = replace(
+        two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.3, second_price]), batteries=battery()
+    )
     assert solve(day).terms.f2 == pytest.approx(cost_gbp, abs=1e-4)
 
 
 def test_half_hours_move_half_the_energy_and_weigh_half() -> None:
-    day = replace(two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]),
-                  batteries=battery())
+    day = replace(
+        two_buses([[100.0], [100.0]], [1.0], [OPEN, OPEN], [0.1, 0.5]), batteries=battery()
+    )
     halves = replace(day, grid=replace(day.grid, step_minutes=30.0))
     whole, half = solve(day), solve(halves)
     assert half.terms.f1 == pytest.approx(0.5 * whole.terms.f1)
@@ -117,10 +136,12 @@ def test_half_hours_move_half_the_energy_and_weigh_half() -> None:
 
 
 @pytest.mark.parametrize(
-    ("neighbour_kw", "soc", "curtailed_kw"), [(0.0, 0.85, 10.0), (10.0, 0.85, 0.0),
-                                              (4.0, 0.85, 10.0 - 4.0), (0.0, 0.5, 0.0)])
+    ("neighbour_kw", "soc", "curtailed_kw"),
+    [(0.0, 0.85, 10.0), (10.0, 0.85, 0.0), (4.0, 0.85, 10.0 - 4.0), (0.0, 0.5, 0.0)],
+)
 def test_curtailment_only_where_nothing_can_take_the_power(
-        neighbour_kw: float, soc: float, curtailed_kw: float) -> None:
+    neighbour_kw: float, soc: float, curtailed_kw: float
+) -> None:
     # The owner takes 20 of 30 kW; 10 kW are left for a neighbour or a battery with room.
     day = with_pv(two_buses([[20.0, neighbour_kw]], [1.0, 0.1], [DARK]), [30.0])
     answer = solve(replace(day, batteries=battery(soc=soc)))
@@ -170,22 +191,34 @@ def test_voltage_limit_binds_where_the_formula_says(share: float, served: bool) 
 
 def test_battery_beyond_the_weak_line_keeps_everybody_served() -> None:
     day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
-    answer = solve(replace(day, batteries=battery(energy_kwh=1000.0, p_max_kw=200.0,
-                                                  s_max_kva=200.0, soc=0.85)))
+    answer = solve(
+        replace(
+            day, batteries=battery(energy_kwh=1000.0, p_max_kw=200.0, s_max_kva=200.0, soc=0.85)
+        )
+    )
     assert answer.dispatch.served.all()
     assert answer.dispatch.v_pu[0, 1] >= 0.947 - 1e-6
 
 
-@pytest.mark.parametrize(("method", "solver"), [
-    ("decomposed", "highs"), ("decomposed", "scip"), ("monolithic", "highs"),
-    ("monolithic", "scip")])
+@pytest.mark.parametrize(
+    ("method", "solver"),
+    [
+        ("decomposed", "highs"),
+        ("decomposed", "scip"),
+        ("monolithic", "highs"),
+        ("monolithic", "scip"),
+    ],
+)
 def test_bound_holds_between_polygon_and_disc(method: str, solver: str) -> None:
     # 99.5 kVA at the middle of a side of the 16-gon: inside the disc of 100 kVA, whose dispatch
     # serves the customer, outside the polygon, which reaches 98.1 kVA there.
     angle = np.pi / 16
     day = two_buses([[99.5 * np.cos(angle)]], [1.0], [DARK])
-    day = replace(day, customers=replace(day.customers, power_factor=np.array([np.cos(angle)])),
-                  batteries=battery(energy_kwh=1000.0, p_max_kw=200.0, soc=0.5))
+    day = replace(
+        day,
+        customers=replace(day.customers, power_factor=np.array([np.cos(angle)])),
+        batteries=battery(energy_kwh=1000.0, p_max_kw=200.0, soc=0.5),
+    )
     assert solve(day, method, solver).bound >= 1.0 - BOUND_TOLERANCE
 
 
@@ -217,8 +250,9 @@ def test_answer_does_not_depend_on_what_was_solved_before(seed: int) -> None:
 
 
 def test_compiled_problems_are_kept() -> None:
-    day = replace(two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
-                  batteries=battery(p_max_kw=200.0, soc=0.85))
+    day = replace(
+        two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]), batteries=battery(p_max_kw=200.0, soc=0.85)
+    )
     solver = WindowSolver(Site.of(day))
     first = solver.solve(window(day))
     compiled = solver.cache.compilations
@@ -237,8 +271,9 @@ def test_unknown_method_is_named() -> None:
     day = two_buses([[1.0]], [1.0], [OPEN])
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(day), method="magic")
-    assert str(error.value) == ("options, method = magic: is not a known method. Use one of: "
-                                "decomposed, monolithic.")
+    assert str(error.value) == (
+        "options, method = magic: is not a known method. Use one of: decomposed, monolithic."
+    )
 
 
 def test_unknown_solver_is_named_with_those_that_work() -> None:
@@ -246,8 +281,10 @@ def test_unknown_solver_is_named_with_those_that_work() -> None:
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(day), solver="gluroby")
     text = str(error.value)
-    assert text.startswith("options, solver = gluroby: is not a known solver "
-                           "(highs, scip, gurobi, copt, xpress). Installed here: ")
+    assert text.startswith(
+        "options, solver = gluroby: is not a known solver "
+        "(highs, scip, gurobi, copt, xpress). Installed here: "
+    )
     assert "highs" in text.rsplit(":", 1)[1] and "scip" in text.rsplit(":", 1)[1]
 
 
@@ -255,8 +292,9 @@ def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(cp, "installed_solvers", lambda: [cp.HIGHS])
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(two_buses([[1.0]], [1.0], [OPEN])), solver="scip")
-    assert str(error.value) == ("options, solver = scip: is not installed. Install it, or use one "
-                                "of: highs.")
+    assert str(error.value) == (
+        "options, solver = scip: is not installed. Install it, or use one of: highs."
+    )
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -268,19 +306,23 @@ def test_infeasible_window_says_so(method: str, solver: str) -> None:
         solve(day, method, solver)
     assert str(error.value) == (
         "The window of 1 steps has no feasible dispatch. The voltage limits or the PV owners' "
-        "self-consumption leave nothing; widen the limits or check the PV inverters' ratings.")
+        "self-consumption leave nothing; widen the limits or check the PV inverters' ratings."
+    )
 
 
 def test_time_limit_returns_the_best_answer_with_its_bound(
-        packaged: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The search ends at a wide gap, as it would by time, and time is up then."""
     limits = SolveLimits(time_s=60.0)
     clock_s = [0.0]
-    monkeypatch.setattr("vppres.solve.deadline.time",
-                        SimpleNamespace(perf_counter=lambda: clock_s[0]))
+    monkeypatch.setattr(
+        "vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: clock_s[0])
+    )
 
-    def ended_by_time(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
-                      scale: float = 1.0) -> Outcome:
+    def ended_by_time(
+        problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float, scale: float = 1.0
+    ) -> Outcome:
         found = run(problem, spec, 5.0, time_s, scale)
         clock_s[0] = limits.time_s
         return replace(found, status=Status.TIME_LIMIT)
@@ -306,11 +348,14 @@ def solve_without_any_grace(method: str, monkeypatch: pytest.MonkeyPatch) -> Win
 
 @pytest.mark.parametrize("method", METHODS)
 def test_running_out_of_time_is_not_called_infeasible(
-        method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(LimitError) as error:
         solve_without_any_grace(method, monkeypatch)
-    assert str(error.value) == ("The window of 1 steps was not solved before the time limit. Raise "
-                                "--time-limit, or use --method decomposed.")
+    assert str(error.value) == (
+        "The window of 1 steps was not solved before the time limit. Raise "
+        "--time-limit, or use --method decomposed."
+    )
 
 
 def test_problem_that_is_not_dpp_is_refused() -> None:
@@ -319,7 +364,8 @@ def test_problem_that_is_not_dpp_is_refused() -> None:
         require_dpp(cp.Problem(cp.Minimize(x), [x >= a * b]), "product of parameters")
     assert str(error.value) == (
         "The problem (product of parameters) is not DPP: a parameter multiplies a parameter or "
-        "enters non-affinely. Move the product into the parameter's value.")
+        "enters non-affinely. Move the product into the parameter's value."
+    )
     require_dpp(cp.Problem(cp.Minimize(x), [x >= a + b]), "sum of parameters")
 
 
@@ -327,16 +373,19 @@ def test_problem_that_is_not_dpp_is_refused() -> None:
 
 
 @cache
-def random_answer(seed: int, stressed: bool, method: str,
-                  solver: str) -> tuple[Window, WindowSolution]:
+def random_answer(
+    seed: int, stressed: bool, method: str, solver: str
+) -> tuple[Window, WindowSolution]:
     case = random_window(seed, stressed)
     return case, WindowSolver(Site.of(case.scenario), method, solver).solve(case.data)
 
 
 @pytest.fixture(scope="module")
 def packaged_solvers(packaged: Scenario) -> dict[tuple[str, str], WindowSolver]:
-    return {key: WindowSolver(Site.of(packaged), *key) for key in (
-        ("decomposed", "highs"), ("monolithic", "highs"), ("monolithic", "scip"))}
+    return {
+        key: WindowSolver(Site.of(packaged), *key)
+        for key in (("decomposed", "highs"), ("monolithic", "highs"), ("monolithic", "scip"))
+    }
 
 
 def largest_objective(scenario: Scenario, data: WindowData) -> float:
@@ -368,8 +417,12 @@ def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowS
 @pytest.mark.monolith
 @pytest.mark.parametrize(("t0", "steps", "soc"), PACKAGED_WINDOWS)
 def test_solvers_and_methods_agree_on_the_packaged_day(
-        packaged: Scenario, packaged_solvers: dict[tuple[str, str], WindowSolver], t0: int,
-        steps: int, soc: float) -> None:
+    packaged: Scenario,
+    packaged_solvers: dict[tuple[str, str], WindowSolver],
+    t0: int,
+    steps: int,
+    soc: float,
+) -> None:
     data = window(packaged, slice(t0, t0 + steps), soc)
     assert_agree(packaged, data, [s.solve(data) for s in packaged_solvers.values()])
 
@@ -395,8 +448,10 @@ def test_solver_that_wrongly_claims_infeasibility_is_not_believed() -> None:
     case = random_window(*WRONGLY_INFEASIBLE)
     assert len(case.scenario.batteries) == 0
     whole = random_answer(*WRONGLY_INFEASIBLE, "monolithic", "highs")[1]
-    alone = [WindowSolver(Site.of(case.scenario), "decomposed").solve(step_of(case.data, t))
-             for t in range(case.data.n_steps)]
+    alone = [
+        WindowSolver(Site.of(case.scenario), "decomposed").solve(step_of(case.data, t))
+        for t in range(case.data.n_steps)
+    ]
     assert whole.objective == pytest.approx(sum(a.objective for a in alone), abs=2e-4)
     assert_sound(*case, WindowSolver(Site.of(case.scenario), "decomposed", "scip").solve(case.data))
 
@@ -404,9 +459,14 @@ def test_solver_that_wrongly_claims_infeasibility_is_not_believed() -> None:
 def step_of(data: WindowData, t: int) -> WindowData:
     """One step of a window as a window of its own."""
     rows = slice(t, t + 1)
-    return replace(data, load_kw=data.load_kw[rows], pv_kw=data.pv_kw[rows],
-                   price_gbp_per_kwh=data.price_gbp_per_kwh[rows],
-                   grid_limit_kw=data.grid_limit_kw[rows], delta_pu2=data.delta_pu2[rows])
+    return replace(
+        data,
+        load_kw=data.load_kw[rows],
+        pv_kw=data.pv_kw[rows],
+        price_gbp_per_kwh=data.price_gbp_per_kwh[rows],
+        grid_limit_kw=data.grid_limit_kw[rows],
+        delta_pu2=data.delta_pu2[rows],
+    )
 
 
 # Certificates: what status and bounds mean.
@@ -459,8 +519,9 @@ def test_stages_name_the_solver_of_each(packaged: Scenario) -> None:
     """Counts and continuous problems with cones do not follow the flag, and the record says so."""
     data = window(packaged, slice(12, 15), soc=0.5)
     answer = WindowSolver(Site.of(packaged), "decomposed", "scip").solve(data)
-    solvers = dict(re.fullmatch(r"(\w+)\[(\w+)\](?::\w+)?", stage).groups()
-                   for stage in answer.stages)
+    solvers = dict(
+        re.fullmatch(r"(\w+)\[(\w+)\](?::\w+)?", stage).groups() for stage in answer.stages
+    )
     assert solvers["service"] == solvers["cost_level"] == "highs"
     assert solvers["cost"] == "scip"
     assert solvers["tie_breakers"] == "clarabel"
@@ -476,8 +537,9 @@ def test_random_windows_cover_what_they_are_meant_to() -> None:
     assert any(np.ptp(case.data.price_gbp_per_kwh) == 0 for case in cases)
     limits = np.concatenate([case.data.grid_limit_kw for case in cases])
     assert ((limits > 0) & np.isfinite(limits)).any()
-    lowest = [random_answer(*key, "decomposed", "highs")[1].dispatch.v_pu.min()
-              for key in RANDOM_WINDOWS]
+    lowest = [
+        random_answer(*key, "decomposed", "highs")[1].dispatch.v_pu.min() for key in RANDOM_WINDOWS
+    ]
     assert sum(v < 0.94701 for v in lowest) >= 2
 
 
@@ -489,12 +551,16 @@ def has_everything(case: Window) -> bool:
 
 def test_checker_finds_a_fault_in_every_equation() -> None:
     """A dispatch that is spoilt in one place fails the equation of that place."""
-    case, answer = next(random_answer(*key, "decomposed", "highs") for key in RANDOM_WINDOWS
-                        if has_everything(random_window(*key)))
+    case, answer = next(
+        random_answer(*key, "decomposed", "highs")
+        for key in RANDOM_WINDOWS
+        if has_everything(random_window(*key))
+    )
     good = answer.dispatch
     spoilt = {
-        "exclusivity": replace(good, charge_kw=good.charge_kw + 1.0,
-                               discharge_kw=good.discharge_kw + 1.0),
+        "exclusivity": replace(
+            good, charge_kw=good.charge_kw + 1.0, discharge_kw=good.discharge_kw + 1.0
+        ),
         "soc dynamics": replace(good, soc=good.soc + np.linspace(0, 1e-3, len(good.soc))[:, None]),
         "self-consumption": replace(good, pv_self_kw=good.pv_self_kw + 1.0),
         "pv balance": replace(good, pv_export_kw=good.pv_export_kw + 1.0),

@@ -73,12 +73,21 @@ def gone(pid: int, within_s: float = 5.0) -> bool:
 
 def same(one: WindowSolution, other: WindowSolution) -> bool:
     """Whether two solutions agree in every bit but those of their times."""
-    numbers = ("terms", "objective", "bound", "status", "service_gap", "cost_gap_gbp", "stages",
-               "passes")
+    numbers = (
+        "terms",
+        "objective",
+        "bound",
+        "status",
+        "service_gap",
+        "cost_gap_gbp",
+        "stages",
+        "passes",
+    )
     return all(getattr(one, name) == getattr(other, name) for name in numbers) and all(
         getattr(one.dispatch, f.name).tobytes() == getattr(other.dispatch, f.name).tobytes()
         and getattr(one.dispatch, f.name).dtype == getattr(other.dispatch, f.name).dtype
-        for f in fields(Dispatch))
+        for f in fields(Dispatch)
+    )
 
 
 # Answers.
@@ -115,15 +124,18 @@ def test_errors_come_back_as_they_were(tiny: Scenario, workers: Workers) -> None
     refused = raised(failing.Refusing)
     assert isinstance(refused, InputError)
     assert [str(problem) for problem in refused.problems] == [
-        "pv.csv, row 3: must be positive. Give a rating.", "pv.csv, id: is not there. Give one."]
+        "pv.csv, row 3: must be positive. Give a rating.",
+        "pv.csv, id: is not there. Give one.",
+    ]
     local = raised(failing.Local)
     assert type(local) is SolveError
     assert str(local) == "HomeMadeError: nobody knows me"
     assert idle(workers).alive
 
 
-def test_unknown_names_are_refused_before_a_process_is_asked(tiny: Scenario,
-                                                             workers: Workers) -> None:
+def test_unknown_names_are_refused_before_a_process_is_asked(
+    tiny: Scenario, workers: Workers
+) -> None:
     with pytest.raises(InputError, match="is not a known method"):
         IsolatedSolver(Site.of(tiny), "magic", workers=workers)
 
@@ -131,8 +143,9 @@ def test_unknown_names_are_refused_before_a_process_is_asked(tiny: Scenario,
 def test_many_setups_share_a_process(tiny: Scenario, workers: Workers) -> None:
     data = window(tiny, slice(3))
     for sides in range(8, 20):  # more than a process keeps, twice
-        solvers = [IsolatedSolver(Site.of(tiny), polygon_sides=n, workers=workers)
-                   for n in (sides, 8)]
+        solvers = [
+            IsolatedSolver(Site.of(tiny), polygon_sides=n, workers=workers) for n in (sides, 8)
+        ]
         assert same(solvers[0].solve(data), solvers[1].solve(data))
     assert len(workers._idle) == 1
 
@@ -144,17 +157,23 @@ LATE = r"SolverLostError: The solver's process did not answer within \d+\.\d s a
 MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
 
 
-@pytest.mark.parametrize(("factory", "words"), [
-    (failing.Sleeping, LATE),
-    (failing.Blocking, LATE),
-    (failing.Crashing, r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\."),
-    (failing.Hungry, MEMORY),
-    (failing.HungryInC, MEMORY),
-    (failing.Leaving, r"SolverLostError: The solver's process ended with status 3\."),
-])
+@pytest.mark.parametrize(
+    ("factory", "words"),
+    [
+        (failing.Sleeping, LATE),
+        (failing.Blocking, LATE),
+        (
+            failing.Crashing,
+            r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\.",
+        ),
+        (failing.Hungry, MEMORY),
+        (failing.HungryInC, MEMORY),
+        (failing.Leaving, r"SolverLostError: The solver's process ended with status 3\."),
+    ],
+)
 def test_every_end_has_a_named_fallback_soon(
-        tiny: Scenario, workers: Workers, factory: Callable[..., WindowSolver],
-        words: str) -> None:
+    tiny: Scenario, workers: Workers, factory: Callable[..., WindowSolver], words: str
+) -> None:
     prices = np.array(tiny.price_gbp_per_kwh)
     prices[3] = BAD_PRICE
     day = Day(replace(tiny, price_gbp_per_kwh=prices), RunOptions())
@@ -167,8 +186,9 @@ def test_every_end_has_a_named_fallback_soon(
     def controller_of(site: Site) -> Decider:
         return MPCController(solver_of(site), tiny.grid, 1.0)
 
-    guard = GuardedController(controller_of, solver_of, Site.of(tiny),
-                              GuardOptions(("critical", "high", "low")))
+    guard = GuardedController(
+        controller_of, solver_of, Site.of(tiny), GuardOptions(("critical", "high", "low"))
+    )
     for t in range(3):
         day.step(guard, t)
     lost = idle(workers)
@@ -184,10 +204,10 @@ def test_every_end_has_a_named_fallback_soon(
     assert day.recorder.records[4].steps["fallback"] == "none"
 
 
-def test_a_replacement_solves_the_last_window_before_it_is_asked(tiny: Scenario,
-                                                                 workers: Workers) -> None:
-    solver = IsolatedSolver(Site.of(tiny), limits=SHORT, factory=failing.Counting,
-                            workers=workers)
+def test_a_replacement_solves_the_last_window_before_it_is_asked(
+    tiny: Scenario, workers: Workers
+) -> None:
+    solver = IsolatedSolver(Site.of(tiny), limits=SHORT, factory=failing.Counting, workers=workers)
     data = window(tiny, slice(3))
     solver.solve(data)
     before = solver.compilations
@@ -204,16 +224,19 @@ def test_a_replacement_solves_the_last_window_before_it_is_asked(tiny: Scenario,
 
 
 def test_a_deadline_grows_with_the_site_and_with_what_has_to_be_compiled(
-        tiny: Scenario, workers: Workers) -> None:
+    tiny: Scenario, workers: Workers
+) -> None:
     solver = IsolatedSolver(Site.of(tiny), limits=SHORT, workers=workers)
     data = window(tiny, slice(3))
     assert solver.deadline_s(data) == pytest.approx(1.0 + 1.0 + 4 * 1.5e-3)
     assert solver.deadline_s(data, compiled=False) == pytest.approx(
-        solver.deadline_s(data) + 2.0 + 4 * 3 * 2e-3)
+        solver.deadline_s(data) + 2.0 + 4 * 3 * 2e-3
+    )
 
 
-def test_a_process_that_dies_between_windows_is_replaced_in_silence(tiny: Scenario,
-                                                                    workers: Workers) -> None:
+def test_a_process_that_dies_between_windows_is_replaced_in_silence(
+    tiny: Scenario, workers: Workers
+) -> None:
     solver = IsolatedSolver(Site.of(tiny), workers=workers)
     before = solver.solve(window(tiny, slice(3)))
     killed = idle(workers).process
@@ -224,16 +247,19 @@ def test_a_process_that_dies_between_windows_is_replaced_in_silence(tiny: Scenar
     assert gone(killed.pid)
 
 
-def test_a_process_that_is_killed_or_stopped_in_a_window_is_named(tiny: Scenario,
-                                                                  workers: Workers) -> None:
-    solver = IsolatedSolver(Site.of(tiny), limits=SHORT, factory=failing.Sleeping,
-                            workers=workers)
+def test_a_process_that_is_killed_or_stopped_in_a_window_is_named(
+    tiny: Scenario, workers: Workers
+) -> None:
+    solver = IsolatedSolver(Site.of(tiny), limits=SHORT, factory=failing.Sleeping, workers=workers)
     solver.solve(window(tiny, slice(3)))
     pid = idle(workers).process.pid
     timer = threading.Timer(0.3, os.kill, (pid, signal.SIGKILL))
     timer.start()
-    with pytest.raises(SolverLostError, match=r"was killed by signal 9 \(SIGKILL\), as the system "
-                                              "does where memory runs out"):
+    with pytest.raises(
+        SolverLostError,
+        match=r"was killed by signal 9 \(SIGKILL\), as the system "
+        "does where memory runs out",
+    ):
         solver.solve(bad(window(tiny, slice(3))))
     timer.join()
     solver.solve(window(tiny, slice(3)))
@@ -257,13 +283,15 @@ def test_nothing_is_left_when_the_processes_are_closed(tiny: Scenario) -> None:
 
 
 def test_a_python_without_executable_says_what_to_do(
-        tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "executable", "")
     with pytest.raises(SolverLostError) as caught:
         IsolatedSolver(Site.of(tiny), workers=Workers())
     assert str(caught.value) == (
         "The solver's process could not be started: this Python does not know its own executable. "
-        "Solve in the controller's own process, RunOptions(isolate=False) or --no-isolate.")
+        "Solve in the controller's own process, RunOptions(isolate=False) or --no-isolate."
+    )
 
 
 # Where it is used.
@@ -321,15 +349,18 @@ def test_a_live_controller_answers_while_its_solver_hangs(tiny: Scenario) -> Non
 
 def test_a_run_is_isolated_on_request_faults_included(tiny: Scenario) -> None:
     faults = FaultPlan(solver={2: SolverOutage("killed")})
-    runs = [run_day(tiny, RunOptions(horizon_h=1.0, isolate=isolate), faults=faults)
-            for isolate in (None, True)]
+    runs = [
+        run_day(tiny, RunOptions(horizon_h=1.0, isolate=isolate), faults=faults)
+        for isolate in (None, True)
+    ]
     words = ["none", "none", "previous_plan", "none", "none", "none"]
     for run in runs:
         assert run.steps["fallback"].tolist() == words
         assert run.steps["fallback_reason"][2].startswith("SolverKilledError")
     # Power flows start from the last one, so that days differ in their last bits.
     assert runs[0].steps["objective"].to_numpy() == pytest.approx(
-        runs[1].steps["objective"].to_numpy(), rel=1e-9, nan_ok=True)
+        runs[1].steps["objective"].to_numpy(), rel=1e-9, nan_ok=True
+    )
     assert runs[1].options["isolate"] is True
 
 
@@ -352,8 +383,12 @@ def test_windows_without_dispatch_are_widened_in_the_other_process(tiny: Scenari
     def solver_of(site: Site) -> WindowSolver:
         return IsolatedSolver(site)
 
-    guard = GuardedController(lambda site: Refusing(solver_of(site), tiny.grid, 1.0), solver_of,
-                              Site.of(tiny), GuardOptions(("critical", "high", "low")))
+    guard = GuardedController(
+        lambda site: Refusing(solver_of(site), tiny.grid, 1.0),
+        solver_of,
+        Site.of(tiny),
+        GuardOptions(("critical", "high", "low")),
+    )
     day = Day(tiny, RunOptions())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(WindowSolver, "solve", None)
@@ -383,20 +418,27 @@ SCRIPT_HEAD = """
 def script(body: str, folder: Path) -> subprocess.Popen[str]:
     """A program without a guard of its main module, in an interpreter and a session of its own."""
     code = textwrap.dedent(SCRIPT_HEAD) + textwrap.dedent(body)
-    return subprocess.Popen([sys.executable, "-P", "-c", code], stdout=subprocess.PIPE, text=True,
-                            env={**os.environ, "PYTHONPATH": str(ROOT)}, cwd=folder,
-                            start_new_session=True)
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        cwd=folder,
+        start_new_session=True,
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("factory", "start"), [
-    # A solver that holds the interpreter's lock: only the kernel can tell that the parent ended.
-    ("Blocking", "work()"),
-    # A process that a thread started lives on when the thread ends, but not when its parent does.
-    ("Sleeping", "thread = threading.Thread(target=work); thread.start(); thread.join()"),
-])
-def test_nothing_outlives_a_parent_that_is_killed(factory: str, start: str,
-                                                  tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("factory", "start"),
+    [
+        # A solver that holds the interpreter's lock: only the kernel can tell that the parent ended.
+        ("Blocking", "work()"),
+        # A process that a thread started lives on when the thread ends, but not when its parent does.
+        ("Sleeping", "thread = threading.Thread(target=work); thread.start(); thread.join()"),
+    ],
+)
+def test_nothing_outlives_a_parent_that_is_killed(factory: str, start: str, tmp_path: Path) -> None:
     body = f"""
     solvers = []
     def work():

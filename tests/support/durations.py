@@ -47,8 +47,9 @@ def write_durations(seconds: dict[str, float]) -> None:
     with FILE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["test", "seconds_per_case"])
-        writer.writerows([name, f"{value:.2f}"] for name, value in sorted(seconds.items())
-                         if value >= LEAST_S)
+        writer.writerows(
+            [name, f"{value:.2f}"] for name, value in sorted(seconds.items()) if value >= LEAST_S
+        )
 
 
 def quick_choice(names: list[str], seconds: dict[str, float]) -> list[bool]:
@@ -72,8 +73,9 @@ class Durations:
         self.quick = quick
         self.found: dict[str, list[float]] = defaultdict(list)
 
-    def pytest_collection_modifyitems(self, config: pytest.Config,
-                                      items: list[pytest.Item]) -> None:
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
         """Deselect what is not quick."""
         if not self.quick:
             return
@@ -89,8 +91,9 @@ class Durations:
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]
-                                  ) -> Iterator[None]:
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Iterator[None]:
         """Send the duration along with the last report of a test, to the process that writes."""
         report = yield
         if call.when == "teardown":

@@ -119,8 +119,12 @@ class Refusing(Failing):
     """Raises an error that carries more than its text."""
 
     def fail(self) -> None:
-        raise InputError([Problem("pv.csv", "must be positive", "Give a rating.", row=3),
-                          Problem("pv.csv", "is not there", "Give one.", field="id")])
+        raise InputError(
+            [
+                Problem("pv.csv", "must be positive", "Give a rating.", row=3),
+                Problem("pv.csv", "is not there", "Give one.", field="id"),
+            ]
+        )
 
 
 class Local(Failing):

@@ -46,8 +46,11 @@ RESULTS = Path("results")
 # which takes a tenth of the time to load.
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False,
-                  help="Dispatch a virtual power plant through an outage.")
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Dispatch a virtual power plant through an outage.",
+)
 
 
 class Terminated(KeyboardInterrupt):
@@ -77,26 +80,38 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def common(
-    version: Annotated[bool, typer.Option(
-        "--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and end."
+        ),
     ] = False,
 ) -> None:
     """Dispatch a virtual power plant through an outage."""
 
 
 # The arguments of a typer command are its options, hence their number.
-@app.command(cls=DayCommand,
-             epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1")
+@app.command(
+    cls=DayCommand, epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1"
+)
 def run(
     context: typer.Context,
     scenario: ScenarioName,
-    out: Annotated[Path | None, typer.Option(
-        metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given.")] = None,
-    explain: Annotated[bool, typer.Option(
-        help="Find a reason for every action and the shadow prices after the day.")] = True,
-    figures: Annotated[bool, typer.Option(
-        help="Draw the figures and write the report; without them there are tables, and report "
-        "writes the page later.")] = True,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Run folder; results/SCENARIO-CONTROLLER if not given."),
+    ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(help="Find a reason for every action and the shadow prices after the day."),
+    ] = True,
+    figures: Annotated[
+        bool,
+        typer.Option(
+            help="Draw the figures and write the report; without them there are tables, and report "
+            "writes the page later."
+        ),
+    ] = True,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -139,8 +154,14 @@ def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False
         except InputError as error:
             problems = error.problems
         if as_json:
-            _print_json({"folder": str(folder), "valid": not problems, "content": content,
-                         "problems": [problem_record(problem) for problem in problems]})
+            _print_json(
+                {
+                    "folder": str(folder),
+                    "valid": not problems,
+                    "content": content,
+                    "problems": [problem_record(problem) for problem in problems],
+                }
+            )
         else:
             typer.echo(validation_text(problems, content))
     if problems:
@@ -150,8 +171,10 @@ def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False
 @app.command(epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html")
 def report(
     run_folder: RunFolder,
-    out: Annotated[Path | None, typer.Option(
-        metavar="FILE", help="HTML file; report.html in the run folder if not given.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="HTML file; report.html in the run folder if not given."),
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
@@ -169,10 +192,17 @@ def report(
 
 @app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
 def compare(
-    run_folders: Annotated[list[Path], typer.Argument(
-        metavar="RUN_FOLDER RUN_FOLDER...", help="Two or more folders that run wrote.")],
-    out: Annotated[Path, typer.Option(
-        metavar="FILE|DIR", help="A file that ends in .html, or a folder for comparison.html."),
+    run_folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN_FOLDER RUN_FOLDER...", help="Two or more folders that run wrote."
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE|DIR", help="A file that ends in .html, or a folder for comparison.html."
+        ),
     ] = RESULTS,
     as_json: Json = False,
     debug: Debug = False,
@@ -200,9 +230,11 @@ def compare(
         typer.echo(f"Written to {file}")
 
 
-@app.command(cls=DayCommand,
-             epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
-                    "--out results/horizons")
+@app.command(
+    cls=DayCommand,
+    epilog="Example: vppres sweep uk-heatwave-2022 --param horizon --range 0:5:6 "
+    "--out results/horizons",
+)
 def sweep(
     context: typer.Context,
     scenario: ScenarioName,
@@ -229,17 +261,23 @@ def sweep(
 
         day = read_scenario(find_scenario(scenario))
         parameter = find_parameter(param, day)
-        cases = cases_of(parameter, chosen_values(parameter, values, range_), day,
-                         run_options(day, context.obj))
+        cases = cases_of(
+            parameter, chosen_values(parameter, values, range_), day, run_options(day, context.obj)
+        )
         check_target(out)
         with progress_bar(quiet) as bar:
             task = bar.add_task(parameter.name, total=len(cases))
             outcomes = run_cases(
-                cases, out, jobs, lambda done, _: bar.update(task, completed=done),
-                lambda found, folder: write_sweep_page(parameter.name, day, found, folder))
+                cases,
+                out,
+                jobs,
+                lambda done, _: bar.update(task, completed=done),
+                lambda found, folder: write_sweep_page(parameter.name, day, found, folder),
+            )
         if as_json:
-            _print_json({"folder": str(out), "parameter": parameter.name,
-                         **outcome_records(outcomes)})
+            _print_json(
+                {"folder": str(out), "parameter": parameter.name, **outcome_records(outcomes)}
+            )
         else:
             Console().print(sweep_table(parameter.name, outcomes))
             typer.echo(f"Written to {out}")
@@ -276,10 +314,19 @@ def new(
         check_target(folder)  # before the work, not after it
         begin = parse_start(start)
         options = NewScenarioOptions(
-            start=begin, step_minutes=step_minutes, days=days, seed=seed, tier_shares=tier_shares,
+            start=begin,
+            step_minutes=step_minutes,
+            days=days,
+            seed=seed,
+            tier_shares=tier_shares,
             outages=tuple(parse_outage(text, begin) for text in outage or ()),
-            pv=pv, pv_share_of_peak=pv_share_of_peak, pv_share_of_buses=pv_share_of_buses,
-            battery_kwh_per_peak_kw=battery_kwh_per_peak_kw, price=price, v_slack_pu=v_slack)
+            pv=pv,
+            pv_share_of_peak=pv_share_of_peak,
+            pv_share_of_buses=pv_share_of_buses,
+            battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
+            price=price,
+            v_slack_pu=v_slack,
+        )
         feeder = import_network(network, source, open_branch or ())
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
@@ -316,8 +363,9 @@ def _drawing(figures: bool) -> AbstractContextManager[DrawingProcesses | None]:
     return DrawingProcesses.where_they_help() if figures else nullcontext()
 
 
-def _write(done: Trajectory, folder: Path, explain: bool,
-           drawing: DrawingProcesses | None) -> dict[str, Any]:
+def _write(
+    done: Trajectory, folder: Path, explain: bool, drawing: DrawingProcesses | None
+) -> dict[str, Any]:
     """Write a run folder; the figures are drawn while the day is explained."""
     from vppres.explain.day import explain_day
     from vppres.report.run_folder import write_run
@@ -343,8 +391,12 @@ def _plain_errors(debug: bool) -> Iterator[None]:
     except VppresError as error:
         _fail(str(error), error.exit_status, debug)
     except Exception as error:
-        _fail(f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
-              "traceback.", 1, debug)
+        _fail(
+            f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
+            "traceback.",
+            1,
+            debug,
+        )
 
 
 def _fail(message: str, status: int, debug: bool) -> NoReturn:

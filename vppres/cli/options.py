@@ -35,9 +35,14 @@ def _complete_scenario(start: str) -> list[str]:
     return [name for name in packaged_scenarios() if name.startswith(start)]
 
 
-ScenarioName = Annotated[str, typer.Argument(
-    metavar="SCENARIO", help="A packaged scenario's name, or a folder.",
-    autocompletion=_complete_scenario)]
+ScenarioName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A packaged scenario's name, or a folder.",
+        autocompletion=_complete_scenario,
+    ),
+]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN_FOLDER", help="A folder that run wrote.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress bar.")]
@@ -105,11 +110,15 @@ def _declared(option: Option) -> Parameter:
     if default is None:
         kind = kind | None
     info = typer.Option(
-        names, help=help_text(option), metavar=METAVARS.get(option.unit),
+        names,
+        help=help_text(option),
+        metavar=METAVARS.get(option.unit),
         callback=_positive if option.range is POSITIVE else None,
-        rich_help_panel=option.group or None)
-    return Parameter(_key(option), Parameter.KEYWORD_ONLY, default=default,
-                     annotation=Annotated[kind, info])
+        rich_help_panel=option.group or None,
+    )
+    return Parameter(
+        _key(option), Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info]
+    )
 
 
 def _key(option: Option) -> str:
@@ -124,11 +133,13 @@ def day_options() -> tuple[Option, ...]:
 @cache
 def _day_parameters() -> tuple[Any, ...]:
     """The options of a day's run as typer makes them for a command of its own."""
+
     def declared() -> None:
         """Have the options of the table as its parameters."""
 
     declared.__signature__ = Signature(  # type: ignore[attr-defined]
-        [_declared(option) for option in day_options()])
+        [_declared(option) for option in day_options()]
+    )
     app = typer.Typer(add_completion=False)
     app.command()(declared)
     return tuple(typer.main.get_command(app).params)

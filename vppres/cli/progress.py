@@ -17,9 +17,15 @@ def progress_bar(quiet: bool) -> Progress:
     """A progress bar on stderr, if that is a terminal."""
     console = Console(stderr=True)
     # A parameter's name can hold a tier's, and brackets in it are no markup.
-    return Progress(TextColumn("{task.description}", markup=False), BarColumn(),
-                    MofNCompleteColumn(), TimeElapsedColumn(), console=console, transient=True,
-                    disable=quiet or not console.is_terminal)
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
 
 
 def run_with_bar(day: Scenario, options: RunOptions, quiet: bool) -> Trajectory:

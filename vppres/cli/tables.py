@@ -34,20 +34,40 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
-    return {"name": day.name, "title": day.title, "buses": day.network.n_buses,
-            "customers": len(day.customers), "pv_systems": len(day.pv),
-            "batteries": len(day.batteries), "steps": day.grid.n_steps,
-            "step_minutes": float(day.grid.step_minutes), "outage_steps": int(day.outage.sum())}
+    return {
+        "name": day.name,
+        "title": day.title,
+        "buses": day.network.n_buses,
+        "customers": len(day.customers),
+        "pv_systems": len(day.pv),
+        "batteries": len(day.batteries),
+        "steps": day.grid.n_steps,
+        "step_minutes": float(day.grid.step_minutes),
+        "outage_steps": int(day.outage.sum()),
+    }
 
 
 def problem_record(problem: Problem | str) -> dict[str, Any]:
     """A problem as JSON can hold it; the value as text, since it may be anything."""
     if isinstance(problem, str):
-        return {"file": None, "row": None, "field": None, "value": None, "message": problem,
-                "cure": None, "more": 0}
-    return {"file": problem.where, "row": problem.row, "field": problem.field,
-            "value": None if problem.value is None else str(problem.value),
-            "message": problem.message, "cure": problem.cure, "more": problem.more}
+        return {
+            "file": None,
+            "row": None,
+            "field": None,
+            "value": None,
+            "message": problem,
+            "cure": None,
+            "more": 0,
+        }
+    return {
+        "file": problem.where,
+        "row": problem.row,
+        "field": problem.field,
+        "value": None if problem.value is None else str(problem.value),
+        "message": problem.message,
+        "cure": problem.cure,
+        "more": problem.more,
+    }
 
 
 def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
@@ -55,9 +75,11 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     if content is None:
         count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
         return "\n".join([*map(str, problems), count])
-    return ("{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
-            "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-            "them without grid.".format_map(content))
+    return (
+        "{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
+        "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
+        "them without grid.".format_map(content)
+    )
 
 
 def error_panel(message: str) -> Panel:
@@ -114,8 +136,12 @@ def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
             continue
         figures = outcome.summary
         resilience = figures["resilience"]
-        table.add_row(value_text(outcome.value),
-                      "" if resilience is None else f"{resilience:.4f}",
-                      f"{figures['cost_gbp']:,.2f}", f"{figures['import_kwh']:,.1f}",
-                      f"{figures['v_min_ac_pu']:.4f}", f"{figures['solve_s']['total']:.1f}")
+        table.add_row(
+            value_text(outcome.value),
+            "" if resilience is None else f"{resilience:.4f}",
+            f"{figures['cost_gbp']:,.2f}",
+            f"{figures['import_kwh']:,.1f}",
+            f"{figures['v_min_ac_pu']:.4f}",
+            f"{figures['solve_s']['total']:.1f}",
+        )
     return table

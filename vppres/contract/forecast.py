@@ -45,9 +45,15 @@ class ForecastErrors:
             value = getattr(self, name)
             lowest = -1.0 if name.endswith("bias") else 0.0
             if not (np.isfinite(value) and value >= lowest):
-                problems.append(Problem("forecast errors",
-                                        f"must be a number not below {lowest:g}",
-                                        "Give a share, for example 0.05.", field=name, value=value))
+                problems.append(
+                    Problem(
+                        "forecast errors",
+                        f"must be a number not below {lowest:g}",
+                        "Give a share, for example 0.05.",
+                        field=name,
+                        value=value,
+                    )
+                )
         if problems:
             raise InputError(problems)
 
@@ -73,8 +79,14 @@ class Forecast:
     temperature_c: Floats
 
     def __post_init__(self) -> None:
-        freeze_fields(self, load_kw=float, pv_kw=float, price_gbp_per_kwh=float,
-                      grid_limit_kw=float, temperature_c=float)
+        freeze_fields(
+            self,
+            load_kw=float,
+            pv_kw=float,
+            price_gbp_per_kwh=float,
+            grid_limit_kw=float,
+            temperature_c=float,
+        )
 
 
 class Forecaster:
@@ -101,8 +113,15 @@ class Forecaster:
 
     def __init__(self, scenario: Scenario, errors: ForecastErrors, seed: int) -> None:
         if seed < 0:
-            raise InputError(Problem("options", "must not be negative", "Give a whole number from "
-                                     "zero.", field="seed", value=seed))
+            raise InputError(
+                Problem(
+                    "options",
+                    "must not be negative",
+                    "Give a whole number from zero.",
+                    field="seed",
+                    value=seed,
+                )
+            )
         self.scenario = scenario
         self.errors = errors
         self.seed = seed
@@ -135,8 +154,13 @@ class Forecaster:
         load = np.maximum(s.load_kw[rows] * (1.0 + load_error), 0.0)
         pv = np.clip(s.pv_kw[rows] * (1.0 + pv_error), 0.0, s.pv.p_max_kw)
         ahead = (rows > t0)[:, np.newaxis]
-        return Forecast(np.where(ahead, load, s.load_kw[rows]), np.where(ahead, pv, s.pv_kw[rows]),
-                        s.price_gbp_per_kwh[rows], s.grid_limit_kw[rows], s.temperature_c[rows])
+        return Forecast(
+            np.where(ahead, load, s.load_kw[rows]),
+            np.where(ahead, pv, s.pv_kw[rows]),
+            s.price_gbp_per_kwh[rows],
+            s.grid_limit_kw[rows],
+            s.temperature_c[rows],
+        )
 
     def _checked(self, t0: int, steps: range) -> Wholes:
         """The steps as an array, none of them in the past or after the day."""
@@ -144,9 +168,15 @@ class Forecaster:
         last = self.scenario.grid.n_steps - 1
         outside = rows[(rows < t0) | (rows > last)]
         if len(outside):
-            raise InputError(Problem("forecast", f"lies outside {t0} .. {last}",
-                                     "Ask for steps from the current one to the last of the day.",
-                                     field="step", value=int(outside[0])))
+            raise InputError(
+                Problem(
+                    "forecast",
+                    f"lies outside {t0} .. {last}",
+                    "Ask for steps from the current one to the last of the day.",
+                    field="step",
+                    value=int(outside[0]),
+                )
+            )
         return rows
 
     def _spread(self, kind: Kind, t0: int, rows: Wholes) -> Floats:

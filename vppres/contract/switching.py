@@ -67,13 +67,21 @@ class SwitchingData:
 
     def first(self, n_steps: int) -> SwitchingData:
         """The rules of the window's first steps."""
-        return replace(self, **{name: getattr(self, name)[:n_steps]
-                                for name in ("served_min", "served_max", "cold_before")})
+        return replace(
+            self,
+            **{
+                name: getattr(self, name)[:n_steps]
+                for name in ("served_min", "served_max", "cold_before")
+            },
+        )
 
     def without_duties(self) -> SwitchingData:
         """The rules without what the past demands of the service: nobody has to be served."""
-        return replace(self, served_min=np.zeros_like(self.served_min),
-                       actions_left=np.full_like(self.actions_left, UNLIMITED))
+        return replace(
+            self,
+            served_min=np.zeros_like(self.served_min),
+            actions_left=np.full_like(self.actions_left, UNLIMITED),
+        )
 
     def in_the_dark(self, dark: Flags) -> SwitchingData:
         """The rules where nobody can be served in some steps, (W,): no duty can be kept then."""
@@ -150,14 +158,23 @@ class SwitchingState:
     @classmethod
     def start(cls, rules: SwitchingRules, dt_h: float, n_customers: int) -> SwitchingState:
         """Everyone is served, and has been for long."""
-        return cls(rules, dt_h, np.ones(n_customers, dtype=bool), np.full(n_customers, np.inf),
-                   np.zeros(n_customers))
+        return cls(
+            rules,
+            dt_h,
+            np.ones(n_customers, dtype=bool),
+            np.full(n_customers, np.inf),
+            np.zeros(n_customers),
+        )
 
     def advance(self, served: Flags) -> SwitchingState:
         """The state after a step."""
         changed = served != self.served
-        return replace(self, served=served.copy(), actions=self.actions + changed,
-                       since_h=np.where(changed, 0.0, self.since_h) + self.dt_h)
+        return replace(
+            self,
+            served=served.copy(),
+            actions=self.actions + changed,
+            since_h=np.where(changed, 0.0, self.since_h) + self.dt_h,
+        )
 
     @property
     def restored(self) -> Flags:
@@ -173,17 +190,21 @@ class SwitchingState:
         shape = RuleSteps(
             served=n_steps if rules.stay_restored else self._steps(served_h, n_steps),
             unserved=self._steps(rules.min_unserved_h, n_steps),
-            cold=self._steps(rules.cold_load_h, n_steps) if rules.cold else 0)
+            cold=self._steps(rules.cold_load_h, n_steps) if rules.cold else 0,
+        )
         cold_h = max(rules.cold_load_h, self.dt_h) if rules.cold else 0.0
         most = rules.max_actions_per_customer
         left = UNLIMITED if most is None else np.maximum(most - self.actions, 0.0)
         data = SwitchingData(
-            steps=shape, served_before=self.served,
+            steps=shape,
+            served_before=self.served,
             served_min=self.restored & (step < self._left(served_h)),
             served_max=self.served | (step >= self._left(rules.min_unserved_h)),
             actions_left=np.broadcast_to(left, self.served.shape).astype(float),
-            price_per_action=rules.price_per_action, cold_factor=rules.cold_load_factor,
-            cold_before=self.restored & (step < self._left(cold_h)))
+            price_per_action=rules.price_per_action,
+            cold_factor=rules.cold_load_factor,
+            cold_before=self.restored & (step < self._left(cold_h)),
+        )
         return data if self.duties else data.without_duties()
 
     def _steps(self, hours: float, n_steps: int) -> int:
@@ -201,5 +222,5 @@ def _within(actions: Flags, steps: int) -> Flags:
     """Whether there was an action in the last ``steps`` steps, the present one included."""
     found = np.zeros_like(actions)
     for back in range(min(steps, len(actions))):
-        found[back:] |= actions[:len(actions) - back]
+        found[back:] |= actions[: len(actions) - back]
     return found

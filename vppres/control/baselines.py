@@ -68,12 +68,25 @@ class ReserveRule:
     def __post_init__(self) -> None:
         problems = []
         if self.soc is not None and not 0.0 <= self.soc <= 1.0:
-            problems.append(Problem("options", "must lie between 0 and 1", "Give a share of the "
-                                    "capacity, for example 0.8.", field="reserve_soc",
-                                    value=self.soc))
+            problems.append(
+                Problem(
+                    "options",
+                    "must lie between 0 and 1",
+                    "Give a share of the capacity, for example 0.8.",
+                    field="reserve_soc",
+                    value=self.soc,
+                )
+            )
         if not (np.isfinite(self.notice_h) and self.notice_h >= 0):
-            problems.append(Problem("options", "must be zero or positive", "Give hours.",
-                                    field="notice_h", value=self.notice_h))
+            problems.append(
+                Problem(
+                    "options",
+                    "must be zero or positive",
+                    "Give hours.",
+                    field="notice_h",
+                    value=self.notice_h,
+                )
+            )
         if problems:
             raise InputError(problems)
 
@@ -98,8 +111,14 @@ class ReserveController:
         Linearisation centre of the voltages.
     """
 
-    def __init__(self, site: Site, grid: TimeGrid, tiers: Sequence[str],
-                 rule: ReserveRule | None = None, centre: Centre = "lossless") -> None:
+    def __init__(
+        self,
+        site: Site,
+        grid: TimeGrid,
+        tiers: Sequence[str],
+        rule: ReserveRule | None = None,
+        centre: Centre = "lossless",
+    ) -> None:
         self.site = site
         self.grid = grid
         self.tiers = tiers

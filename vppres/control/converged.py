@@ -60,8 +60,9 @@ class ConvergedPlanner:
         LinDistFlow.
     """
 
-    def __init__(self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM,
-                 passes: int = DEFAULT_PASSES) -> None:
+    def __init__(
+        self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = DEFAULT_PASSES
+    ) -> None:
         self.solver = solver
         self.headroom = headroom
         self.passes = passes
@@ -90,8 +91,7 @@ class ConvergedPlanner:
         self._remember(t0, reached)
         return in_the_dark(site, whole, dark, solution)
 
-    def _decide(self, data: WindowData,
-                start: WindowData) -> tuple[WindowData, WindowSolution]:
+    def _decide(self, data: WindowData, start: WindowData) -> tuple[WindowData, WindowSolution]:
         """Served set and first candidate; the stages say where it took a second attempt.
 
         A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
@@ -110,8 +110,9 @@ class ConvergedPlanner:
         except (InfeasibleError, NumericalError):
             return start, _marked("lossless", self.solver.solve(start))
 
-    def _converge(self, data: WindowData,
-                  solution: WindowSolution) -> tuple[WindowData, WindowSolution]:
+    def _converge(
+        self, data: WindowData, solution: WindowSolution
+    ) -> tuple[WindowData, WindowSolution]:
         """The candidate at which model and AC meet, and the window linearised there."""
         decided = solution
         decisions = 1
@@ -137,9 +138,15 @@ class ConvergedPlanner:
             solver_s = solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
         reached = linearised(data, self.solver.site.network, points)
-        return reached, replace(decided, dispatch=solution.dispatch, terms=solution.terms,
-                                loss_kw=solution.loss_kw, passes=passes, solve_s=solve_s,
-                                solver_s=solver_s)
+        return reached, replace(
+            decided,
+            dispatch=solution.dispatch,
+            terms=solution.terms,
+            loss_kw=solution.loss_kw,
+            passes=passes,
+            solve_s=solve_s,
+            solver_s=solver_s,
+        )
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""
@@ -157,8 +164,11 @@ class ConvergedPlanner:
     def _guessed(self, t0: int, start: WindowData) -> WindowData:
         """The window at what is known of each step, or of the last step like it before."""
         physics = start.require_physics()
-        rows = {"offset_pu2": start.delta_pu2.copy(), "loss_kw": physics.loss_kw.copy(),
-                "loss_kvar": physics.loss_kvar.copy()}
+        rows = {
+            "offset_pu2": start.delta_pu2.copy(),
+            "loss_kw": physics.loss_kw.copy(),
+            "loss_kvar": physics.loss_kvar.copy(),
+        }
         last: dict[bool, _Line] = {}
         for step in sorted(self._known):
             if step < t0:
@@ -171,16 +181,20 @@ class ConvergedPlanner:
             if island in last:
                 for name, values in rows.items():
                     values[row] = getattr(last[island], name)
-        return replace(start, delta_pu2=rows["offset_pu2"],
-                       physics=replace(physics, loss_kw=rows["loss_kw"],
-                                       loss_kvar=rows["loss_kvar"]))
+        return replace(
+            start,
+            delta_pu2=rows["offset_pu2"],
+            physics=replace(physics, loss_kw=rows["loss_kw"], loss_kvar=rows["loss_kvar"]),
+        )
 
     def _remember(self, t0: int, data: WindowData) -> None:
         """Keep what each step was linearised at; the next window starts there."""
         physics = data.require_physics()
         for row in range(data.n_steps):
-            self._known[t0 + row] = (bool(physics.reference[row] > 0), _Line(
-                data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]))
+            self._known[t0 + row] = (
+                bool(physics.reference[row] > 0),
+                _Line(data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]),
+            )
 
 
 def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
@@ -208,8 +222,7 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
     share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))
-    return Physics(zero, zero, reference, headroom_kw,
-                   _reserve(site, data, headroom_kw))
+    return Physics(zero, zero, reference, headroom_kw, _reserve(site, data, headroom_kw))
 
 
 def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
@@ -221,8 +234,9 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
     later = np.zeros(len(b))
     for t in range(data.n_steps - 1, -1, -1):
         later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
-        wanted[t] = np.minimum(later / (data.eta_discharge * b.energy_kwh),
-                               LARGEST_RESERVE * usable)
+        wanted[t] = np.minimum(
+            later / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable
+        )
     # What cannot be in the battery must not be asked for: the window would have no dispatch.
     reach = np.maximum(data.soc - b.soc_min, 0.0)
     charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
@@ -253,20 +267,34 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
 def without_power(data: WindowData, dark: Flags) -> WindowData:
     """The window with nothing to serve and no sun in its dark steps."""
     lit = ~dark[:, None]
-    return replace(data, load_kw=data.load_kw * lit, pv_kw=data.pv_kw * lit,
-                   switching=data.switching and data.switching.in_the_dark(dark))
+    return replace(
+        data,
+        load_kw=data.load_kw * lit,
+        pv_kw=data.pv_kw * lit,
+        switching=data.switching and data.switching.in_the_dark(dark),
+    )
 
 
-def in_the_dark(site: Site, whole: WindowData, dark: Flags,
-                solution: WindowSolution) -> WindowSolution:
+def in_the_dark(
+    site: Site, whole: WindowData, dark: Flags, solution: WindowSolution
+) -> WindowSolution:
     """The solution with nobody served and all PV power curtailed in the dark steps."""
     if not dark.any():
         return solution
     plan = solution.dispatch
-    dispatch = replace(plan, served=plan.served & ~dark[:, None], pv_curtailed_kw=np.where(
-        dark[:, None], whole.pv_kw, plan.pv_curtailed_kw))
+    dispatch = replace(
+        plan,
+        served=plan.served & ~dark[:, None],
+        pv_curtailed_kw=np.where(dark[:, None], whole.pv_kw, plan.pv_curtailed_kw),
+    )
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h
-    lost = ((plan.served[dark] @ site.customers.weight).sum() * site.dt_h
-            + site.weights.lambda_curt * curtailed_kwh)
-    return replace(solution, dispatch=dispatch, terms=evaluate(site, whole, dispatch),
-                   objective=solution.objective - lost, bound=solution.bound - lost)
+    lost = (
+        plan.served[dark] @ site.customers.weight
+    ).sum() * site.dt_h + site.weights.lambda_curt * curtailed_kwh
+    return replace(
+        solution,
+        dispatch=dispatch,
+        terms=evaluate(site, whole, dispatch),
+        objective=solution.objective - lost,
+        bound=solution.bound - lost,
+    )

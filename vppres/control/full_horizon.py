@@ -64,8 +64,14 @@ class FullHorizonController:
         Plans the windows; one solve at the centre if not given.
     """
 
-    def __init__(self, solver: WindowSolver, grid: TimeGrid, pv_check: PVCheck = "absorbing",
-                 centre: Centre = "lossless", planner: Planner | None = None) -> None:
+    def __init__(
+        self,
+        solver: WindowSolver,
+        grid: TimeGrid,
+        pv_check: PVCheck = "absorbing",
+        centre: Centre = "lossless",
+        planner: Planner | None = None,
+    ) -> None:
         self.solver = solver
         self.grid = grid
         self.centre = centre
@@ -91,10 +97,17 @@ class FullHorizonController:
             info = solve_info(solution, self.solver.compilations)
         f = observation.forecast
         row = observation.t0 - self.first
-        now = window.first(1).for_service(self.plan.served[row:row + 1])
-        actual = _Actual(self.plan, row, now.load_kw[0], f.pv_kw[0], float(f.grid_limit_kw[0]),
-                         observation, now,
-                         0.0 if self.loss_kw is None else float(self.loss_kw[row]))
+        now = window.first(1).for_service(self.plan.served[row : row + 1])
+        actual = _Actual(
+            self.plan,
+            row,
+            now.load_kw[0],
+            f.pv_kw[0],
+            float(f.grid_limit_kw[0]),
+            observation,
+            now,
+            0.0 if self.loss_kw is None else float(self.loss_kw[row]),
+        )
         reasons = self.violations(actual)
         if not reasons:
             return Decision(self.plan, row, info)
@@ -109,8 +122,12 @@ class FullHorizonController:
     def violations(self, actual: _Actual) -> list[str]:
         """Names of the checks that the planned step fails, with the worst item of each."""
         site = self.solver.site
-        checks = (_check_battery(site, actual), self._check_pv(site, actual),
-                  _check_grid(site, actual), _check_switching(site, actual))
+        checks = (
+            _check_battery(site, actual),
+            self._check_pv(site, actual),
+            _check_grid(site, actual),
+            _check_switching(site, actual),
+        )
         return [text for text in checks if text]
 
     def _check_pv(self, site: Site, actual: _Actual) -> str:
@@ -137,8 +154,7 @@ def _check_battery(site: Site, actual: _Actual) -> str:
     power = actual.battery_kw
     apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
     disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
-    stored_kw = cell_kw(np.maximum(power, 0), np.maximum(-power, 0), o.eta_charge,
-                        o.eta_discharge)
+    stored_kw = cell_kw(np.maximum(power, 0), np.maximum(-power, 0), o.eta_charge, o.eta_discharge)
     soc = soc_after(o.soc, stored_kw, b, site.dt_h)
     outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
     return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
@@ -157,8 +173,12 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     # What an owner consumes cannot be curtailed.
     own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
-    needed = (actual.load_kw @ served + actual.loss_kw + actual.battery_kw.sum()
-              - (actual.pv_kw - curtailed).sum())
+    needed = (
+        actual.load_kw @ served
+        + actual.loss_kw
+        + actual.battery_kw.sum()
+        - (actual.pv_kw - curtailed).sum()
+    )
     limit = actual.grid_limit_kw
     if needed > limit + BALANCE_TOLERANCE_KW:
         return f"grid import: {needed - limit:.1f} kW above what the grid gives"
@@ -172,15 +192,14 @@ def _check_switching(site: Site, actual: _Actual) -> str:
     rules = actual.window.switching
     if rules is None:
         return ""
-    broken = rules.broken(actual.plan.served[actual.t:actual.t + 1])
+    broken = rules.broken(actual.plan.served[actual.t : actual.t + 1])
     if not broken.any():
         return ""
     first = site.customers.id[np.argmax(broken)]
     return f"switching rules: {broken.sum()} customers may not be switched as planned ({first})"
 
 
-def _worst(check: str, names: Names, excess: Floats, tolerance: float,
-           unit: str) -> str:
+def _worst(check: str, names: Names, excess: Floats, tolerance: float, unit: str) -> str:
     """Text on the item with the largest excess, empty if all are within the tolerance."""
     if len(excess) == 0 or excess.max() <= tolerance:
         return ""

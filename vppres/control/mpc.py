@@ -36,9 +36,15 @@ class MPCController:
         losses.
     """
 
-    def __init__(self, solver: WindowSolver, grid: TimeGrid, horizon_h: float,
-                 centre: Centre = "lossless", planner: Planner | None = None,
-                 move_weight: float = 0.0) -> None:
+    def __init__(
+        self,
+        solver: WindowSolver,
+        grid: TimeGrid,
+        horizon_h: float,
+        centre: Centre = "lossless",
+        planner: Planner | None = None,
+        move_weight: float = 0.0,
+    ) -> None:
         self.solver = solver
         self.grid = grid
         self.horizon_h = horizon_h

@@ -17,8 +17,9 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
 
-def plan_with_rules(planner: Planner, observation: Observation,
-                    n_steps: int | None = None) -> tuple[WindowSolution, bool]:
+def plan_with_rules(
+    planner: Planner, observation: Observation, n_steps: int | None = None
+) -> tuple[WindowSolution, bool]:
     """Plan a window by its rules, or without the duties of the past where these have no answer.
 
     Forecast errors can make it impossible to serve whoever was restored lately. Then nobody has to
@@ -83,8 +84,9 @@ class OnePass:
         return self.solver.solve(data if n_steps is None else data.first(n_steps))
 
 
-def solve_info(solution: WindowSolution, compilations: int,
-               switching_relaxed: bool = False) -> SolveInfo:
+def solve_info(
+    solution: WindowSolution, compilations: int, switching_relaxed: bool = False
+) -> SolveInfo:
     """How a window's solution was found, for the record of its decision."""
     return SolveInfo(
         objective=solution.objective,

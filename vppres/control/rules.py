@@ -56,12 +56,14 @@ class Carried:
 
     def no_worse_than(self, other: Carried) -> bool:
         """Whether neither reactive power nor voltage is further off than in another dispatch."""
-        return (self.reactive_short_kvar <= max(other.reactive_short_kvar, POWER_TOLERANCE_KW)
-                and self.voltage_excess_pu <= max(other.voltage_excess_pu, VOLTAGE_TOLERANCE_PU))
+        return self.reactive_short_kvar <= max(
+            other.reactive_short_kvar, POWER_TOLERANCE_KW
+        ) and self.voltage_excess_pu <= max(other.voltage_excess_pu, VOLTAGE_TOLERANCE_PU)
 
 
-def rule_dispatch(state: StepState, tiers: Sequence[str],
-                  battery_kw: Floats | None = None) -> Carried:
+def rule_dispatch(
+    state: StepState, tiers: Sequence[str], battery_kw: Floats | None = None
+) -> Carried:
     """Serve by tier, then by weight per kW, what can be carried in this step.
 
     Parameters
@@ -210,8 +212,13 @@ def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
     return charge - _shared(excess_kw, charge) - (discharge - _shared(excess_kw, discharge))
 
 
-def _with_network(state: StepState, served: Flags, pv_kw: tuple[Floats, Floats],
-                  battery_kw: Floats, grid_kw: float) -> Carried:
+def _with_network(
+    state: StepState,
+    served: Flags,
+    pv_kw: tuple[Floats, Floats],
+    battery_kw: Floats,
+    grid_kw: float,
+) -> Carried:
     """Add reactive power, flows and voltages to the active powers."""
     site = state.site
     (own, export) = pv_kw
@@ -227,17 +234,27 @@ def _with_network(state: StepState, served: Flags, pv_kw: tuple[Floats, Floats],
     net = site.network
     outside = np.maximum(v_pu[1:] - net.v_max_ac_pu, net.v_min_ac_pu - v_pu[1:])
     dispatch = one_step(
-        served=served, pv_self_kw=own, pv_export_kw=export,
-        pv_curtailed_kw=state.pv_kw - own - export, pv_q_kvar=pv_q, charge_kw=charge,
-        discharge_kw=discharge, batt_q_kvar=batt_q, p_grid_kw=grid_kw,
-        q_grid_kvar=0.0 if state.island else -float(q.sum()), v_pu=v_pu, p_flow_kw=p_flow,
+        served=served,
+        pv_self_kw=own,
+        pv_export_kw=export,
+        pv_curtailed_kw=state.pv_kw - own - export,
+        pv_q_kvar=pv_q,
+        charge_kw=charge,
+        discharge_kw=discharge,
+        batt_q_kvar=batt_q,
+        p_grid_kw=grid_kw,
+        q_grid_kvar=0.0 if state.island else -float(q.sum()),
+        v_pu=v_pu,
+        p_flow_kw=p_flow,
         q_flow_kvar=q_flow,
-        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]))
+        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
+    )
     return Carried(dispatch, short_kvar, max(float(outside.max()), 0.0))
 
 
-def _reactive(state: StepState, load_kvar: Floats, pv_kw: Floats,
-              battery_kw: Floats) -> tuple[Floats, Floats, float]:
+def _reactive(
+    state: StepState, load_kvar: Floats, pv_kw: Floats, battery_kw: Floats
+) -> tuple[Floats, Floats, float]:
     """Reactive power of PV and batteries, and what an island lacks.
 
     Inverters supply the demand at their own bus. In an island the rest is shared by what is left of
@@ -246,9 +263,13 @@ def _reactive(state: StepState, load_kvar: Floats, pv_kw: Floats,
     site = state.site
     n_pv = len(pv_kw)
     ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva * state.online])
-    room = np.sqrt(np.maximum(ratings**2 - np.concatenate([pv_kw, battery_kw])**2, 0.0))
-    bus = np.concatenate([site.pv_bus.T @ np.arange(site.network.n_buses),
-                          site.battery_bus.T @ np.arange(site.network.n_buses)]).astype(int)
+    room = np.sqrt(np.maximum(ratings**2 - np.concatenate([pv_kw, battery_kw]) ** 2, 0.0))
+    bus = np.concatenate(
+        [
+            site.pv_bus.T @ np.arange(site.network.n_buses),
+            site.battery_bus.T @ np.arange(site.network.n_buses),
+        ]
+    ).astype(int)
     demand = site.customer_bus @ load_kvar
     at_bus = np.bincount(bus, room, site.network.n_buses)
     share = np.divide(demand, at_bus, out=np.zeros_like(demand), where=at_bus > 0)

@@ -54,8 +54,9 @@ class StepState:
     online: Flags
 
     @classmethod
-    def of(cls, site: Site, seen: Observation, centre: Centre = "lossless",
-           online: Flags | None = None) -> StepState:
+    def of(
+        cls, site: Site, seen: Observation, centre: Centre = "lossless", online: Flags | None = None
+    ) -> StepState:
         """The first step of an observation; all batteries are online if nothing else is said."""
         f = seen.forecast
         every = np.ones(len(site.batteries), dtype=bool)
@@ -63,10 +64,17 @@ class StepState:
         if seen.switching is not None:  # demand is higher for those who would be restored now
             window = WindowData.of(seen, site, centre).first(1)
             load_kw = window.for_service(np.ones((1, len(load_kw)), dtype=bool)).load_kw[0]
-        return cls(site, load_kw, f.pv_kw[0], float(f.grid_limit_kw[0]), seen.soc,
-                   seen.eta_charge, seen.eta_discharge,
-                   delta_offset(site.network, seen.operating_point, centre),
-                   every if online is None else online)
+        return cls(
+            site,
+            load_kw,
+            f.pv_kw[0],
+            float(f.grid_limit_kw[0]),
+            seen.soc,
+            seen.eta_charge,
+            seen.eta_discharge,
+            delta_offset(site.network, seen.operating_point, centre),
+            every if online is None else online,
+        )
 
     @property
     def island(self) -> bool:
@@ -108,8 +116,7 @@ class StepState:
         return np.minimum((self.load_kw * served)[self.site.owner], self.usable_pv_kw)
 
 
-def network_state(state: StepState, p_kw: Floats, q_kvar: Floats
-                  ) -> tuple[Floats, Floats, Floats]:
+def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Floats, Floats]:
     """Lossless flows (L,) twice, and voltages (N,) in pu, for the injections of all buses (N,)."""
     net = state.site.network
     p_flow = lossless_flows(net, p_kw)
@@ -120,6 +127,8 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats
 
 def one_step(**rows: Floats | Flags | float) -> Dispatch:
     """A dispatch of one step from its rows; ``soc`` has its two rows already."""
-    arrays: dict[str, Any] = {name: value if name == "soc" else np.asarray(value)[np.newaxis]
-                              for name, value in rows.items()}
+    arrays: dict[str, Any] = {
+        name: value if name == "soc" else np.asarray(value)[np.newaxis]
+        for name, value in rows.items()
+    }
     return Dispatch(**arrays)

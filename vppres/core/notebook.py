@@ -12,6 +12,8 @@ def facts_html(title: str, facts: Mapping[str, object]) -> str:
     >>> facts_html("A & B", {"steps": 24})
     '<b>A &amp; B</b><table><tr><th>steps</th><td>24</td></tr></table>'
     """
-    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>"
-                   for name, value in facts.items())
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>"
+        for name, value in facts.items()
+    )
     return f"<b>{escape(title)}</b><table>{rows}</table>"

@@ -60,10 +60,14 @@ def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
         return f"is longer than {longest} characters", "Shorten it."
     hidden = next((c for c in text if is_hidden(c)), None)
     if hidden is not None:
-        return (f"holds the character U+{ord(hidden):04X}, which cannot be shown",
-                "Write it with characters that can be seen.")
+        return (
+            f"holds the character U+{ord(hidden):04X}, which cannot be shown",
+            "Write it with characters that can be seen.",
+        )
     is_number = text[1:].isdecimal() and text[0] == "-"
     if text[:1] and text[0] in _FORMULA and not is_number:
-        return (f"begins with '{text[0]}'", "Begin it with another character: spreadsheets take "
-                "such a cell for a formula.")
+        return (
+            f"begins with '{text[0]}'",
+            "Begin it with another character: spreadsheets take such a cell for a formula.",
+        )
     return None

@@ -49,8 +49,7 @@ def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> Floats:
     return np.asarray(z_ohm, dtype=float) / (KW_PER_MW * base_kv**2)
 
 
-def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike,
-                  voltage_v: ArrayLike) -> Floats:
+def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike, voltage_v: ArrayLike) -> Floats:
     """Joule loss in kW of a DC power (kW) through a resistance (ohm) at a voltage (V).
 
     >>> float(joule_loss_kw(90.0, 0.0035, 900.0))

@@ -24,8 +24,9 @@ PLANNED_LOSSES = 0.1
 """Share of the power flowing beyond which the losses of a physical plan are no losses."""
 
 
-def make_controller(scenario: Scenario, options: RunOptions,
-                    faults: FaultInjector | None = None) -> Decider:
+def make_controller(
+    scenario: Scenario, options: RunOptions, faults: FaultInjector | None = None
+) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
     Parameters
@@ -52,14 +53,19 @@ def make_controller(scenario: Scenario, options: RunOptions,
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
     v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
     losses = PLANNED_LOSSES if options.mode == "physical" else 0.0
-    guard = GuardOptions(scenario.tiers, options.protect_critical, options.centre,
-                         Tolerances(v_pu=v_pu, loss_share=losses),
-                         physical=options.mode == "physical")
+    guard = GuardOptions(
+        scenario.tiers,
+        options.protect_critical,
+        options.centre,
+        Tolerances(v_pu=v_pu, loss_share=losses),
+        physical=options.mode == "physical",
+    )
     return GuardedController(controller_of, solver_of, site, guard)
 
 
-def _plain_controller(site: Site, scenario: Scenario, options: RunOptions,
-                      solver_of: Callable[[Site], WindowSolver]) -> Decider:
+def _plain_controller(
+    site: Site, scenario: Scenario, options: RunOptions, solver_of: Callable[[Site], WindowSolver]
+) -> Decider:
     """A controller without guard for the whole fleet or a part of it."""
     grid = scenario.grid
     centre = options.centre
@@ -68,9 +74,13 @@ def _plain_controller(site: Site, scenario: Scenario, options: RunOptions,
     if options.controller == "reserve":
         return ReserveController(site, grid, scenario.tiers, options.reserve, centre)
     solver = solver_of(site)
-    planner = (ConvergedPlanner(solver, options.headroom, options.passes)
-               if options.mode == "physical" else None)
+    planner = (
+        ConvergedPlanner(solver, options.headroom, options.passes)
+        if options.mode == "physical"
+        else None
+    )
     if options.controller == "mpc":
-        return MPCController(solver, grid, options.horizon_h, centre, planner,
-                             options.switching.move_weight)
+        return MPCController(
+            solver, grid, options.horizon_h, centre, planner, options.switching.move_weight
+        )
     return FullHorizonController(solver, grid, options.pv_check, centre, planner)

@@ -130,13 +130,19 @@ class FaultPlan:
         rng = np.random.default_rng([seed, 20220719])
         steps = scenario.grid.n_steps
         failing = np.flatnonzero(rng.random(steps) < rng.choice([0.0, 0.1, 0.3]))
-        solver = {int(t): SolverOutage(rng.choice(np.array(SOLVER_FAULTS)).item(),
-                                       bool(rng.random() < 0.7)) for t in failing}
-        measurements = tuple(_draw_measurement(rng, scenario, quantity)
-                             for quantity in QUANTITIES if rng.random() < 0.4)
+        solver = {
+            int(t): SolverOutage(
+                rng.choice(np.array(SOLVER_FAULTS)).item(), bool(rng.random() < 0.7)
+            )
+            for t in failing
+        }
+        measurements = tuple(
+            _draw_measurement(rng, scenario, quantity)
+            for quantity in QUANTITIES
+            if rng.random() < 0.4
+        )
         n_batteries = len(scenario.batteries)
-        trips = ((_draw_trip(rng, n_batteries, steps),)
-                 if n_batteries and rng.random() < 0.5 else ())
+        trips = (_draw_trip(rng, n_batteries, steps),) if n_batteries and rng.random() < 0.5 else ()
         bias = float(rng.choice([0.0, -PV_FORECAST_OFF, PV_FORECAST_OFF]))
         return cls(solver, measurements, trips, bias)
 
@@ -152,13 +158,24 @@ class FaultPlan:
         InputError
             With every fault that names an item outside its table.
         """
-        sizes = {"soc": len(scenario.batteries), "load": len(scenario.customers),
-                 "pv": len(scenario.pv)}
+        sizes = {
+            "soc": len(scenario.batteries),
+            "load": len(scenario.customers),
+            "pv": len(scenario.pv),
+        }
         named = [(m.quantity, i) for m in self.measurements for i in m.items or ()]
         named += [("soc", trip.battery) for trip in self.trips]
-        problems = [Problem("faults", "is not in the scenario",
-                            f"Give a position from 0 to {sizes[name] - 1}.", field=name, value=i)
-                    for name, i in named if not 0 <= i < sizes[name]]
+        problems = [
+            Problem(
+                "faults",
+                "is not in the scenario",
+                f"Give a position from 0 to {sizes[name] - 1}.",
+                field=name,
+                value=i,
+            )
+            for name, i in named
+            if not 0 <= i < sizes[name]
+        ]
         if problems:
             raise InputError(problems)
 
@@ -297,10 +314,12 @@ def _garbled(solution: WindowSolution, fault: SolverFault, site: Site) -> Window
     if fault == "nan":
         changed = {"served": np.full(plan.served.shape, np.nan)}
     elif fault == "out_of_range":
-        changed = {"served": np.ones(plan.served.shape, dtype=bool),
-                   "charge_kw": plan.charge_kw + 10.0 * site.batteries.p_max_kw,
-                   "pv_q_kvar": plan.pv_q_kvar - 10.0 * site.pv.s_max_kva,
-                   "v_pu": 2.0 * plan.v_pu}
+        changed = {
+            "served": np.ones(plan.served.shape, dtype=bool),
+            "charge_kw": plan.charge_kw + 10.0 * site.batteries.p_max_kw,
+            "pv_q_kvar": plan.pv_q_kvar - 10.0 * site.pv.s_max_kva,
+            "v_pu": 2.0 * plan.v_pu,
+        }
     else:
         changed = {"served": plan.served[:, 1:]}
     return replace(solution, dispatch=replace(plan, **changed))
@@ -328,19 +347,27 @@ def _with_readings(seen: Observation, fault: MeasurementFault, reading: Floats) 
 
 def _draw_measurement(rng: Generator, scenario: Scenario, quantity: Quantity) -> MeasurementFault:
     """A fault of some hours, of all items or of about a third of them."""
-    count = {"soc": len(scenario.batteries), "load": len(scenario.customers),
-             "pv": len(scenario.pv)}[quantity]
+    count = {
+        "soc": len(scenario.batteries),
+        "load": len(scenario.customers),
+        "pv": len(scenario.pv),
+    }[quantity]
     start, end = _draw_interval(rng, scenario.grid.n_steps)
     some = tuple(int(i) for i in np.flatnonzero(rng.random(count) < 1 / 3))
-    return MeasurementFault(quantity, bool(rng.random() < 0.5), start, end,
-                            some if rng.random() < 0.5 else None)
+    return MeasurementFault(
+        quantity, bool(rng.random() < 0.5), start, end, some if rng.random() < 0.5 else None
+    )
 
 
 def _draw_trip(rng: Generator, n_batteries: int, n_steps: int) -> BatteryTrip:
     """A battery out for some hours or the rest of the day, reported or silently."""
     start, end = _draw_interval(rng, n_steps)
-    return BatteryTrip(int(rng.integers(n_batteries)), start,
-                       n_steps if rng.random() < 0.5 else end, bool(rng.random() < 0.3))
+    return BatteryTrip(
+        int(rng.integers(n_batteries)),
+        start,
+        n_steps if rng.random() < 0.5 else end,
+        bool(rng.random() < 0.3),
+    )
 
 
 def _draw_interval(rng: Generator, n_steps: int) -> tuple[int, int]:

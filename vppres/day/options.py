@@ -93,8 +93,11 @@ class RunOptions:
     reserve: ReserveRule = field(default_factory=ReserveRule)
 
     def __post_init__(self) -> None:
-        problems = [problem for option in OPTIONS
-                    for problem in option.problems(attrgetter(option.field)(self))]
+        problems = [
+            problem
+            for option in OPTIONS
+            for problem in option.problems(attrgetter(option.field)(self))
+        ]
         if problems:
             raise InputError(problems)
 

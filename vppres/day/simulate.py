@@ -27,8 +27,12 @@ from vppres.scenario.scenario import Scenario
 Progress = Callable[[int, int], None]
 
 
-def run_day(scenario: Scenario, options: RunOptions | None = None,
-            progress: Progress | None = None, faults: FaultPlan | None = None) -> Trajectory:
+def run_day(
+    scenario: Scenario,
+    options: RunOptions | None = None,
+    progress: Progress | None = None,
+    faults: FaultPlan | None = None,
+) -> Trajectory:
     """Run a scenario from its first step to its last.
 
     Parameters
@@ -66,26 +70,33 @@ def run_day(scenario: Scenario, options: RunOptions | None = None,
             progress(t + 1, scenario.grid.n_steps)
     plan: Dispatch | None = getattr(controller, "plan", None)
     # A plan that had to be made later in the day does not say what was promised for all of it.
-    planned = None if plan is None or plan.n_steps < scenario.grid.n_steps else {
-        "served": plan.served.tolist(),
-        "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
-        "p_grid_kw": plan.p_grid_kw.tolist(),
-    }
+    planned = (
+        None
+        if plan is None or plan.n_steps < scenario.grid.n_steps
+        else {
+            "served": plan.served.tolist(),
+            "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
+            "p_grid_kw": plan.p_grid_kw.tolist(),
+        }
+    )
     return day.recorder.finish(options.as_record() | parts, planned)
 
 
 class Day:
     """State of a run between two steps."""
 
-    def __init__(self, scenario: Scenario, options: RunOptions,
-                 faults: FaultInjector | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, options: RunOptions, faults: FaultInjector | None = None
+    ) -> None:
         self.scenario = scenario
         self.options = options
         self.faults = faults
         self.plant = Plant(scenario, options.thermal, options.switching)
-        self.switching = (SwitchingState.start(options.switching, scenario.grid.dt_h,
-                                               len(scenario.customers))
-                          if options.switching.active else None)
+        self.switching = (
+            SwitchingState.start(options.switching, scenario.grid.dt_h, len(scenario.customers))
+            if options.switching.active
+            else None
+        )
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
@@ -103,9 +114,18 @@ class Day:
         """What the controller may know at step ``t``."""
         forecast = self.forecaster.at(t, controller.horizon_steps(t))
         s = self.state
-        seen = Observation(t, forecast, s.soc, s.eta_charge, s.eta_discharge, self.operating_point,
-                           self.switching, battery_kw=self.battery_kw,
-                           import_kw=self.import_kw, served=self.served)
+        seen = Observation(
+            t,
+            forecast,
+            s.soc,
+            s.eta_charge,
+            s.eta_discharge,
+            self.operating_point,
+            self.switching,
+            battery_kw=self.battery_kw,
+            import_kw=self.import_kw,
+            served=self.served,
+        )
         return seen if self.faults is None else self.faults.observe(seen)
 
     def step(self, controller: Decider, t: int) -> None:
@@ -125,9 +145,17 @@ class Day:
         realised = done.realised
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
-        self.operating_point = None if done.dark else OperatingPoint(
-            result.v_pu, result.p_from_kw, result.q_from_kvar, realised.p_injection_kw,
-            realised.q_injection_kvar)
+        self.operating_point = (
+            None
+            if done.dark
+            else OperatingPoint(
+                result.v_pu,
+                result.p_from_kw,
+                result.q_from_kvar,
+                realised.p_injection_kw,
+                realised.q_injection_kvar,
+            )
+        )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
         # An island that batteries hold has no meter of import; what was not found is no reading.
         metered = not (self._held_by_batteries(t) or done.ac_failed)
@@ -151,8 +179,9 @@ class Day:
         return self.options.mode == "physical" and bool(self.scenario.outage[t])
 
 
-def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
-            done: Settled, mode: str) -> StepRecord:
+def _record(
+    scenario: Scenario, t: int, decision: Decision, state: BatteryState, done: Settled, mode: str
+) -> StepRecord:
     """Everything that is known of the step."""
     realised = done.realised
     row = decision.row
@@ -201,8 +230,9 @@ def _record(scenario: Scenario, t: int, decision: Decision, state: BatteryState,
     return StepRecord(t, steps, customers, pv, batteries, buses, lines)
 
 
-def _supply(done: Settled, buses: Mapping[str, Floats],
-            held_by_batteries: bool) -> dict[str, float]:
+def _supply(
+    done: Settled, buses: Mapping[str, Floats], held_by_batteries: bool
+) -> dict[str, float]:
     """What the AC power flow says of the step as a whole."""
     return {
         # Where batteries hold the island the reference bus is one of theirs: nothing is imported.
@@ -250,6 +280,10 @@ def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
     net = scenario.network
     v = done.ac.v_pu
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
-    return {"dark": float(done.dark), "dark_reason": done.dark_reason,
-            "island_mismatch_kw": float(done.mismatch_kw.sum()),
-            "shed_kw": float(done.realised.load_kw @ done.shed), "v_within_ac": float(within)}
+    return {
+        "dark": float(done.dark),
+        "dark_reason": done.dark_reason,
+        "island_mismatch_kw": float(done.mismatch_kw.sum()),
+        "shed_kw": float(done.realised.load_kw @ done.shed),
+        "v_within_ac": float(within),
+    }

@@ -14,8 +14,13 @@ from vppres.feeders.elements import in_service
 from vppres.scenario.network import BusId
 
 
-def write_set_points(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame,
-                     pv: pd.DataFrame, batteries: pd.DataFrame) -> None:
+def write_set_points(
+    net: Any,
+    bus_of: Mapping[int, BusId],
+    customers: pd.DataFrame,
+    pv: pd.DataFrame,
+    batteries: pd.DataFrame,
+) -> None:
     """Write the set-points of a step into a net, in place; a second call replaces the first.
 
     Parameters
@@ -35,9 +40,17 @@ def write_set_points(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFr
     """
     bus_in_net = {bus: source for source, bus in reversed([*bus_of.items()])}
     items = pd.concat([table["bus"] for table in (customers, pv, batteries)])
-    problems = [Problem("set-points", "is not a bus of the net", "Give the net and the feeder that "
-                        "the scenario was made from.", field=f"bus of {name}", value=bus)
-                for name, bus in items.items() if bus not in bus_in_net]
+    problems = [
+        Problem(
+            "set-points",
+            "is not a bus of the net",
+            "Give the net and the feeder that the scenario was made from.",
+            field=f"bus of {name}",
+            value=bus,
+        )
+        for name, bus in items.items()
+        if bus not in bus_in_net
+    ]
     scaling, found = _load_scaling(net, bus_of, customers)
     problems += found
     if problems:
@@ -51,18 +64,27 @@ def write_set_points(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFr
         _write(net, "storage", str(name), bus_in_net[row["bus"]], row["p_kw"], -row["q_kvar"])
 
 
-def _load_scaling(net: Any, bus_of: Mapping[int, BusId],
-                  customers: pd.DataFrame) -> tuple[pd.Series[float], list[Problem]]:
+def _load_scaling(
+    net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame
+) -> tuple[pd.Series[float], list[Problem]]:
     """Scaling of the loads at the customers' buses, so that each bus has its demand."""
     loads = in_service(net, "load")
     bus = loads["bus"].map(bus_of)
     peak_mw = loads["p_mw"].groupby(bus).sum()
     without = customers[~customers["bus"].isin(peak_mw.index[peak_mw > 0])]
-    problems = [Problem("set-points", "the net has no load at this bus", "Give the net that the "
-                        "scenario was made from.", field=f"bus of {name}", value=bus)
-                for name, bus in without["bus"].items()]
-    demand_mw = (kw_to_mw(customers["load_kw"]) * customers["served"]).groupby(
-        customers["bus"]).sum()
+    problems = [
+        Problem(
+            "set-points",
+            "the net has no load at this bus",
+            "Give the net that the scenario was made from.",
+            field=f"bus of {name}",
+            value=bus,
+        )
+        for name, bus in without["bus"].items()
+    ]
+    demand_mw = (
+        (kw_to_mw(customers["load_kw"]) * customers["served"]).groupby(customers["bus"]).sum()
+    )
     ratio = demand_mw / peak_mw
     return bus[bus.isin(customers["bus"])].map(ratio).astype(float), problems
 

@@ -23,9 +23,17 @@ def case69() -> Any:
     pp.create_buses(net, 69, vn_kv=BASE_KV, index=range(1, 70))
     pp.create_ext_grid(net, 1)
     pp.create_lines_from_parameters(
-        net, table["from_bus"], table["to_bus"], length_km=1.0, r_ohm_per_km=table["r_ohm"],
-        x_ohm_per_km=table["x_ohm"], c_nf_per_km=0.0, max_i_ka=NO_LIMIT_KA)
+        net,
+        table["from_bus"],
+        table["to_bus"],
+        length_km=1.0,
+        r_ohm_per_km=table["r_ohm"],
+        x_ohm_per_km=table["x_ohm"],
+        c_nf_per_km=0.0,
+        max_i_ka=NO_LIMIT_KA,
+    )
     loaded = table[table["p_kw"] > 0]
-    pp.create_loads(net, loaded["to_bus"], p_mw=kw_to_mw(loaded["p_kw"]),
-                    q_mvar=kw_to_mw(loaded["q_kvar"]))
+    pp.create_loads(
+        net, loaded["to_bus"], p_mw=kw_to_mw(loaded["p_kw"]), q_mvar=kw_to_mw(loaded["q_kvar"])
+    )
     return net

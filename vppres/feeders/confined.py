@@ -22,8 +22,9 @@ ALARM = int(getattr(signal, "SIGALRM", 0))
 """Signal by which the process's own clock ends it; Windows has only the clock of this side."""
 
 
-def confined(engine: str, job: dict[str, Any], name: str,
-             time_limit_s: float = TIME_LIMIT_S) -> dict[str, Any]:
+def confined(
+    engine: str, job: dict[str, Any], name: str, time_limit_s: float = TIME_LIMIT_S
+) -> dict[str, Any]:
     """What an engine answers.
 
     Parameters
@@ -44,15 +45,27 @@ def confined(engine: str, job: dict[str, Any], name: str,
     """
     child = Path(__file__).with_name("child.py")
     text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s})
-    too_long = InputError(Problem(name, f"is not read within {time_limit_s:g} s",
-                                  "Give the feeder alone, with sizes that equipment has."))
+    too_long = InputError(
+        Problem(
+            name,
+            f"is not read within {time_limit_s:g} s",
+            "Give the feeder alone, with sizes that equipment has.",
+        )
+    )
     with tempfile.TemporaryDirectory(prefix="vppres-") as folder:
         try:
             # -I: neither variables nor files of the user say what is loaded; -B: no cache written.
-            done = subprocess.run([sys.executable, "-I", "-B", str(child)], input=text, text=True,
-                                  encoding="utf-8", cwd=folder, env=_environment(folder),
-                                  capture_output=True, check=False,
-                                  timeout=START_LIMIT_S + time_limit_s)
+            done = subprocess.run(
+                [sys.executable, "-I", "-B", str(child)],
+                input=text,
+                text=True,
+                encoding="utf-8",
+                cwd=folder,
+                env=_environment(folder),
+                capture_output=True,
+                check=False,
+                timeout=START_LIMIT_S + time_limit_s,
+            )
         except subprocess.TimeoutExpired:
             raise too_long from None
     if ALARM and done.returncode == -ALARM:
@@ -60,15 +73,27 @@ def confined(engine: str, job: dict[str, Any], name: str,
     try:
         answer = json.loads(done.stdout)
     except ValueError:
-        raise InputError(Problem(
-            name, f"ends the process that reads it (status {done.returncode})",
-            "Look for sizes that no equipment has, such as a line of a million phases.")) from None
+        raise InputError(
+            Problem(
+                name,
+                f"ends the process that reads it (status {done.returncode})",
+                "Look for sizes that no equipment has, such as a line of a million phases.",
+            )
+        ) from None
     assert isinstance(answer, dict)
     return answer
 
 
 def _environment(folder: str) -> dict[str, str]:
     """Variables of the process: nothing of the user's, no program to find, one thread."""
-    return {"HOME": folder, "TMPDIR": folder, "PATH": "", "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "DSS_CAPI_ALLOW_DOSCMD": "0",
-            "DSS_CAPI_ALLOW_CHANGE_DIR": "0", "DSS_CAPI_ALLOW_EDITOR": "0"}
+    return {
+        "HOME": folder,
+        "TMPDIR": folder,
+        "PATH": "",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "DSS_CAPI_ALLOW_DOSCMD": "0",
+        "DSS_CAPI_ALLOW_CHANGE_DIR": "0",
+        "DSS_CAPI_ALLOW_EDITOR": "0",
+    }

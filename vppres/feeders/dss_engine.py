@@ -10,10 +10,23 @@ import numpy as np
 import opendssdirect as dss
 
 # Classes that carry no power in steady state, or only shape it over time.
-PASSIVE = {"vsource", "line", "transformer", "load", "generator", "pvsystem", "storage",
-           "capacitor", "regcontrol", "swtcontrol"}
-LEFT_OUT = {"capacitor": "Capacitors are left out", "storage": "Batteries of the source are left "
-            "out", "regcontrol": "Regulators are taken at their nominal ratio"}
+PASSIVE = {
+    "vsource",
+    "line",
+    "transformer",
+    "load",
+    "generator",
+    "pvsystem",
+    "storage",
+    "capacitor",
+    "regcontrol",
+    "swtcontrol",
+}
+LEFT_OUT = {
+    "capacitor": "Capacitors are left out",
+    "storage": "Batteries of the source are left out",
+    "regcontrol": "Regulators are taken at their nominal ratio",
+}
 THREE_PHASES = 3
 DEFAULT_AMPS = 400.0
 SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
@@ -37,8 +50,15 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
             dss.Text.Command(command)
             done += 1
     except Exception as error:  # the engine's own class has no public name
-        return {"problems": [{"message": f"OpenDSS refuses the file ({str(error).strip()})",
-                              "cure": CURE, "command": done if done < len(commands) else None}]}
+        return {
+            "problems": [
+                {
+                    "message": f"OpenDSS refuses the file ({str(error).strip()})",
+                    "cure": CURE,
+                    "command": done if done < len(commands) else None,
+                }
+            ]
+        }
     problems = [p for name in _elements() if (p := _problem(name))] or _check_levels()
     return {"problems": problems} if problems else _tables()
 
@@ -70,16 +90,21 @@ def _problem(element: str) -> dict[str, Any] | None:
     """Why an element has no equivalent here; None if it has."""
     kind, _, name = element.partition(".")
     if kind not in PASSIVE:
-        return _wrong(f"{element} is not supported", "Disable it, or replace it by lines, "
-                      "transformers, loads and generators.")
+        return _wrong(
+            f"{element} is not supported",
+            "Disable it, or replace it by lines, transformers, loads and generators.",
+        )
     if kind == "vsource" and element != "vsource.source":
-        return _wrong(f"{element} is a second source",
-                      "Keep the circuit's own source and disable the others.")
+        return _wrong(
+            f"{element} is a second source", "Keep the circuit's own source and disable the others."
+        )
     if kind == "transformer":
         dss.Transformers.Name(name)
         if dss.Transformers.NumWindings() != 2:
-            return _wrong(f"{element} has {dss.Transformers.NumWindings()} windings",
-                          "Replace it by a transformer with two windings.")
+            return _wrong(
+                f"{element} has {dss.Transformers.NumWindings()} windings",
+                "Replace it by a transformer with two windings.",
+            )
     return None
 
 
@@ -90,9 +115,13 @@ def _check_levels() -> Problems:
         base_kv = _base_kv(bus)
         # The rating of a single phase may be that between line and neutral.
         if min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3))) > tolerance * rated_kv:
-            problems.append(_wrong(
-                f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
-                f"{base_kv:.4g} kV", "Name the levels with 'set voltagebases=[...]'."))
+            problems.append(
+                _wrong(
+                    f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
+                    f"{base_kv:.4g} kV",
+                    "Name the levels with 'set voltagebases=[...]'.",
+                )
+            )
     return problems
 
 
@@ -124,17 +153,23 @@ def _buses() -> list[str]:
 
 def _closed() -> bool:
     """Whether no terminal of the active element is open."""
-    return not any(dss.CktElement.IsOpen(end, 0)
-                   for end in range(1, dss.CktElement.NumTerminals() + 1))
+    return not any(
+        dss.CktElement.IsOpen(end, 0) for end in range(1, dss.CktElement.NumTerminals() + 1)
+    )
 
 
 def _tables() -> dict[str, Any]:
     """What the reader makes a pandapower net of."""
     return {
-        "problems": [], "name": dss.Circuit.Name(),
+        "problems": [],
+        "name": dss.Circuit.Name(),
         "buses": [{"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()],
-        "sources": list(_sources()), "lines": list(_lines()),
-        "transformers": list(_transformers()), "powers": list(_powers()), "notes": list(_notes())}
+        "sources": list(_sources()),
+        "lines": list(_lines()),
+        "transformers": list(_transformers()),
+        "powers": list(_powers()),
+        "notes": list(_notes()),
+    }
 
 
 def _sources() -> Iterator[dict[str, Any]]:
@@ -150,10 +185,17 @@ def _lines() -> Iterator[dict[str, Any]]:
         (start, end) = _buses()
         closed = _closed()
         dss.Lines.Name(name)
-        yield {"name": name, "start": start, "end": end, "closed": closed,
-               "length": dss.Lines.Length(), "amps": dss.Lines.NormAmps(),
-               "phases": dss.Lines.Phases(), "r": [float(r) for r in dss.Lines.RMatrix()],
-               "x": [float(x) for x in dss.Lines.XMatrix()]}
+        yield {
+            "name": name,
+            "start": start,
+            "end": end,
+            "closed": closed,
+            "length": dss.Lines.Length(),
+            "amps": dss.Lines.NormAmps(),
+            "phases": dss.Lines.Phases(),
+            "r": [float(r) for r in dss.Lines.RMatrix()],
+            "x": [float(x) for x in dss.Lines.XMatrix()],
+        }
 
 
 def _transformers() -> Iterator[dict[str, Any]]:
@@ -165,9 +207,15 @@ def _transformers() -> Iterator[dict[str, Any]]:
         for winding in (1, 2):
             dss.Transformers.Wdg(winding)
             percent.append(dss.Transformers.R())
-        yield {"name": name, "start": start, "end": end, "closed": closed,
-               "r_percent": sum(percent), "kva": dss.Transformers.kVA(),
-               "x_percent": dss.Transformers.Xhl()}
+        yield {
+            "name": name,
+            "start": start,
+            "end": end,
+            "closed": closed,
+            "r_percent": sum(percent),
+            "kva": dss.Transformers.kVA(),
+            "x_percent": dss.Transformers.Xhl(),
+        }
 
 
 def _powers() -> Iterator[dict[str, Any]]:
@@ -189,20 +237,25 @@ def _powers() -> Iterator[dict[str, Any]]:
 
 def _notes() -> Iterator[str]:
     """What the balanced equivalent leaves out."""
-    yield ("The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
-           "of single phases count as spread over three. Voltages of single phases, line charging, "
-           "off-nominal ratios, the source's impedance and voltage-dependent loads are left out.")
+    yield (
+        "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
+        "of single phases count as spread over three. Voltages of single phases, line charging, "
+        "off-nominal ratios, the source's impedance and voltage-dependent loads are left out."
+    )
     phases = [dss.CktElement.NumPhases() for _ in _of("line")]
     few = sum(count < THREE_PHASES for count in phases)
     if few:
-        yield (f"{few} of {len(phases)} lines have fewer than three phases; the equivalent "
-               "understates their voltage drop and losses.")
+        yield (
+            f"{few} of {len(phases)} lines have fewer than three phases; the equivalent "
+            "understates their voltage drop and losses."
+        )
     unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
     if unrated:
-        yield (f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
-               "OpenDSS also gives to lines without a rating.")
+        yield (
+            f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
+            "OpenDSS also gives to lines without a rating."
+        )
     for kind, words in LEFT_OUT.items():
         names = list(_of(kind))
         if names:
             yield f"{words}: {', '.join(names)}."
-

@@ -39,15 +39,18 @@ SHOWN = 40  # characters of a refused word: enough to find it
 _LINES = re.compile(r"\r\n|\n|\r")
 _CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f]")
 _BLANK = re.compile(r"[\s,]+")
-_TOKEN = re.compile(r"""(?:"(?P<a>[^"]*)"|'(?P<b>[^']*)'|\((?P<c>[^)]*)\)|\[(?P<d>[^\]]*)\]
+_TOKEN = re.compile(
+    r"""(?:"(?P<a>[^"]*)"|'(?P<b>[^']*)'|\((?P<c>[^)]*)\)|\[(?P<d>[^\]]*)\]
                         |\{(?P<e>[^}]*)\}|(?P<plain>[^\s,="'()\[\]{}]+))(?P<end>\s*=|[\s,]|$)""",
-                    re.VERBOSE)
+    re.VERBOSE,
+)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?%?")
 # No blank, quote, comma, equals sign or @: nothing that ends a value or stands for another.
 _NAME = re.compile(r"[\w.+\-#$%:&*/;]{1,200}", re.ASCII)
 _FILE = re.compile(r"[\w.+\-/ ()]{1,200}")  # no drive, no home folder, no URL
-_IN_FILE = re.compile(r"\s*(?:file|csvfile|sngfile|dblfile|pqcsvfile)\s*=\s*[\"']?([^\s,\"')]+)",
-                      re.IGNORECASE)
+_IN_FILE = re.compile(
+    r"\s*(?:file|csvfile|sngfile|dblfile|pqcsvfile)\s*=\s*[\"']?([^\s,\"')]+)", re.IGNORECASE
+)
 
 _CLEARS = ("clear", "clearall")
 _READS = ("redirect", "compile")
@@ -115,9 +118,14 @@ def _folded(problems: list[Problem], master: str) -> list[Problem]:
     """The first problems, and how many there are beyond."""
     if len(problems) <= MOST_PROBLEMS:
         return problems
-    return [*problems[:MOST_PROBLEMS], Problem(
-        master, f"has {len(problems) - MOST_PROBLEMS} more lines like these",
-        "Keep the commands that build the network, and remove the others.")]
+    return [
+        *problems[:MOST_PROBLEMS],
+        Problem(
+            master,
+            f"has {len(problems) - MOST_PROBLEMS} more lines like these",
+            "Keep the commands that build the network, and remove the others.",
+        ),
+    ]
 
 
 @dataclass
@@ -151,8 +159,14 @@ class _Reader:
             if len(self.problems) == MOST_REFUSED:
                 raise InputError(_folded(self.problems, shown))
             if len(self.commands) > MOST_COMMANDS:
-                raise InputError(Problem(shown, f"has more than {MOST_COMMANDS} commands",
-                                         "Give the feeder alone.", row=row))
+                raise InputError(
+                    Problem(
+                        shown,
+                        f"has more than {MOST_COMMANDS} commands",
+                        "Give the feeder alone.",
+                        row=row,
+                    )
+                )
 
     def _checked(self, line: str, shown: str, library: bool) -> Iterator[str]:
         """The commands that a line becomes: one, none, or those of the file it redirects to."""
@@ -172,8 +186,10 @@ class _Reader:
         elif verb in _READS:
             self._redirect(values, shown, library)
         elif library:
-            raise _Refused("is not a data sheet", "A file above the master's folder may only "
-                           f"define {', '.join(sorted(LIBRARIES))}.")
+            raise _Refused(
+                "is not a data sheet",
+                f"A file above the master's folder may only define {', '.join(sorted(LIBRARIES))}.",
+            )
         else:
             yield from self._command(verb, values[1:], shown)
 
@@ -193,15 +209,25 @@ class _Reader:
 
     def _skip(self, verb: str, values: list[_Value], shown: str) -> None:
         """Commands that need not be carried out; all others are refused."""
-        full = next((name for name in SKIPPED if verb == name or (
-            len(verb) >= 5 and name.startswith(verb))), "")
+        full = next(
+            (
+                name
+                for name in SKIPPED
+                if verb == name or (len(verb) >= 5 and name.startswith(verb))
+            ),
+            "",
+        )
         if not full:
-            raise _Refused(f"'{_cut(verb)}' is not a command that a network needs",
-                           "Remove the line: only commands that build the network are read.")
+            raise _Refused(
+                f"'{_cut(verb)}' is not a command that a network needs",
+                "Remove the line: only commands that build the network are read.",
+            )
         if full == "solve" and values:
-            raise _Refused(f"'solve' with '{_cut(values[0].name or values[0].text)}' is not a "
-                           "command that a network needs", "Remove the line, or what follows "
-                           "'solve': the network is read, not solved.")
+            raise _Refused(
+                f"'solve' with '{_cut(values[0].name or values[0].text)}' is not a "
+                "command that a network needs",
+                "Remove the line, or what follows 'solve': the network is read, not solved.",
+            )
         if full.endswith("coords"):
             self.notes[f"{shown}: '{full}' {SKIPPED[full]}"] = None
 
@@ -212,11 +238,16 @@ class _Reader:
         name = values[1].text.strip().replace("\\", "/")
         path, above = self._inside(name, self._base(shown))
         if path in self.seen:
-            raise _Refused(f"redirects to {_cut(name)}, which is read already",
-                           "Each file is read once: remove the line.")
+            raise _Refused(
+                f"redirects to {_cut(name)}, which is read already",
+                "Each file is read once: remove the line.",
+            )
         if self.depth >= DEEPEST or len(self.seen) >= MOST_FILES:
-            raise _Refused(f"redirects to {_cut(name)}, but files are read {DEEPEST} deep and "
-                           f"{MOST_FILES} in all at most", "Put them into fewer files.")
+            raise _Refused(
+                f"redirects to {_cut(name)}, but files are read {DEEPEST} deep and "
+                f"{MOST_FILES} in all at most",
+                "Put them into fewer files.",
+            )
         if not path.is_file():
             raise _Refused(f"redirects to {_cut(name)}: there is no such file", "Correct the path.")
         self.depth += 1
@@ -234,8 +265,10 @@ class _Reader:
         """A file that may be read, and whether it lies beside the root."""
         given = PurePosixPath(name)
         if given.is_absolute() or not _FILE.fullmatch(name):
-            raise _Refused(f"names the file {_cut(name)}", "Name a file below the master's folder, "
-                           "relative to the file that names it.")
+            raise _Refused(
+                f"names the file {_cut(name)}",
+                "Name a file below the master's folder, relative to the file that names it.",
+            )
         try:
             path = (base / given).resolve()
         except (OSError, RuntimeError):  # too long a name, or links in a circle
@@ -244,16 +277,19 @@ class _Reader:
             return path, False
         if path.parent == self.root.parent and path.suffix.lower() == ".dss":
             return path, True
-        raise _Refused(f"leads out of the master's folder: {_cut(name)}",
-                       "Copy the file into the folder, and name it from there.")
+        raise _Refused(
+            f"leads out of the master's folder: {_cut(name)}",
+            "Copy the file into the folder, and name it from there.",
+        )
 
     def _property_line(self, values: list[_Value], library: bool) -> Iterator[str]:
         """``class.name.property=value``, as an edit of the element."""
         kind, _, rest = values[0].name.partition(".")
         element, _, name = rest.rpartition(".")
         if not element:
-            raise _Refused(f"'{_cut(values[0].name)}' names no element",
-                           "Write class.name.property=value.")
+            raise _Refused(
+                f"'{_cut(values[0].name)}' names no element", "Write class.name.property=value."
+            )
         target = _Value("", f"{kind}.{element}", False)
         first = _Value(name, values[0].text, values[0].quoted)
         yield from self._element("edit", [target, first, *values[1:]], library)
@@ -261,17 +297,22 @@ class _Reader:
     def _element(self, verb: str, values: list[_Value], library: bool) -> Iterator[str]:
         """``new`` and ``edit``."""
         if not values or values[0].name.lower() not in ("", "object"):
-            raise _Refused(f"'{verb}' names no element",
-                           f"Write: {verb} class.name property=value.")
+            raise _Refused(
+                f"'{verb}' names no element", f"Write: {verb} class.name property=value."
+            )
         kind, _, name = values[0].text.partition(".")
         kind = kind.lower()
         known = {*NETWORK, *IDLE}
         if kind not in known:
-            raise _Refused(f"'{_cut(kind)}' is not a class that a network needs",
-                           did_you_mean(_cut(kind), sorted(known), "Remove the element."))
+            raise _Refused(
+                f"'{_cut(kind)}' is not a class that a network needs",
+                did_you_mean(_cut(kind), sorted(known), "Remove the element."),
+            )
         if library and kind not in LIBRARIES:
-            raise _Refused(f"defines a {kind} above the master's folder", "Copy the file into the "
-                           "folder: from above it only data sheets are read.")
+            raise _Refused(
+                f"defines a {kind} above the master's folder",
+                "Copy the file into the folder: from above it only data sheets are read.",
+            )
         self.kind = kind
         self.idle = kind not in NETWORK
         yield from self._edited(f"{verb} {kind}.{_name(name, 'name')}", values[1:])
@@ -287,7 +328,9 @@ class _Reader:
                 everything = sorted({**NETWORK.get(self.kind, {}), **IDLE.get(self.kind, {})})
                 raise _Refused(
                     f"{self.kind} has '{_cut(name or value.text)}', which is not a property that "
-                    "a network needs", did_you_mean(_cut(name), everything, "Remove it."))
+                    "a network needs",
+                    did_you_mean(_cut(name), everything, "Remove it."),
+                )
             if self.idle and _IN_FILE.match(value.text):
                 self._series(name, value.text)
                 continue
@@ -303,8 +346,10 @@ class _Reader:
         assert found is not None
         _, above = self._inside(found[1].replace("\\", "/"), self.root)
         if above:
-            raise _Refused(f"{name} leads out of the master's folder: {_cut(found[1])}",
-                           "Copy the file into the folder, and name it from there.")
+            raise _Refused(
+                f"{name} leads out of the master's folder: {_cut(found[1])}",
+                "Copy the file into the folder, and name it from there.",
+            )
         self.notes[f"Series in files are left out, {self.kind} {name}"] = None
 
 
@@ -328,16 +373,21 @@ def _values(line: str) -> list[_Value]:
             break
         token = _TOKEN.match(line, at)
         if token is None:
-            raise _Refused("has a quote that is not closed, or two values without a blank between "
-                           "them", "Close it, or put a blank between them.")
+            raise _Refused(
+                "has a quote that is not closed, or two values without a blank between them",
+                "Close it, or put a blank between them.",
+            )
         plain = token["plain"]
         quoted = plain is None
-        text = plain if plain is not None else next(
-            token[g] for g in "abcde" if token[g] is not None)
+        text = (
+            plain if plain is not None else next(token[g] for g in "abcde" if token[g] is not None)
+        )
         at = token.end()
         if not quoted and ("!" in text or "//" in text):
-            raise _Refused("has a comment that follows a value without a blank",
-                           "Put a blank before the comment.")
+            raise _Refused(
+                "has a comment that follows a value without a blank",
+                "Put a blank before the comment.",
+            )
         if "@" in text:
             raise _Refused("has '@', which stands for a variable", "Write the value.")
         if token["end"].strip() == "=":
@@ -381,8 +431,10 @@ def _written(kind: str, value: _Value, name: str) -> str:
 def _name(text: str, field_name: str) -> str:
     """A name that cannot be anything else."""
     if not _NAME.fullmatch(text) or "//" in text:
-        raise _Refused(f"{field_name} = {_cut(text)} is not a name", "Use letters, digits and "
-                       "- . _ + # $ % : & * / ; without blanks.")
+        raise _Refused(
+            f"{field_name} = {_cut(text)} is not a name",
+            "Use letters, digits and - . _ + # $ % : & * / ; without blanks.",
+        )
     return text
 
 
@@ -393,8 +445,10 @@ def _options(values: list[_Value]) -> Iterator[str]:
         kind = OPTIONS.get(name) or IDLE_OPTIONS.get(name)
         if kind is None:
             shown = _cut(value.name or value.text)
-            raise _Refused(f"'set {shown}' is not an option that a network needs", did_you_mean(
-                _cut(name), sorted({**OPTIONS, **IDLE_OPTIONS}), "Remove it."))
+            raise _Refused(
+                f"'set {shown}' is not an option that a network needs",
+                did_you_mean(_cut(name), sorted({**OPTIONS, **IDLE_OPTIONS}), "Remove it."),
+            )
         text = _written(kind, value, name)
         if name in OPTIONS:
             yield f"set {name}={text}"
@@ -403,20 +457,25 @@ def _options(values: list[_Value]) -> Iterator[str]:
 def _setkvbase(values: list[_Value]) -> str:
     """``setkvbase bus=b kvll=11``."""
     known = _named(values, ("bus", "kvll", "kvln"))
-    words = [f"{name}={_written('w' if name == 'bus' else 'n', value, name)}"
-             for name, value in known.items()]
+    words = [
+        f"{name}={_written('w' if name == 'bus' else 'n', value, name)}"
+        for name, value in known.items()
+    ]
     return " ".join(["setkvbase", *words])
 
 
 def _switched(verb: str, values: list[_Value]) -> str:
     """``open``, ``close``, ``enable`` and ``disable`` an element."""
-    known = _named([_Value("term", v.text, v.quoted) if v.name.lower() == "terminal" else v
-                    for v in values], ("object", "term", "cond"))
+    known = _named(
+        [_Value("term", v.text, v.quoted) if v.name.lower() == "terminal" else v for v in values],
+        ("object", "term", "cond"),
+    )
     if "object" not in known:
         raise _Refused(f"'{verb}' names no element", f"Write: {verb} line.name.")
     words = [verb, _name(known["object"].text, "element")]
-    words += [f"{name}={_written('n', known[name], name)}" for name in ("term", "cond")
-              if name in known]
+    words += [
+        f"{name}={_written('n', known[name], name)}" for name in ("term", "cond") if name in known
+    ]
     return " ".join(words)
 
 
@@ -426,8 +485,9 @@ def _named(values: list[_Value], names: tuple[str, ...]) -> dict[str, _Value]:
     for position, value in enumerate(values):
         name = value.name.lower() or (names[position] if position < len(names) else "")
         if name not in names:
-            raise _Refused(f"'{_cut(name or value.text)}' is not known here",
-                           f"Known: {', '.join(names)}.")
+            raise _Refused(
+                f"'{_cut(name or value.text)}' is not known here", f"Known: {', '.join(names)}."
+            )
         found[name] = value
     return found
 

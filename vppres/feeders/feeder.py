@@ -25,8 +25,9 @@ class Generators:
     s_kva: Floats
 
     def __post_init__(self) -> None:
-        freeze_fields(self, id=object, bus=object, kind=object, p_kw=float, q_kvar=float,
-                      s_kva=float)
+        freeze_fields(
+            self, id=object, bus=object, kind=object, p_kw=float, q_kvar=float, s_kva=float
+        )
 
     def __len__(self) -> int:
         return len(self.id)
@@ -49,9 +50,11 @@ class Deviation:
     losses_kw: float
 
     def __str__(self) -> str:
-        return (f"AC power flow against the source: voltages differ by at most "
-                f"{self.v_max_pu:.2g} pu; losses {self.losses_kw:.3f} kW, in the source "
-                f"{self.losses_source_kw:.3f} kW")
+        return (
+            f"AC power flow against the source: voltages differ by at most "
+            f"{self.v_max_pu:.2g} pu; losses {self.losses_kw:.3f} kW, in the source "
+            f"{self.losses_source_kw:.3f} kW"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,5 +99,7 @@ class ImportedFeeder:
     def injection(self) -> tuple[Floats, Floats]:
         """Net injection of every bus in kW and kvar, shape (N,) each."""
         at = self.network.place(self.generators.bus)
-        return (at @ self.generators.p_kw - self.p_load_kw,
-                at @ self.generators.q_kvar - self.q_load_kvar)
+        return (
+            at @ self.generators.p_kw - self.p_load_kw,
+            at @ self.generators.q_kvar - self.q_load_kvar,
+        )

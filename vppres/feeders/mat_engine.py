@@ -19,8 +19,9 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The tables of the struct ``mpc``, or why there are none."""
     content: Any = io.BytesIO(base64.b64decode(job["content"]))
     try:
-        case = scipy.io.loadmat(content, squeeze_me=True, struct_as_record=False,
-                                variable_names=["mpc"])["mpc"]
+        case = scipy.io.loadmat(
+            content, squeeze_me=True, struct_as_record=False, variable_names=["mpc"]
+        )["mpc"]
         tables = {name: np.asarray(getattr(case, name), dtype=float).tolist() for name in TABLES}
         return {"version": str(case.version), "tables": tables}
     except Exception as error:  # whatever the reader stumbles over, the file is the cause

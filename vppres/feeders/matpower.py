@@ -36,9 +36,13 @@ def read_m(path: Path) -> Any:
     text = read_text(path, LARGEST_BYTES)
     found = _COMPUTES.search(text)
     if found:
-        raise InputError(Problem(
-            path.name, f"computes mpc.{found[1]} in code, which only MATPOWER can run",
-            "Load the case in MATPOWER, write it with savecase, and import that file."))
+        raise InputError(
+            Problem(
+                path.name,
+                f"computes mpc.{found[1]} in code, which only MATPOWER can run",
+                "Load the case in MATPOWER, write it with savecase, and import that file.",
+            )
+        )
     parts = [_assigned(text, name, "", ";") for name in ("version", "baseMVA")]
     parts += [_assigned(text, name, "[", "];") for name in _TABLES]
     return _converted("case.m", (_HEAD + "\n".join(parts) + "\n").encode())
@@ -50,7 +54,7 @@ def _assigned(text: str, name: str, opening: str, closing: str) -> str:
     end = text.find(closing, start.end()) if start else -1
     if start is None or end < 0:
         raise ValueError(f"mpc.{name} is missing")
-    return text[start.start():end + len(closing)]
+    return text[start.start() : end + len(closing)]
 
 
 def read_mat(path: Path) -> Any:

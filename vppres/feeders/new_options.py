@@ -78,9 +78,15 @@ def parse_start(text: str) -> pd.Timestamp:
     try:
         return _dated(text)
     except ValueError:
-        raise InputError(Problem(
-            "options", "is not a date with a time zone", "Write it with an offset, for example "
-            "2025-07-01T00:00Z.", field="start", value=text)) from None
+        raise InputError(
+            Problem(
+                "options",
+                "is not a date with a time zone",
+                "Write it with an offset, for example 2025-07-01T00:00Z.",
+                field="start",
+                value=text,
+            )
+        ) from None
 
 
 def parse_outage(text: str, start: pd.Timestamp) -> Outage:
@@ -93,10 +99,16 @@ def parse_outage(text: str, start: pd.Timestamp) -> Outage:
     try:
         first, last = (_moment(part, start) for part in parts)
     except ValueError:
-        raise InputError(Problem(
-            "options", "is not an interval of time",
-            "Write start..end, for example 12:00..18:00 (first day) or "
-            "2025-07-02T06:00Z..2025-07-02T09:00Z.", field="outage", value=text)) from None
+        raise InputError(
+            Problem(
+                "options",
+                "is not an interval of time",
+                "Write start..end, for example 12:00..18:00 (first day) or "
+                "2025-07-02T06:00Z..2025-07-02T09:00Z.",
+                field="outage",
+                value=text,
+            )
+        ) from None
     return first, last
 
 
@@ -123,25 +135,55 @@ def check_options(options: NewScenarioOptions) -> list[Problem]:
     """Options out of their range."""
     shares = options.tier_shares
     faults: list[tuple[bool, str, object, str, str]] = [
-        (not (options.step_minutes >= 1 and (1440 / options.step_minutes).is_integer()),
-         "step_minutes", options.step_minutes, "must be at least 1 and divide a day",
-         f"Give {_STEPS}"),
-        (not 1 <= options.days <= schema.MAX_GRID_DAYS, "days", options.days,
-         f"must lie between 1 and {schema.MAX_GRID_DAYS}", "Give the number of days."),
-        (min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9), "tier_shares", shares,
-         "must be shares that add up to 1",
-         "Give critical, high and low, for example 0.2 0.3 0.5."),
-        (not 0 < options.pv_share_of_peak <= 10, "pv_share_of_peak", options.pv_share_of_peak,
-         "must lie between 0 and 10", "Give kW of PV per kW of peak load, for example 0.5."),
-        (not 0 <= options.pv_share_of_buses <= 1, "pv_share_of_buses", options.pv_share_of_buses,
-         "must lie between 0 and 1", "Give the share of customers with PV, for example 0.8."),
-        (not 0 <= options.battery_kwh_per_peak_kw <= 100, "battery_kwh_per_peak_kw",
-         options.battery_kwh_per_peak_kw, "must lie between 0 and 100",
-         "Give kWh per kW of peak load, for example 0.625."),
+        (
+            not (options.step_minutes >= 1 and (1440 / options.step_minutes).is_integer()),
+            "step_minutes",
+            options.step_minutes,
+            "must be at least 1 and divide a day",
+            f"Give {_STEPS}",
+        ),
+        (
+            not 1 <= options.days <= schema.MAX_GRID_DAYS,
+            "days",
+            options.days,
+            f"must lie between 1 and {schema.MAX_GRID_DAYS}",
+            "Give the number of days.",
+        ),
+        (
+            min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9),
+            "tier_shares",
+            shares,
+            "must be shares that add up to 1",
+            "Give critical, high and low, for example 0.2 0.3 0.5.",
+        ),
+        (
+            not 0 < options.pv_share_of_peak <= 10,
+            "pv_share_of_peak",
+            options.pv_share_of_peak,
+            "must lie between 0 and 10",
+            "Give kW of PV per kW of peak load, for example 0.5.",
+        ),
+        (
+            not 0 <= options.pv_share_of_buses <= 1,
+            "pv_share_of_buses",
+            options.pv_share_of_buses,
+            "must lie between 0 and 1",
+            "Give the share of customers with PV, for example 0.8.",
+        ),
+        (
+            not 0 <= options.battery_kwh_per_peak_kw <= 100,
+            "battery_kwh_per_peak_kw",
+            options.battery_kwh_per_peak_kw,
+            "must lie between 0 and 100",
+            "Give kWh per kW of peak load, for example 0.625.",
+        ),
         (options.seed < 0, "seed", options.seed, "must be at least 0", "Give another seed."),
     ]
-    problems = [Problem("options", message, cure, field=field, value=value)
-                for wrong, field, value, message, cure in faults if wrong]
+    problems = [
+        Problem("options", message, cure, field=field, value=value)
+        for wrong, field, value, message, cure in faults
+        if wrong
+    ]
     return problems or _check_outages(options)
 
 
@@ -152,14 +194,26 @@ def _check_outages(options: NewScenarioOptions) -> list[Problem]:
     problems = []
     for first, last in outages_of(options):
         cut = any((moment - options.start) % step != pd.Timedelta(0) for moment in (first, last))
-        message = ("must end after it begins" if not first < last else
-                   "lies outside the scenario" if first < options.start or last > end else
-                   "begins or ends inside a step" if cut else None)
+        message = (
+            "must end after it begins"
+            if not first < last
+            else "lies outside the scenario"
+            if first < options.start or last > end
+            else "begins or ends inside a step"
+            if cut
+            else None
+        )
         if message:
-            problems.append(Problem(
-                "options", message, f"The scenario is {options.start.isoformat()} to "
-                f"{end.isoformat()} in steps of {options.step_minutes:g} min.", field="outage",
-                value=f"{first.isoformat()}..{last.isoformat()}"))
+            problems.append(
+                Problem(
+                    "options",
+                    message,
+                    f"The scenario is {options.start.isoformat()} to "
+                    f"{end.isoformat()} in steps of {options.step_minutes:g} min.",
+                    field="outage",
+                    value=f"{first.isoformat()}..{last.isoformat()}",
+                )
+            )
     return problems
 
 

@@ -34,11 +34,57 @@ TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
 
 # Demand and PV power of the packaged day of 19 July 2022, hour by hour, as shares of their peaks.
 LOAD_SHAPE = (
-    0.790, 0.791, 0.795, 0.803, 0.812, 0.834, 0.880, 0.937, 0.945, 0.930, 0.933, 0.916,
-    0.899, 0.874, 0.882, 0.909, 0.973, 1.000, 0.979, 0.940, 0.928, 0.895, 0.810, 0.794)
+    0.790,
+    0.791,
+    0.795,
+    0.803,
+    0.812,
+    0.834,
+    0.880,
+    0.937,
+    0.945,
+    0.930,
+    0.933,
+    0.916,
+    0.899,
+    0.874,
+    0.882,
+    0.909,
+    0.973,
+    1.000,
+    0.979,
+    0.940,
+    0.928,
+    0.895,
+    0.810,
+    0.794,
+)
 PV_SHAPE = (
-    0.000, 0.000, 0.000, 0.000, 0.010, 0.087, 0.239, 0.414, 0.621, 0.787, 0.905, 1.000,
-    0.988, 0.896, 0.774, 0.616, 0.419, 0.231, 0.105, 0.027, 0.000, 0.000, 0.000, 0.000)
+    0.000,
+    0.000,
+    0.000,
+    0.000,
+    0.010,
+    0.087,
+    0.239,
+    0.414,
+    0.621,
+    0.787,
+    0.905,
+    1.000,
+    0.988,
+    0.896,
+    0.774,
+    0.616,
+    0.419,
+    0.231,
+    0.105,
+    0.027,
+    0.000,
+    0.000,
+    0.000,
+    0.000,
+)
 
 # Hours of the day (from, to) and prices; mean, lowest and highest price of the paper.
 FLAT_PRICE = 0.36
@@ -73,8 +119,9 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
     problems = check_options(options) + _check_feeder(feeder, options)
     if problems:
         raise InputError(problems)
-    grid = TimeGrid(options.start, options.step_minutes,
-                    round(options.days * 1440 / options.step_minutes))
+    grid = TimeGrid(
+        options.start, options.step_minutes, round(options.days * 1440 / options.step_minutes)
+    )
     draw_tier, draw_pv = (np.random.default_rng([options.seed, i]) for i in range(2))
     loaded = np.flatnonzero(feeder.p_load_kw > 0)
     peak_kw = feeder.p_load_kw[loaded]
@@ -82,18 +129,25 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
     pv = _pv(feeder, customers, peak_kw, options, draw_pv)
     name = _name(feeder.name)
     return Scenario(
-        name=name, title=f"{feeder.name}: {len(customers)} customers, {_length(options)}",
-        grid=grid, network=_network(feeder, options), customers=customers, pv=pv,
+        name=name,
+        title=f"{feeder.name}: {len(customers)} customers, {_length(options)}",
+        grid=grid,
+        network=_network(feeder, options),
+        customers=customers,
+        pv=pv,
         batteries=_batteries(customers, peak_kw, options),
         load_kw=_written(np.outer(_profile(LOAD_SHAPE, grid), peak_kw)),
         pv_kw=_written(np.outer(_profile(PV_SHAPE, grid), pv.p_max_kw)),
         price_gbp_per_kwh=_price(options.price, grid),
         temperature_c=np.full(grid.n_steps, TEMPERATURE_C),
-        grid_limit_kw=_grid_limit(options, grid), tiers=tuple(TIER_WEIGHTS))
+        grid_limit_kw=_grid_limit(options, grid),
+        tiers=tuple(TIER_WEIGHTS),
+    )
 
 
-def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
-                       folder: str | Path) -> list[str]:
+def write_new_scenario(
+    feeder: ImportedFeeder, options: NewScenarioOptions, folder: str | Path
+) -> list[str]:
     """Write a new scenario's folder, whole or not at all, with ``notes.md`` on what was chosen.
 
     ``scenario.schema.json`` lets an editor complete and check ``scenario.toml``.
@@ -118,21 +172,32 @@ def write_new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions,
     return notes
 
 
-def assumptions(feeder: ImportedFeeder, scenario: Scenario,
-                options: NewScenarioOptions) -> list[str]:
+def assumptions(
+    feeder: ImportedFeeder, scenario: Scenario, options: NewScenarioOptions
+) -> list[str]:
     """What was simplified and what was chosen by rule, in sentences."""
     words = [*feeder.notes]
     words += [f"{feeder.deviation}."] if feeder.deviation else []
     words += _left_out(feeder, scenario)
     count = {tier: int((scenario.customers.tier == tier).sum()) for tier in TIER_WEIGHTS}
-    words.append("Customers by tier: " + ", ".join(f"{n} {tier}" for tier, n in count.items())
-                 + (" (from the source's column `tier`, others drawn)." if feeder.tier.any()
-                    else f" (drawn, seed {options.seed})."))
-    words.append(f"{len(scenario.pv)} PV systems of {scenario.pv.p_max_kw.sum():.1f} kW and "
-                 f"{len(scenario.batteries)} batteries of "
-                 f"{scenario.batteries.energy_kwh.sum():.1f} kWh.")
-    words.append("Load and PV follow one bundled summer day; the source's loads are the peaks. "
-                 f"Prices are {options.price}; the temperature is {TEMPERATURE_C:g} °C.")
+    words.append(
+        "Customers by tier: "
+        + ", ".join(f"{n} {tier}" for tier, n in count.items())
+        + (
+            " (from the source's column `tier`, others drawn)."
+            if feeder.tier.any()
+            else f" (drawn, seed {options.seed})."
+        )
+    )
+    words.append(
+        f"{len(scenario.pv)} PV systems of {scenario.pv.p_max_kw.sum():.1f} kW and "
+        f"{len(scenario.batteries)} batteries of "
+        f"{scenario.batteries.energy_kwh.sum():.1f} kWh."
+    )
+    words.append(
+        "Load and PV follow one bundled summer day; the source's loads are the peaks. "
+        f"Prices are {options.price}; the temperature is {TEMPERATURE_C:g} °C."
+    )
     return words
 
 
@@ -140,18 +205,35 @@ def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[P
     """A feeder without load, with unknown tiers, or with a slack voltage out of bounds."""
     problems = []
     if not (feeder.p_load_kw > 0).any():
-        problems.append(Problem(feeder.name, "has no load", "Add the loads to the source: each "
-                                "bus with a load becomes a customer."))
+        problems.append(
+            Problem(
+                feeder.name,
+                "has no load",
+                "Add the loads to the source: each bus with a load becomes a customer.",
+            )
+        )
     problems += [
-        Problem(feeder.name, "is not a tier", f"Write {', '.join(TIER_WEIGHTS)} into the loads' "
-                "column tier, or leave it empty.", field="tier", value=tier)
-        for tier in sorted({*feeder.tier} - {"", *TIER_WEIGHTS})]
+        Problem(
+            feeder.name,
+            "is not a tier",
+            f"Write {', '.join(TIER_WEIGHTS)} into the loads' column tier, or leave it empty.",
+            field="tier",
+            value=tier,
+        )
+        for tier in sorted({*feeder.tier} - {"", *TIER_WEIGHTS})
+    ]
     v_pu = feeder.network.v_slack_pu if options.v_slack_pu is None else options.v_slack_pu
     if not Network.v_min_pu <= v_pu <= Network.v_max_pu:
-        problems.append(Problem(
-            feeder.name, f"must lie between {Network.v_min_pu:g} and {Network.v_max_pu:g}, the "
-            "limits of the voltages", "Give another one with --v-slack, or correct the source.",
-            field="v_slack_pu", value=v_pu))
+        problems.append(
+            Problem(
+                feeder.name,
+                f"must lie between {Network.v_min_pu:g} and {Network.v_max_pu:g}, the "
+                "limits of the voltages",
+                "Give another one with --v-slack, or correct the source.",
+                field="v_slack_pu",
+                value=v_pu,
+            )
+        )
     return problems
 
 
@@ -161,8 +243,9 @@ def _network(feeder: ImportedFeeder, options: NewScenarioOptions) -> Network:
     return replace(feeder.network, v_slack_pu=options.v_slack_pu)
 
 
-def _customers(feeder: ImportedFeeder, loaded: Wholes, options: NewScenarioOptions,
-               draw: np.random.Generator) -> Customers:
+def _customers(
+    feeder: ImportedFeeder, loaded: Wholes, options: NewScenarioOptions, draw: np.random.Generator
+) -> Customers:
     """One customer per bus with a load; tiers are drawn for those that the source leaves open."""
     bus = feeder.network.buses[loaded]
     p_kw = feeder.p_load_kw[loaded]
@@ -171,9 +254,13 @@ def _customers(feeder: ImportedFeeder, loaded: Wholes, options: NewScenarioOptio
     tier = feeder.tier[loaded].copy()
     free = np.flatnonzero(tier == "")
     tier[draw.permutation(free)] = _drawn_tiers(len(free), options.tier_shares)
-    return Customers(id=_ids("c", bus), bus=bus, tier=tier,
-                     weight=np.array([TIER_WEIGHTS[t] for t in tier]),
-                     power_factor=np.round(p_kw / np.hypot(p_kw, q_kvar), 6))
+    return Customers(
+        id=_ids("c", bus),
+        bus=bus,
+        tier=tier,
+        weight=np.array([TIER_WEIGHTS[t] for t in tier]),
+        power_factor=np.round(p_kw / np.hypot(p_kw, q_kvar), 6),
+    )
 
 
 def _drawn_tiers(count: int, shares: tuple[float, float, float]) -> list[str]:
@@ -184,8 +271,13 @@ def _drawn_tiers(count: int, shares: tuple[float, float, float]) -> list[str]:
     return [names[0]] * first + [names[1]] * second + [names[2]] * (count - first - second)
 
 
-def _pv(feeder: ImportedFeeder, customers: Customers, peak_kw: Floats, options: NewScenarioOptions,
-        draw: np.random.Generator) -> PVSystems:
+def _pv(
+    feeder: ImportedFeeder,
+    customers: Customers,
+    peak_kw: Floats,
+    options: NewScenarioOptions,
+    draw: np.random.Generator,
+) -> PVSystems:
     """PV of the source at its customers' buses, or by the rule."""
     own = _existing_pv_kw(feeder)
     own_kw = np.asarray(own.reindex(customers.bus, fill_value=0.0), dtype=float)
@@ -199,8 +291,12 @@ def _pv(feeder: ImportedFeeder, customers: Customers, peak_kw: Floats, options: 
             p_kw[chosen] = options.pv_share_of_peak * peak_kw[chosen]
     p_kw = _written(p_kw)
     has = np.flatnonzero(p_kw > 0)
-    return PVSystems(id=_ids("pv", customers.bus[has]), customer=customers.id[has],
-                     p_max_kw=p_kw[has], s_max_kva=_written(PV_INVERTER_RATIO * p_kw[has]))
+    return PVSystems(
+        id=_ids("pv", customers.bus[has]),
+        customer=customers.id[has],
+        p_max_kw=p_kw[has],
+        s_max_kva=_written(PV_INVERTER_RATIO * p_kw[has]),
+    )
 
 
 def _existing_pv_kw(feeder: ImportedFeeder) -> pd.Series[float]:
@@ -215,8 +311,11 @@ def _left_out(feeder: ImportedFeeder, scenario: Scenario) -> Iterator[str]:
     own = feeder.generators
     taken = set(scenario.customers.bus[scenario.pv.owner(scenario.customers)])
     pv_buses = taken & set(_existing_pv_kw(feeder).index)
-    lost = [g for g, bus, kind in zip(own.id, own.bus, own.kind, strict=True)
-            if bus not in pv_buses or not str(kind).upper().startswith("PV")]
+    lost = [
+        g
+        for g, bus, kind in zip(own.id, own.bus, own.kind, strict=True)
+        if bus not in pv_buses or not str(kind).upper().startswith("PV")
+    ]
     if lost:
         yield f"Generators that the scenario does not have: {', '.join(lost)}."
     buses = feeder.network.buses
@@ -225,8 +324,10 @@ def _left_out(feeder: ImportedFeeder, scenario: Scenario) -> Iterator[str]:
         yield f"Loads without active power are left out: bus {', '.join(map(str, reactive))}."
     leading = buses[(feeder.p_load_kw > 0) & (feeder.q_load_kvar < 0)]
     if len(leading):
-        yield ("Loads that feed reactive power count as purely active: bus "
-               f"{', '.join(map(str, leading))}.")
+        yield (
+            "Loads that feed reactive power count as purely active: bus "
+            f"{', '.join(map(str, leading))}."
+        )
 
 
 def _batteries(customers: Customers, peak_kw: Floats, options: NewScenarioOptions) -> Batteries:
@@ -236,12 +337,19 @@ def _batteries(customers: Customers, peak_kw: Floats, options: NewScenarioOption
     p_kw = _written(BATTERY_KW_PER_KWH * energy_kwh[has])
     defaults: dict[str, Any] = {
         name: np.full(len(has), np.nan if field.default is None else field.default)
-        for name, field in schema.BatteryRow.model_fields.items() if not field.is_required()}
+        for name, field in schema.BatteryRow.model_fields.items()
+        if not field.is_required()
+    }
     defaults["soc_initial"] = defaults["soc_min"]
     defaults["grid_forming"] = np.zeros(len(has), dtype=bool)
-    return Batteries(id=_ids("b", customers.bus[has]), bus=customers.bus[has],
-                     energy_kwh=energy_kwh[has], p_max_kw=p_kw,
-                     s_max_kva=_written(BATTERY_INVERTER_RATIO * p_kw), **defaults)
+    return Batteries(
+        id=_ids("b", customers.bus[has]),
+        bus=customers.bus[has],
+        energy_kwh=energy_kwh[has],
+        p_max_kw=p_kw,
+        s_max_kva=_written(BATTERY_INVERTER_RATIO * p_kw),
+        **defaults,
+    )
 
 
 def _written(values: Floats) -> Floats:
@@ -278,8 +386,9 @@ def _price(rule: PriceRule, grid: TimeGrid) -> Floats:
 def _grid_limit(options: NewScenarioOptions, grid: TimeGrid) -> Floats:
     """No limit but in the outages, shape (T,)."""
     times = grid.times
-    dark = np.logical_or.reduce([(times >= first) & (times < last)
-                                 for first, last in outages_of(options)])
+    dark = np.logical_or.reduce(
+        [(times >= first) & (times < last) for first, last in outages_of(options)]
+    )
     return np.where(dark, 0.0, np.inf)
 
 

@@ -44,9 +44,11 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
     branches = case.branches  # those that are open at one end charge too
     kv = np.unique(case.bus_kv)
     if len(kv) > 1:
-        yield (f"The voltage levels {', '.join(f'{level:g}' for level in kv)} kV are referred to "
-               "one by the square of the nominal ratio; phase shifts have no effect in a radial "
-               "feeder and are left out.")
+        yield (
+            f"The voltage levels {', '.join(f'{level:g}' for level in kv)} kV are referred to "
+            "one by the square of the nominal ratio; phase shifts have no effect in a radial "
+            "feeder and are left out."
+        )
     charging = branches["b"] > 0
     if charging.any():
         kvar = float(mw_to_kw(branches.loc[charging, "b"].sum() * case.base_mva))
@@ -67,10 +69,11 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
 
 
 def _notes_on_elements(net: Any, case: NetCase) -> Iterator[str]:
-    for table, words in (("shunt", "Shunts are left out"),
-                         ("storage", "Batteries of the source are left out"),
-                         ("gen", "Generators keep their active power and lose their voltage "
-                                 "control")):
+    for table, words in (
+        ("shunt", "Shunts are left out"),
+        ("storage", "Batteries of the source are left out"),
+        ("gen", "Generators keep their active power and lose their voltage control"),
+    ):
         names = [label(net, table, i) for i in supplied(net, table, case).index]
         if names:
             yield f"{words}: {few(names)}."

@@ -91,11 +91,17 @@ def _add_line(net: Any, line: dict[str, Any], at: dict[str, int]) -> None:
     import pandapower as pp
 
     pp.create_line_from_parameters(
-        net, at[line["start"]], at[line["end"]], length_km=line["length"],
+        net,
+        at[line["start"]],
+        at[line["end"]],
+        length_km=line["length"],
         max_i_ka=line["amps"] / A_PER_KA,
         r_ohm_per_km=_positive_sequence(line["r"], line["phases"]),
         x_ohm_per_km=_positive_sequence(line["x"], line["phases"]),
-        c_nf_per_km=0.0, name=line["name"], in_service=line["closed"])
+        c_nf_per_km=0.0,
+        name=line["name"],
+        in_service=line["closed"],
+    )
 
 
 def _positive_sequence(matrix: list[float], n_phases: int) -> float:
@@ -118,10 +124,19 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
     high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
     r_percent = transformer["r_percent"]
     pp.create_transformer_from_parameters(
-        net, high, low, sn_mva=float(kw_to_mw(transformer["kva"])),
-        vn_hv_kv=net.bus.at[high, "vn_kv"], vn_lv_kv=net.bus.at[low, "vn_kv"],
-        vkr_percent=r_percent, vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
-        pfe_kw=0.0, i0_percent=0.0, name=transformer["name"], in_service=transformer["closed"])
+        net,
+        high,
+        low,
+        sn_mva=float(kw_to_mw(transformer["kva"])),
+        vn_hv_kv=net.bus.at[high, "vn_kv"],
+        vn_lv_kv=net.bus.at[low, "vn_kv"],
+        vkr_percent=r_percent,
+        vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
+        pfe_kw=0.0,
+        i0_percent=0.0,
+        name=transformer["name"],
+        in_service=transformer["closed"],
+    )
 
 
 def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> None:
@@ -129,8 +144,10 @@ def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> N
     import pandapower as pp
 
     for power in powers:
-        values = {"p_mw": float(kw_to_mw(power["p_kw"])),
-                  "q_mvar": float(kw_to_mw(power["q_kvar"]))}
+        values = {
+            "p_mw": float(kw_to_mw(power["p_kw"])),
+            "q_mvar": float(kw_to_mw(power["q_kvar"])),
+        }
         if power["kind"] == "load":
             pp.create_load(net, at[power["bus"]], name=power["name"], **values)
         else:

@@ -22,22 +22,54 @@ DEEPEST = 30
 
 TABLES = frozenset({("pandas.core.frame", "DataFrame"), ("pandas", "DataFrame")})
 BUILT = TABLES | {
-    ("pandapower.auxiliary", "pandapowerNet"), ("pandas.core.series", "Series"),
-    ("pandas", "Series"), ("pandas", "Index"), ("pandas", "RangeIndex"), ("numpy", "array"),
-    ("networkx", "MultiGraph"), ("builtins", "tuple"), ("builtins", "set"),
-    ("builtins", "frozenset"), ("builtins", "complex"), ("geopandas.geodataframe", "GeoDataFrame"),
-    ("shapely", "Point"), ("shapely", "LineString"), ("shapely", "MultiLineString"),
-    ("shapely", "Polygon")}
+    ("pandapower.auxiliary", "pandapowerNet"),
+    ("pandas.core.series", "Series"),
+    ("pandas", "Series"),
+    ("pandas", "Index"),
+    ("pandas", "RangeIndex"),
+    ("numpy", "array"),
+    ("networkx", "MultiGraph"),
+    ("builtins", "tuple"),
+    ("builtins", "set"),
+    ("builtins", "frozenset"),
+    ("builtins", "complex"),
+    ("geopandas.geodataframe", "GeoDataFrame"),
+    ("shapely", "Point"),
+    ("shapely", "LineString"),
+    ("shapely", "MultiLineString"),
+    ("shapely", "Polygon"),
+}
 """What pandapower builds of a net: data without behaviour."""
 
 NUMBERS = re.compile(r"(u?int(8|16|32|64)|float(16|32|64)|complex(64|128)|bool_?|str_)")
-LEFT_OUT = ("pandapower.control.", "pandapower.timeseries.", "pandapower.protection.",
-            "pandapower.shortcircuit.", "pandapower.estimation.")
+LEFT_OUT = (
+    "pandapower.control.",
+    "pandapower.timeseries.",
+    "pandapower.protection.",
+    "pandapower.shortcircuit.",
+    "pandapower.estimation.",
+)
 """Controllers and the like: neither imported nor built, as the feeder has none."""
 
-SETTINGS = frozenset({"_module", "_class", "_object", "_state", "orient", "dtype", "is_multiindex",
-                      "is_multicolumn", "index_name", "index_names", "column_name", "column_names",
-                      "crs", "columns", "typ"})
+SETTINGS = frozenset(
+    {
+        "_module",
+        "_class",
+        "_object",
+        "_state",
+        "orient",
+        "dtype",
+        "is_multiindex",
+        "is_multicolumn",
+        "index_name",
+        "index_names",
+        "column_name",
+        "column_names",
+        "crs",
+        "columns",
+        "typ",
+    }
+)
 """What may stand beside an object: others go to the readers of pandas as options of their own."""
 
 NOTE = "Controllers, time series and protection of the source are left out."
@@ -81,8 +113,9 @@ class _Check:
                 self._object(value)
                 waiting += [(inner, depth + 1) for inner in value.values()]
             elif isinstance(value, list):
-                waiting += [(inner, depth + 1) for inner in value
-                            if isinstance(inner, (dict, list, str))]
+                waiting += [
+                    (inner, depth + 1) for inner in value if isinstance(inner, (dict, list, str))
+                ]
             elif isinstance(value, str) and value.lstrip()[:1] in ("{", "[", '"'):
                 waiting.append((self._inner(value), depth + 1))
         if self.problems:
@@ -94,9 +127,13 @@ class _Check:
         try:
             return json.loads(text, object_pairs_hook=self._pairs)
         except (ValueError, RecursionError) as error:
-            raise InputError(Problem(
-                self.name, f"cannot be read as pandapower JSON ({error})",
-                "Correct the file, or choose another format with --from.")) from None
+            raise InputError(
+                Problem(
+                    self.name,
+                    f"cannot be read as pandapower JSON ({error})",
+                    "Correct the file, or choose another format with --from.",
+                )
+            ) from None
 
     def _inner(self, text: str) -> Any:
         """A text that is JSON itself; None where it is not and cannot be taken for it."""
@@ -122,22 +159,28 @@ class _Check:
         module = value.get("_module")
         kind = value.get("_class")
         if not (isinstance(module, str) and isinstance(kind, str)):
-            self._refuse(f"names {_cut(module)}.{_cut(kind)}, which is not an object of a net",
-                         "Give both names, or none.")
+            self._refuse(
+                f"names {_cut(module)}.{_cut(kind)}, which is not an object of a net",
+                "Give both names, or none.",
+            )
             return
         if module.startswith(LEFT_OUT) and kind != "function":
             self.omitted = True
             return
         if (module, kind) not in BUILT and not (module == "numpy" and NUMBERS.fullmatch(kind)):
-            self._refuse(f"names {_cut(module)}.{_cut(kind)}, which is not an object of a net",
-                         "Remove it, or write the net anew with pandapower.to_json.")
+            self._refuse(
+                f"names {_cut(module)}.{_cut(kind)}, which is not an object of a net",
+                "Remove it, or write the net anew with pandapower.to_json.",
+            )
             return
         unknown = sorted(set(value) - SETTINGS) if "_object" in value else []
         if unknown:
             self._refuse(f"gives {kind} the setting '{_cut(unknown[0])}'", "Remove it.")
         if (module, kind) in TABLES and not _is_table(value.get("_object")):
-            self._refuse("has a table that is not given as JSON", "Write the net anew with "
-                         "pandapower.to_json.")
+            self._refuse(
+                "has a table that is not given as JSON",
+                "Write the net anew with pandapower.to_json.",
+            )
 
     def _refuse(self, message: str, cure: str) -> None:
         self.problems.setdefault(message, Problem(self.name, message, cure))

@@ -28,8 +28,9 @@ def rating_mva(net: Any, table: str, index: Any) -> float:
     return float(np.sqrt(3.0) * net.bus.at[row["from_bus"], "vn_kv"] * row["max_i_ka"]) * units
 
 
-def shared_rating(admittance: pd.Series[Any], total: pd.Series[Any],
-                  rating: pd.Series[float]) -> pd.Series[float]:
+def shared_rating(
+    admittance: pd.Series[Any], total: pd.Series[Any], rating: pd.Series[float]
+) -> pd.Series[float]:
     """Rating of parallel branches together: where the first of them reaches its own.
 
     Parameters

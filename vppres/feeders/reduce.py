@@ -29,8 +29,23 @@ from vppres.scenario.network import BusId, Network, find_loops
 
 BRANCHES = ("line", "trafo", "trafo3w", "impedance")
 # Three-phase loads, controlled devices and direct current have no place in the model.
-UNSUPPORTED = ("asymmetric_load", "asymmetric_sgen", "ward", "xward", "dcline", "motor", "svc",
-               "ssc", "tcsc", "vsc", "b2b_vsc", "bus_dc", "line_dc", "load_dc", "source_dc")
+UNSUPPORTED = (
+    "asymmetric_load",
+    "asymmetric_sgen",
+    "ward",
+    "xward",
+    "dcline",
+    "motor",
+    "svc",
+    "ssc",
+    "tcsc",
+    "vsc",
+    "b2b_vsc",
+    "bus_dc",
+    "line_dc",
+    "load_dc",
+    "source_dc",
+)
 FROM, TO, R, X, B, TAP = 0, 1, 2, 3, 4, 8  # columns of the branch table of pandapower's case
 
 
@@ -43,8 +58,12 @@ class _Loads:
     tier: Names
 
 
-def feeder_of(net: Any, name: str, open_branches: Sequence[str] = (),
-              bus_ids: Mapping[int, BusId] | None = None) -> ImportedFeeder:
+def feeder_of(
+    net: Any,
+    name: str,
+    open_branches: Sequence[str] = (),
+    bus_ids: Mapping[int, BusId] | None = None,
+) -> ImportedFeeder:
     """Reduce a pandapower net to a feeder; the net is not changed.
 
     Parameters
@@ -74,10 +93,15 @@ def feeder_of(net: Any, name: str, open_branches: Sequence[str] = (),
     network = _network(_merged(branches), case, ids)
     loads = _loads(net, case, ids, network)
     feeder = ImportedFeeder(
-        name=name, network=network, p_load_kw=loads.p_kw, q_load_kvar=loads.q_kvar, tier=loads.tier,
+        name=name,
+        network=network,
+        p_load_kw=loads.p_kw,
+        q_load_kvar=loads.q_kvar,
+        tier=loads.tier,
         generators=_generators(net, case, ids),
         bus_of={bus: ids[row] for bus, row in case.bus_at.items()},
-        notes=tuple(notes_of(net, case, stubs)))
+        notes=tuple(notes_of(net, case, stubs)),
+    )
     return replace(feeder, deviation=_deviation(net, feeder))
 
 
@@ -89,15 +113,27 @@ def _raise(problems: list[Problem]) -> None:
 def _check_elements(net: Any, name: str) -> list[Problem]:
     """Elements that the model cannot hold."""
     problems = [
-        Problem(name, f"{label(net, table, i)} is not supported",
-                "Replace it by loads, static generators and lines, or take it out of service.")
-        for table in UNSUPPORTED if table in net for i in in_service(net, table).index]
+        Problem(
+            name,
+            f"{label(net, table, i)} is not supported",
+            "Replace it by loads, static generators and lines, or take it out of service.",
+        )
+        for table in UNSUPPORTED
+        if table in net
+        for i in in_service(net, table).index
+    ]
     impedance = in_service(net, "impedance")
-    skewed = ((impedance["rft_pu"] != impedance["rtf_pu"])
-              | (impedance["xft_pu"] != impedance["xtf_pu"]))
+    skewed = (impedance["rft_pu"] != impedance["rtf_pu"]) | (
+        impedance["xft_pu"] != impedance["xtf_pu"]
+    )
     return problems + [
-        Problem(name, f"{label(net, 'impedance', i)} differs between its two directions",
-                "Give it the same impedance in both.") for i in impedance.index[skewed]]
+        Problem(
+            name,
+            f"{label(net, 'impedance', i)} differs between its two directions",
+            "Give it the same impedance in both.",
+        )
+        for i in impedance.index[skewed]
+    ]
 
 
 def _check_slack(net: Any, name: str) -> list[Problem]:
@@ -106,18 +142,28 @@ def _check_slack(net: Any, name: str) -> list[Problem]:
     gens = in_service(net, "gen")
     grids += [label(net, "gen", i) for i in gens.index[gens["slack"].astype(bool)]]
     if not grids:
-        return [Problem(name, "has no external grid",
-                        "Add one at the bus of the grid connection.")]
+        return [Problem(name, "has no external grid", "Add one at the bus of the grid connection.")]
     if len(grids) > 1:
-        return [Problem(name, f"has {len(grids)} external grids: {few(grids)}",
-                        "Keep the one that feeds the feeder and take the others out of service.")]
+        return [
+            Problem(
+                name,
+                f"has {len(grids)} external grids: {few(grids)}",
+                "Keep the one that feeds the feeder and take the others out of service.",
+            )
+        ]
     if grids[0].startswith("gen"):
-        return [Problem(name, f"{grids[0]} is the grid connection",
-                        "Replace it by an external grid.")]
+        return [
+            Problem(name, f"{grids[0]} is the grid connection", "Replace it by an external grid.")
+        ]
     bus = int(in_service(net, "ext_grid")["bus"].iloc[0])
     if not net.bus["in_service"].at[bus]:
-        return [Problem(name, f"{grids[0]} is at bus {bus}, which is out of service",
-                        "Put the bus into service.")]
+        return [
+            Problem(
+                name,
+                f"{grids[0]} is at bus {bus}, which is out of service",
+                "Put the bus into service.",
+            )
+        ]
     return []
 
 
@@ -128,9 +174,17 @@ def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
         for i in net[table].index:
             found[f"{table} {i}"] = table, i
             found.setdefault(str(net[table]["name"].at[i]), (table, i))
-    _raise([Problem(name, f"has no branch '{text}' to open",
-                    did_you_mean(text, sorted(found), "Name a branch, for example 'line 0'."))
-            for text in wanted if text not in found])
+    _raise(
+        [
+            Problem(
+                name,
+                f"has no branch '{text}' to open",
+                did_you_mean(text, sorted(found), "Name a branch, for example 'line 0'."),
+            )
+            for text in wanted
+            if text not in found
+        ]
+    )
     for text in wanted:
         table, i = found[text]
         net[table].loc[i, "in_service"] = False
@@ -141,24 +195,44 @@ def _case_of(net: Any) -> NetCase:
     from pandapower.converter.pypower.to_ppc import to_ppc
 
     # With the pi model the series impedance of a transformer is that of its short circuit.
-    ppc = to_ppc(net, calculate_voltage_angles=False, trafo_model="pi", init="flat",
-                 check_connectivity=True)
+    ppc = to_ppc(
+        net, calculate_voltage_angles=False, trafo_model="pi", init="flat", check_connectivity=True
+    )
     at = net._pd2ppc_lookups["bus"]  # buses without supply come after all others
     bus_at = {int(bus): int(at[bus]) for bus in net.bus.index if at[bus] < len(ppc["bus"])}
     ranges = net._pd2ppc_lookups["branch"]
     # A transformer with three windings has three branches; they come winding by winding.
-    origins = [(table, i) for table, (start, end) in ranges.items()
-               for i in (*net[table].index,) * ((end - start) // max(len(net[table]), 1))]
-    inside = [origin for origin, used in zip(origins, ppc["internal"]["branch_is"], strict=True)
-              if used]
-    columns = dict(zip(("from", "to", "r", "x", "b", "tap"),
-                       ppc["branch"][:, [FROM, TO, R, X, B, TAP]].real.T, strict=True))
-    branches = pd.DataFrame({**columns, "label": [label(net, *o) for o in inside],
-                             "rating_mva": [rating_mva(net, *o) for o in inside]})
+    origins = [
+        (table, i)
+        for table, (start, end) in ranges.items()
+        for i in (*net[table].index,) * ((end - start) // max(len(net[table]), 1))
+    ]
+    inside = [
+        origin for origin, used in zip(origins, ppc["internal"]["branch_is"], strict=True) if used
+    ]
+    columns = dict(
+        zip(
+            ("from", "to", "r", "x", "b", "tap"),
+            ppc["branch"][:, [FROM, TO, R, X, B, TAP]].real.T,
+            strict=True,
+        )
+    )
+    branches = pd.DataFrame(
+        {
+            **columns,
+            "label": [label(net, *o) for o in inside],
+            "rating_mva": [rating_mva(net, *o) for o in inside],
+        }
+    )
     grid = in_service(net, "ext_grid").iloc[0]
-    return NetCase(float(ppc["baseMVA"]), ppc["bus"][:, 9].real, bus_at,
-                 branches.astype({"from": int, "to": int}), bus_at[int(grid["bus"])],
-                 float(grid["vm_pu"]))
+    return NetCase(
+        float(ppc["baseMVA"]),
+        ppc["bus"][:, 9].real,
+        bus_at,
+        branches.astype({"from": int, "to": int}),
+        bus_at[int(grid["bus"])],
+        float(grid["vm_pu"]),
+    )
 
 
 def _without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
@@ -179,13 +253,23 @@ def _without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
 def _check_branches(branches: pd.DataFrame, name: str) -> list[Problem]:
     """Branches whose impedance the model cannot hold."""
     if branches.empty:
-        return [Problem(name, "has no branch that is in service and supplied",
-                        "Close a switch or put a line into service.")]
-    return [Problem(name, f"{branch} has a resistance of {r:.3g} pu and a reactance of {x:.3g} pu",
-                    "The model needs a positive resistance and no negative reactance: correct "
-                    "it, or replace the branch by a closed switch.")
-            for branch, r, x in zip(branches["label"], branches["r"], branches["x"], strict=True)
-            if not (r > 0 and x >= 0)]
+        return [
+            Problem(
+                name,
+                "has no branch that is in service and supplied",
+                "Close a switch or put a line into service.",
+            )
+        ]
+    return [
+        Problem(
+            name,
+            f"{branch} has a resistance of {r:.3g} pu and a reactance of {x:.3g} pu",
+            "The model needs a positive resistance and no negative reactance: correct "
+            "it, or replace the branch by a closed switch.",
+        )
+        for branch, r, x in zip(branches["label"], branches["r"], branches["x"], strict=True)
+        if not (r > 0 and x >= 0)
+    ]
 
 
 def _merged(branches: pd.DataFrame) -> pd.DataFrame:
@@ -200,24 +284,38 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
     rating = rating.groupby([low, high], sort=False).min()
     z = 1 / total.to_numpy()
     ends = np.array([*total.index], dtype=int)
-    return pd.DataFrame({"from": ends[:, 0], "to": ends[:, 1], "r": z.real, "x": z.imag,
-                         "label": label.to_numpy(), "rating_mva": rating.to_numpy()})
+    return pd.DataFrame(
+        {
+            "from": ends[:, 0],
+            "to": ends[:, 1],
+            "r": z.real,
+            "x": z.imag,
+            "label": label.to_numpy(),
+            "rating_mva": rating.to_numpy(),
+        }
+    )
 
 
 def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
     """One problem per loop, with the branches of which one has to be opened."""
     merged = _merged(branches)
     source = {row: bus for bus, row in reversed([*case.bus_at.items()])}
-    between = {frozenset((a, b)): branch for a, b, branch in
-               zip(merged["from"], merged["to"], merged["label"], strict=True)}
+    between = {
+        frozenset((a, b)): branch
+        for a, b, branch in zip(merged["from"], merged["to"], merged["label"], strict=True)
+    }
     problems = []
     for row, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
         pairs = zip(loop, [*loop[1:], loop[0]], strict=True)
         choices = [between[frozenset((int(a), int(b)))] for a, b in pairs]
         buses = " - ".join(str(source.get(int(bus), "star point")) for bus in loop)
-        problems.append(Problem(
-            name, f"{merged['label'][row]} closes a loop: bus {buses}",
-            f"The feeder must be radial: open one of {few(choices)}."))
+        problems.append(
+            Problem(
+                name,
+                f"{merged['label'][row]} closes a loop: bus {buses}",
+                f"The feeder must be radial: open one of {few(choices)}.",
+            )
+        )
     return problems
 
 
@@ -241,16 +339,23 @@ def _network(branches: pd.DataFrame, case: NetCase, ids: Mapping[int, BusId]) ->
     # In pu of each level's own base, an impedance is the same at every level: multiplying by one
     # base refers it by the square of the nominal ratio.
     base_ohm = base_kv**2 / case.base_mva
-    start, end = (np.array([ids[row] for row in branches[side]], dtype=object)
-                  for side in ("from", "to"))
+    start, end = (
+        np.array([ids[row] for row in branches[side]], dtype=object) for side in ("from", "to")
+    )
     r_ohm, x_ohm = (branches[part].to_numpy() * base_ohm for part in ("r", "x"))
-    return Network(start, end, r_ohm, x_ohm, slack_bus=ids[case.slack], base_kv=base_kv,
-                   v_slack_pu=case.v_slack_pu,
-                   i_max_a=kva_to_a(mw_to_kw(branches["rating_mva"]), base_kv))
+    return Network(
+        start,
+        end,
+        r_ohm,
+        x_ohm,
+        slack_bus=ids[case.slack],
+        base_kv=base_kv,
+        v_slack_pu=case.v_slack_pu,
+        i_max_a=kva_to_a(mw_to_kw(branches["rating_mva"]), base_kv),
+    )
 
 
-def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId],
-           network: Network) -> _Loads:
+def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) -> _Loads:
     """Load of each bus, and the tier that its first load with a tier names."""
     loads = supplied(net, "load", case)
     bus = loads["row"].map(ids)
@@ -270,12 +375,18 @@ def _generators(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators
         p_mw = frame["p_mw"] * scaling
         q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
         rating = pd.to_numeric(frame["sn_mva"]) if "sn_mva" in frame else np.nan * p_mw
-        tables.append(pd.DataFrame({
-            "id": [label(net, table, i) for i in frame.index],
-            "bus": frame["row"].map(ids).to_numpy(dtype=object),
-            "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
-            "p_kw": mw_to_kw(p_mw), "q_kvar": mw_to_kw(q_mvar),
-            "s_kva": mw_to_kw(rating.where(rating.notna(), np.hypot(p_mw, q_mvar)))}))
+        tables.append(
+            pd.DataFrame(
+                {
+                    "id": [label(net, table, i) for i in frame.index],
+                    "bus": frame["row"].map(ids).to_numpy(dtype=object),
+                    "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
+                    "p_kw": mw_to_kw(p_mw),
+                    "q_kvar": mw_to_kw(q_mvar),
+                    "s_kva": mw_to_kw(rating.where(rating.notna(), np.hypot(p_mw, q_mvar))),
+                }
+            )
+        )
     # An empty frame has no say in the types of the columns.
     filled = [table for table in tables if len(table)] or tables[:1]
     columns = pd.concat(filled, ignore_index=True)

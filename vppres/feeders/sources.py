@@ -18,8 +18,12 @@ from vppres.io.messages import did_you_mean
 from vppres.scenario.network import BusId
 
 Source = Literal["pandapower", "matpower", "opendss", "simbench"]
-SUFFIXES: dict[str, Source] = {".json": "pandapower", ".m": "matpower", ".mat": "matpower",
-                               ".dss": "opendss"}
+SUFFIXES: dict[str, Source] = {
+    ".json": "pandapower",
+    ".m": "matpower",
+    ".mat": "matpower",
+    ".dss": "opendss",
+}
 _PICKLE = "may be a pickle, which runs what its author wrote when it is opened"
 NEVER = {
     **dict.fromkeys((".p", ".pkl", ".pickle", ".npy", ".npz", ".joblib"), _PICKLE),
@@ -38,8 +42,9 @@ class _Net:
     notes: tuple[str, ...] = ()
 
 
-def import_network(name_or_file: str | Path | Any, source: Source | None = None,
-                   open_branches: Sequence[str] = ()) -> ImportedFeeder:
+def import_network(
+    name_or_file: str | Path | Any, source: Source | None = None, open_branches: Sequence[str] = ()
+) -> ImportedFeeder:
     """Import a network.
 
     Parameters
@@ -66,8 +71,15 @@ def import_network(name_or_file: str | Path | Any, source: Source | None = None,
             return feeder_of(name_or_file, "pandapower net", open_branches)
     text = str(name_or_file)
     if source not in (None, *get_args(Source)):
-        raise InputError(Problem("options", f"must be one of {', '.join(get_args(Source))}",
-                                 "Correct the source.", field="from", value=source))
+        raise InputError(
+            Problem(
+                "options",
+                f"must be one of {', '.join(get_args(Source))}",
+                "Correct the source.",
+                field="from",
+                value=source,
+            )
+        )
     with _quiet():
         read = NAMED[text] if source is None and text in NAMED else _reader(text, source)
         found = read()
@@ -87,14 +99,27 @@ def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
     """The reader of a file or code."""
     never = NEVER.get(Path(text).suffix.lower())
     if never and source != "simbench":
-        raise InputError(Problem(f"network {Path(text).name}", never,
-                                 "Write the net with pandapower.to_json, and import that file."))
+        raise InputError(
+            Problem(
+                f"network {Path(text).name}",
+                never,
+                "Write the net with pandapower.to_json, and import that file.",
+            )
+        )
     kind = source or SUFFIXES.get(Path(text).suffix.lower())
     if kind is None:
-        raise InputError(Problem(
-            f"network {text}", "is neither a named network nor a file that can be imported",
-            did_you_mean(text, sorted(NAMED), f"Give a file ending in {', '.join(SUFFIXES)}, or a "
-                         "SimBench code with --from simbench.")))
+        raise InputError(
+            Problem(
+                f"network {text}",
+                "is neither a named network nor a file that can be imported",
+                did_you_mean(
+                    text,
+                    sorted(NAMED),
+                    f"Give a file ending in {', '.join(SUFFIXES)}, or a "
+                    "SimBench code with --from simbench.",
+                ),
+            )
+        )
     if kind == "simbench":
         return lambda: _simbench(text)
     path = Path(text)
@@ -113,8 +138,13 @@ def _library(module: str, extra: str) -> ModuleType:
 
 
 def _missing(module: str, extra: str) -> InputError:
-    return InputError(Problem("network", f"needs the library {module}, which is not installed",
-                              f"Install it with: pip install 'vppres[{extra}]'"))
+    return InputError(
+        Problem(
+            "network",
+            f"needs the library {module}, which is not installed",
+            f"Install it with: pip install 'vppres[{extra}]'",
+        )
+    )
 
 
 def _pandapower(path: Path) -> _Net:
@@ -161,14 +191,24 @@ def _simbench(code: str) -> _Net:
     simbench = _library("simbench", "simbench")
     codes = simbench.collect_all_simbench_codes()
     if code not in codes:
-        raise InputError(Problem(f"network {code}", "is not a SimBench code",
-                                 did_you_mean(code, sorted(codes), "Correct the code.")))
+        raise InputError(
+            Problem(
+                f"network {code}",
+                "is not a SimBench code",
+                did_you_mean(code, sorted(codes), "Correct the code."),
+            )
+        )
     return _Net(simbench.get_simbench_net(code))
 
 
 def _unreadable(path: Path, what: str, reason: object) -> InputError:
-    return InputError(Problem(path.name, f"cannot be read as {what} ({reason})",
-                              "Correct the file, or choose another format with --from."))
+    return InputError(
+        Problem(
+            path.name,
+            f"cannot be read as {what} ({reason})",
+            "Correct the file, or choose another format with --from.",
+        )
+    )
 
 
 def _from_one(net: Any) -> dict[int, BusId]:

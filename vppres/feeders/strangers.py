@@ -26,8 +26,13 @@ def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes
     with path.open("rb") as file:
         content = file.read(limit + 1)
     if len(content) > limit:
-        raise InputError(Problem(name, f"has more than {limit / 2**20:.3g} MB, or its folder has",
-                                 "Give the feeder alone, without time series."))
+        raise InputError(
+            Problem(
+                name,
+                f"has more than {limit / 2**20:.3g} MB, or its folder has",
+                "Give the feeder alone, without time series.",
+            )
+        )
     return content
 
 

@@ -104,8 +104,9 @@ def atomic_write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 text file so that a reader sees the old or the new text, never a part."""
     path = Path(path).absolute()
     remove_leftovers(path.parent)
-    aside, descriptor = _locked(path, lambda name: os.open(
-        name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+    aside, descriptor = _locked(
+        path, lambda name: os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    )
     try:
         with open(descriptor, "w", encoding="utf-8", newline="\n") as file:
             file.write(text)
@@ -138,18 +139,26 @@ def check_target(target: str | Path) -> Path:
         raise InputError(_unwritable(target, error)) from error
     link = target.is_symlink()
     if link and not target.exists():
-        raise InputError(Problem(str(target), "is a symbolic link that leads nowhere",
-                                 "Remove it, or choose another name."))
+        raise InputError(
+            Problem(
+                str(target),
+                "is a symbolic link that leads nowhere",
+                "Remove it, or choose another name.",
+            )
+        )
     real = Path(os.path.realpath(target)) if link else target
     if real.is_dir():
         if not (real / RUN_MARK).is_file() and any(real.iterdir()):
             what = f"links to {real}, which is not" if link else "exists and is not"
-            raise InputError(Problem(
-                str(target), f"{what} a run folder (it has no {RUN_MARK})",
-                "Choose another folder, or remove this one."))
+            raise InputError(
+                Problem(
+                    str(target),
+                    f"{what} a run folder (it has no {RUN_MARK})",
+                    "Choose another folder, or remove this one.",
+                )
+            )
     elif real.exists():
-        raise InputError(Problem(str(target), "exists and is not a folder",
-                                 "Choose another name."))
+        raise InputError(Problem(str(target), "exists and is not a folder", "Choose another name."))
     _check_place(real)
     return real
 
@@ -164,8 +173,11 @@ def check_file(target: str | Path) -> Path:
     """
     target = Path(target).absolute()
     if target.is_symlink():
-        raise InputError(Problem(str(target), "is a symbolic link", "Name the file itself, or "
-                                 "choose another name."))
+        raise InputError(
+            Problem(
+                str(target), "is a symbolic link", "Name the file itself, or choose another name."
+            )
+        )
     if target.exists() and not target.is_file():
         raise InputError(Problem(str(target), "exists and is not a file", "Choose another name."))
     _check_place(target)
@@ -202,23 +214,28 @@ def is_full(error: OSError) -> bool:
 def full_disk(target: Path, older: bool) -> str:
     """What to say of a disk that took no more."""
     kept = "what was there before is kept" if older else "nothing was written"
-    return (f"{target}: the disk is full, or a quota is reached; {kept}. Free some space, or write "
-            "to another disk.")
+    return (
+        f"{target}: the disk is full, or a quota is reached; {kept}. Free some space, or write "
+        "to another disk."
+    )
 
 
 def _check_place(target: Path) -> None:
     """Whether the nearest folder above the target can be written."""
     place = next(folder for folder in target.parents if folder.exists())
     if not place.is_dir():
-        raise InputError(_unwritable(target, NotADirectoryError(
-            errno.ENOTDIR, os.strerror(errno.ENOTDIR))))
+        raise InputError(
+            _unwritable(target, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
+        )
     if not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(_unwritable(target, PermissionError(
-            errno.EACCES, os.strerror(errno.EACCES))))
+        raise InputError(
+            _unwritable(target, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+        )
 
 
 def _locked_folder(target: Path) -> tuple[Path, int]:
     """A new folder aside, and the open descriptor that holds its lock."""
+
     def make(name: Path) -> int:
         name.mkdir()
         return os.open(name, os.O_RDONLY)
@@ -281,14 +298,18 @@ def _locked_by_us(descriptor: int, part: Path) -> bool:
     except OSError:
         return False
     return (opened.st_ino, opened.st_dev) == (named.st_ino, named.st_dev) and (
-        named.st_uid == os.getuid())
+        named.st_uid == os.getuid()
+    )
 
 
 def _leftovers(folder: Path, suffix: str) -> list[Path]:
     """Names in a folder that this module makes, one way or the other."""
     try:
-        return sorted(Path(entry.path) for entry in os.scandir(folder)
-                      if entry.name.startswith(".") and entry.name.endswith(suffix))
+        return sorted(
+            Path(entry.path)
+            for entry in os.scandir(folder)
+            if entry.name.startswith(".") and entry.name.endswith(suffix)
+        )
     except OSError:
         return []
 
@@ -334,8 +355,9 @@ def exchange_names(one: Path, other: Path) -> bool:
     call = _renameat2()
     if call is None:
         return False
-    return bool(call(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other),
-                     _RENAME_EXCHANGE) == 0)
+    return bool(
+        call(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0
+    )
 
 
 @cache
@@ -345,11 +367,19 @@ def _renameat2() -> Any:
         return None
     call = getattr(ctypes.CDLL(None), "renameat2", None)
     if call is not None:
-        call.argtypes = [ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p,
-                         ctypes.c_uint]
+        call.argtypes = [
+            ctypes.c_int,
+            ctypes.c_char_p,
+            ctypes.c_int,
+            ctypes.c_char_p,
+            ctypes.c_uint,
+        ]
     return call
 
 
 def _unwritable(target: Path, error: OSError) -> Problem:
-    return Problem(str(target), f"cannot be written ({error.strerror})",
-                   "Choose another folder, or check its permissions.")
+    return Problem(
+        str(target),
+        f"cannot be written ({error.strerror})",
+        "Choose another folder, or check its permissions.",
+    )

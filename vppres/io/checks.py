@@ -35,13 +35,27 @@ def check_ids(table: Table) -> list[Problem]:
     problems = []
     for row, text in table.column("id").items():
         if text in first:
-            problems.append(Problem(table.file, f"is already used in row {first[text]}",
-                                    "Give each row its own identifier.", row=row, field="id",
-                                    value=text))
+            problems.append(
+                Problem(
+                    table.file,
+                    f"is already used in row {first[text]}",
+                    "Give each row its own identifier.",
+                    row=row,
+                    field="id",
+                    value=text,
+                )
+            )
         elif text == _RESERVED:
-            problems.append(Problem(table.file, "is reserved for the time column",
-                                    "Choose another identifier.", row=row, field="id",
-                                    value=text))
+            problems.append(
+                Problem(
+                    table.file,
+                    "is reserved for the time column",
+                    "Choose another identifier.",
+                    row=row,
+                    field="id",
+                    value=text,
+                )
+            )
         first.setdefault(text, row)
     return problems
 
@@ -50,8 +64,13 @@ def check_any(customers: Table) -> list[Problem]:
     """A scenario without customers."""
     if len(customers.frame) > 0:
         return []
-    return [Problem(customers.file, "has no row", "Give at least one customer: without any there "
-                    "is nothing to serve.")]
+    return [
+        Problem(
+            customers.file,
+            "has no row",
+            "Give at least one customer: without any there is nothing to serve.",
+        )
+    ]
 
 
 def check_buses(table: Table, lines: Table) -> list[Problem]:
@@ -60,17 +79,29 @@ def check_buses(table: Table, lines: Table) -> list[Problem]:
     ends = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
     known = {read_bus(text) for text in ends}
     suggestions = Suggestions(sorted(map(str, known)), "Correct the bus.")
-    return [Problem(table.file, f"is not a bus of {lines.file}", suggestions.cure(text),
-                    row=row, field="bus", value=text)
-            for row, text in table.column("bus").items() if known and read_bus(text) not in known]
+    return [
+        Problem(
+            table.file,
+            f"is not a bus of {lines.file}",
+            suggestions.cure(text),
+            row=row,
+            field="bus",
+            value=text,
+        )
+        for row, text in table.column("bus").items()
+        if known and read_bus(text) not in known
+    ]
 
 
 def check_known(table: Table, field: str, known: Collection[str], message: str) -> list[Problem]:
     """Cells that refer to something that does not exist."""
     names = set(known)
     suggestions = Suggestions(known, f"Correct the {field}.")
-    return [Problem(table.file, message, suggestions.cure(text), row=row, field=field, value=text)
-            for row, text in table.column(field).items() if text not in names]
+    return [
+        Problem(table.file, message, suggestions.cure(text), row=row, field=field, value=text)
+        for row, text in table.column(field).items()
+        if text not in names
+    ]
 
 
 def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> list[Problem]:
@@ -84,9 +115,16 @@ def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> li
     for row, text in table.column("id").items():
         whole, _, part = text.rpartition("/")
         if whole in known and part.isdecimal() and 1 <= int(part) <= most:
-            problems.append(Problem(
-                table.file, f"is reserved for a part of {whole} while customers have several "
-                "shed_steps", "Choose another identifier.", row=row, field="id", value=text))
+            problems.append(
+                Problem(
+                    table.file,
+                    f"is reserved for a part of {whole} while customers have several shed_steps",
+                    "Choose another identifier.",
+                    row=row,
+                    field="id",
+                    value=text,
+                )
+            )
     return problems
 
 
@@ -96,9 +134,16 @@ def check_one_pv_each(pv: Table) -> list[Problem]:
     problems = []
     for row, text in pv.column("customer").items():
         if text in first:
-            problems.append(Problem(pv.file, f"already has the PV system of row {first[text]}",
-                                    "Join the two systems: a customer has at most one.",
-                                    row=row, field="customer", value=text))
+            problems.append(
+                Problem(
+                    pv.file,
+                    f"already has the PV system of row {first[text]}",
+                    "Join the two systems: a customer has at most one.",
+                    row=row,
+                    field="customer",
+                    value=text,
+                )
+            )
         first.setdefault(text, row)
     return problems
 
@@ -109,10 +154,18 @@ def check_pv_ratings(file: str, rows: dict[int, schema.PVRow]) -> list[Problem]:
     What a customer uses of its own PV power is an equality in the model, so power that the
     inverter cannot carry would force the customer to be shed.
     """
-    return [Problem(file, f"must not exceed s_max_kva ({pv.s_max_kva:g})",
-                    "Give the larger inverter, or cap p_max_kw and the series at its rating.",
-                    row=row, field="p_max_kw", value=pv.p_max_kw)
-            for row, pv in rows.items() if pv.p_max_kw > pv.s_max_kva]
+    return [
+        Problem(
+            file,
+            f"must not exceed s_max_kva ({pv.s_max_kva:g})",
+            "Give the larger inverter, or cap p_max_kw and the series at its rating.",
+            row=row,
+            field="p_max_kw",
+            value=pv.p_max_kw,
+        )
+        for row, pv in rows.items()
+        if pv.p_max_kw > pv.s_max_kva
+    ]
 
 
 def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Problem]:
@@ -120,31 +173,55 @@ def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Probl
     problems = []
     for row, battery in rows.items():
         if battery.p_max_kw > battery.s_max_kva:
-            problems.append(Problem(
-                file, f"must not exceed s_max_kva ({battery.s_max_kva:g})",
-                "Correct the power or the inverter rating.", row=row, field="p_max_kw",
-                value=battery.p_max_kw))
+            problems.append(
+                Problem(
+                    file,
+                    f"must not exceed s_max_kva ({battery.s_max_kva:g})",
+                    "Correct the power or the inverter rating.",
+                    row=row,
+                    field="p_max_kw",
+                    value=battery.p_max_kw,
+                )
+            )
         low = battery.soc_min
         high = battery.soc_max
         start = battery.soc_initial
         if not low < high:
-            problems.append(Problem(file, f"must be less than soc_max ({high:g})",
-                                    "Correct one of the limits.", row=row, field="soc_min",
-                                    value=low))
-        elif start is not None and not (
-                low - SOC_ROUNDING <= start <= high + SOC_ROUNDING):
-            problems.append(Problem(
-                file, f"must lie between soc_min ({low:g}) and soc_max ({high:g})",
-                "Correct the state of charge at the start or the limits.", row=row,
-                field="soc_initial", value=start))
+            problems.append(
+                Problem(
+                    file,
+                    f"must be less than soc_max ({high:g})",
+                    "Correct one of the limits.",
+                    row=row,
+                    field="soc_min",
+                    value=low,
+                )
+            )
+        elif start is not None and not (low - SOC_ROUNDING <= start <= high + SOC_ROUNDING):
+            problems.append(
+                Problem(
+                    file,
+                    f"must lie between soc_min ({low:g}) and soc_max ({high:g})",
+                    "Correct the state of charge at the start or the limits.",
+                    row=row,
+                    field="soc_initial",
+                    value=start,
+                )
+            )
     return problems
 
 
-def check_pv_series(series: Table, name: str, values: Floats,
-                    p_max_kw: float) -> list[Problem]:
+def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -> list[Problem]:
     """Available PV power above the system's rating."""
     over = np.flatnonzero(values > p_max_kw * (1 + RATING_TOLERANCE))
-    return few(over, lambda i: Problem(
-        series.file, f"exceeds the system's p_max_kw ({p_max_kw:g})",
-        "Correct the series or the rating.", row=int(series.frame.index[i]), field=name,
-        value=cell_text(series.frame[name].iloc[i])))
+    return few(
+        over,
+        lambda i: Problem(
+            series.file,
+            f"exceeds the system's p_max_kw ({p_max_kw:g})",
+            "Correct the series or the rating.",
+            row=int(series.frame.index[i]),
+            field=name,
+            value=cell_text(series.frame[name].iloc[i]),
+        ),
+    )

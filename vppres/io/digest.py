@@ -45,5 +45,7 @@ def _canonical_network(network: Network) -> dict[str, Any]:
         columns.append(network.i_max_a.tolist())
     lines = zip(*columns, strict=True)
     scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]
-    return {"lines": sorted((list(line) for line in lines), key=str),
-            **{name: _canonical(getattr(network, name)) for name in scalars}}
+    return {
+        "lines": sorted((list(line) for line in lines), key=str),
+        **{name: _canonical(getattr(network, name)) for name in scalars},
+    }

@@ -40,8 +40,11 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
 def packaged_scenarios() -> list[str]:
     """Names of the scenarios that come with the package, sorted."""
     home = _home()
-    return sorted(entry.name for entry in (home.iterdir() if home.is_dir() else [])
-                  if (entry / SCENARIO_FILE).is_file())
+    return sorted(
+        entry.name
+        for entry in (home.iterdir() if home.is_dir() else [])
+        if (entry / SCENARIO_FILE).is_file()
+    )
 
 
 def find_scenario(name_or_folder: str | Path) -> Path:
@@ -64,9 +67,13 @@ def find_scenario(name_or_folder: str | Path) -> Path:
     folder = Path(name_or_folder)
     if folder.is_dir():
         return folder
-    raise InputError(Problem(
-        f"scenario {name_or_folder}", "is neither a packaged scenario nor a folder",
-        did_you_mean(str(name_or_folder), names, "Give the path of a scenario folder.")))
+    raise InputError(
+        Problem(
+            f"scenario {name_or_folder}",
+            "is neither a packaged scenario nor a folder",
+            did_you_mean(str(name_or_folder), names, "Give the path of a scenario folder."),
+        )
+    )
 
 
 def _home() -> Path:

@@ -57,8 +57,9 @@ _VALUES = re.compile(r"[\d(:']")  # where the values in a message begin
 _FILE_CURE = "Give a file name in the scenario folder that ends in .csv or .parquet."
 
 
-def problems_of(error: ValidationError, model: type[BaseModel], where: str,
-                row: int | None = None) -> list[Problem]:
+def problems_of(
+    error: ValidationError, model: type[BaseModel], where: str, row: int | None = None
+) -> list[Problem]:
     """One problem for each mistake that the validation of ``model`` found.
 
     Parameters
@@ -140,8 +141,7 @@ def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]
         ordered += found[:MAX_PROBLEMS_PER_FILE]
         more = sum(1 + problem.more for problem in found[MAX_PROBLEMS_PER_FILE:])
         if more > 0:
-            ordered.append(Problem(file, f"has {more} more problems",
-                                   "Cure those above first."))
+            ordered.append(Problem(file, f"has {more} more problems", "Cure those above first."))
     return ordered
 
 
@@ -181,23 +181,32 @@ def folded(problems: Iterable[Problem]) -> list[Problem]:
     return kept
 
 
-def _problem(details: ErrorDetails, model: type[BaseModel], where: str,
-             row: int | None) -> Problem:
+def _problem(details: ErrorDetails, model: type[BaseModel], where: str, row: int | None) -> Problem:
     kind = details["type"]
     place = tuple(part for part in details["loc"] if part != "[key]")  # a name of a tier
     owner, field = _find(model, place)
     name = dotted(place)
     if kind == "extra_forbidden":
-        return Problem(where, "is not a known key",
-                       did_you_mean(str(place[-1]), owner.model_fields, "Remove it."), field=name)
+        return Problem(
+            where,
+            "is not a known key",
+            did_you_mean(str(place[-1]), owner.model_fields, "Remove it."),
+            field=name,
+        )
     template = _MESSAGES.get(kind, details["msg"][:1].lower() + details["msg"][1:])
     message = template.format(**details.get("ctx", {})) if kind in _MESSAGES else template
     if row is not None and kind == "missing":
         message = "is empty"
     has_value = kind not in ("missing", "too_short")
     cure = details["ctx"]["cure"] if kind == "flawed_name" else _cure(kind, owner, field)
-    return Problem(where, message, cure, row=row, field=name,
-                   value=shown(details["input"]) if has_value else None)
+    return Problem(
+        where,
+        message,
+        cure,
+        row=row,
+        field=name,
+        value=shown(details["input"]) if has_value else None,
+    )
 
 
 def _cure(kind: str, owner: type[BaseModel], field: FieldInfo) -> str:
@@ -214,8 +223,9 @@ def dotted(place: tuple[int | str, ...]) -> str:
     return text
 
 
-def _find(model: type[BaseModel],
-          place: tuple[int | str, ...]) -> tuple[type[BaseModel], FieldInfo]:
+def _find(
+    model: type[BaseModel], place: tuple[int | str, ...]
+) -> tuple[type[BaseModel], FieldInfo]:
     """The innermost model and field on the way to a place."""
     owner = model
     field = FieldInfo()

@@ -51,9 +51,13 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
     pv = scenario.pv
     batteries = scenario.batteries
     texts: list[tuple[str, str, Iterable[object]]] = [
-        ("customers", "id", customers.id), ("customers", "tier", customers.tier),
-        ("pv", "id", pv.id), ("batteries", "id", batteries.id),
-        ("network", "buses", scenario.network.buses), ("scenario", "tiers", scenario.tiers)]
+        ("customers", "id", customers.id),
+        ("customers", "tier", customers.tier),
+        ("pv", "id", pv.id),
+        ("batteries", "id", batteries.id),
+        ("network", "buses", scenario.network.buses),
+        ("scenario", "tiers", scenario.tiers),
+    ]
     for table, field, names in texts:
         for name in names:
             flaw = flaw_of_name(str(name), schema.MAX_NAME_LENGTH)
@@ -72,9 +76,11 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ("customers", scenario.customers, schema.CustomerRow),
         ("pv", scenario.pv, schema.PVRow),
         ("batteries", scenario.batteries, schema.BatteryRow),
-        ("load_kw", scenario, schema.LoadSeries), ("pv_kw", scenario, schema.PVSeries),
+        ("load_kw", scenario, schema.LoadSeries),
+        ("pv_kw", scenario, schema.PVSeries),
         ("system", scenario, schema.SystemSeries),
-        ("objective", scenario.objective, schema.ObjectiveSection)]
+        ("objective", scenario.objective, schema.ObjectiveSection),
+    ]
     for table, owner, model in tables:
         for name, field in model.model_fields.items():
             if name in _MAY_BE_INFINITE or any(isinstance(m, (Ge, Le)) for m in field.metadata):
@@ -85,10 +91,13 @@ def _limits(scenario: Scenario) -> Iterator[Problem]:
     """Limits of the state of charge that leave nothing between them."""
     batteries = scenario.batteries
     for i in np.flatnonzero(~(batteries.soc_min < batteries.soc_max)):
-        yield Problem(f"battery {batteries.id[i]}",
-                      f"must be less than soc_max ({batteries.soc_max[i]:g})",
-                      "Correct one of the limits.", field="soc_min",
-                      value=float(batteries.soc_min[i]))
+        yield Problem(
+            f"battery {batteries.id[i]}",
+            f"must be less than soc_max ({batteries.soc_max[i]:g})",
+            "Correct one of the limits.",
+            field="soc_min",
+            value=float(batteries.soc_min[i]),
+        )
 
 
 def _outside(table: str, name: str, field: FieldInfo, values: object) -> list[Problem]:
@@ -105,8 +114,13 @@ def _outside(table: str, name: str, field: FieldInfo, values: object) -> list[Pr
 
     def problem(i: int) -> Problem:
         place = tuple(int(k) for k in bad[i])
-        return Problem(table, f"must lie between {low:g} and {high:g}", schema.cure(field),
-                       row=place[0] if array.size > 1 else None, field=name,
-                       value=float(array[place]))
+        return Problem(
+            table,
+            f"must lie between {low:g} and {high:g}",
+            schema.cure(field),
+            row=place[0] if array.size > 1 else None,
+            field=name,
+            value=float(array[place]),
+        )
 
     return few(range(len(bad)), problem)

@@ -111,8 +111,10 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
-    return (_Rows(lines, customers, pv, batteries),
-            line_problems + customer_problems + pv_problems + battery_problems)
+    return (
+        _Rows(lines, customers, pv, batteries),
+        line_problems + customer_problems + pv_problems + battery_problems,
+    )
 
 
 def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
@@ -124,16 +126,22 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
     if lines:
         problems += _check_network(lines, content.settings.slack_bus)
-        problems += [p for table in (customers, batteries) if table
-                     for p in checks.check_buses(table, lines)]
+        problems += [
+            p for table in (customers, batteries) if table for p in checks.check_buses(table, lines)
+        ]
     if customers:
         problems += checks.check_any(customers)
     if customers and content.settings.tiers:
-        problems += checks.check_known(customers, "tier", content.settings.tiers,
-                                       f"is not a tier of {SCENARIO_FILE}")
+        problems += checks.check_known(
+            customers, "tier", content.settings.tiers, f"is not a tier of {SCENARIO_FILE}"
+        )
     if customers and pv:
-        problems += checks.check_known(pv, "customer", customers.column("id").values(),
-                                       f"is not a customer of {customers.file}")
+        problems += checks.check_known(
+            pv,
+            "customer",
+            customers.column("id").values(),
+            f"is not a customer of {customers.file}",
+        )
     for table in (customers, pv):
         if customers and table:
             problems += checks.check_parts(table, rows.customers)
@@ -152,8 +160,7 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
     if any("" in end for end in texts) or len(lines.frame) > schema.MAX_ITEMS:
         return []
     read_bus = checks.bus_reader(lines)
-    from_bus, to_bus = (np.array([read_bus(text) for text in end], dtype=object)
-                        for end in texts)
+    from_bus, to_bus = (np.array([read_bus(text) for text in end], dtype=object) for end in texts)
     located = []
     for problem in check_radial(from_bus, to_bus, read_bus(slack_bus)):
         if problem.field == "slack_bus":
@@ -168,11 +175,17 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
 def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]:
     """Times, columns and numbers of the three series; empty arrays where they are not sound."""
     load, load_problems = _read_columns(
-        content.load_kw, content.customers, schema.LoadSeries.model_fields["load_kw"],
-        f"Add one column per customer of {content.settings.files.customers}.")
+        content.load_kw,
+        content.customers,
+        schema.LoadSeries.model_fields["load_kw"],
+        f"Add one column per customer of {content.settings.files.customers}.",
+    )
     pv, pv_problems = _read_columns(
-        content.pv_kw, content.pv, schema.PVSeries.model_fields["pv_kw"],
-        f"Add one column per PV system of {content.settings.files.pv}.")
+        content.pv_kw,
+        content.pv,
+        schema.PVSeries.model_fields["pv_kw"],
+        f"Add one column per PV system of {content.settings.files.pv}.",
+    )
     system, system_problems = _read_system(content.system)
     problems = load_problems + pv_problems + system_problems
     if content.pv_kw:
@@ -189,19 +202,21 @@ def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]
     return _Series(_stack(load, n_steps), _stack(pv, n_steps), **system), problems
 
 
-def _read_columns(table: Table | None, items: Table | None, field: FieldInfo,
-                  cure: str) -> tuple[dict[str, Floats], list[Problem]]:
+def _read_columns(
+    table: Table | None, items: Table | None, field: FieldInfo, cure: str
+) -> tuple[dict[str, Floats], list[Problem]]:
     """One column of numbers per item, in the order of the items' table."""
     if table is None:
         return {}, []
     known = items.column("id").values() if items and "id" in items.names else table.names
     ids = [name for name in dict.fromkeys(known) if name != TIME]
     time_cure = schema.cure(schema.SystemSeries.model_fields[TIME])
-    problems = check_columns(table, [TIME, *ids], [TIME, *ids],
-                             {**dict.fromkeys(ids, cure), TIME: time_cure})
+    problems = check_columns(
+        table, [TIME, *ids], [TIME, *ids], {**dict.fromkeys(ids, cure), TIME: time_cure}
+    )
     columns = {}
     given = set(table.names)
-    for name in ids[:schema.MAX_ITEMS]:
+    for name in ids[: schema.MAX_ITEMS]:
         if name in given:
             columns[name], found = read_values(table, name, field)
             problems += found
@@ -214,14 +229,18 @@ def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]
     values = {name: np.empty(0) for name in model if name != TIME}
     if table is None:
         return values, []
-    problems = check_columns(table, list(model),
-                             [name for name, field in model.items() if field.is_required()],
-                             {name: schema.cure(field) for name, field in model.items()})
+    problems = check_columns(
+        table,
+        list(model),
+        [name for name, field in model.items() if field.is_required()],
+        {name: schema.cure(field) for name, field in model.items()},
+    )
     values["grid_limit_kw"] = np.full(len(table.frame), np.inf)
     for name in values:
         if name in table.names:
-            values[name], found = read_values(table, name, model[name],
-                                              infinite=name == "grid_limit_kw")
+            values[name], found = read_values(
+                table, name, model[name], infinite=name == "grid_limit_kw"
+            )
             problems += found
     return values, problems
 
@@ -231,8 +250,9 @@ def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
     return np.column_stack(list(columns.values())) if columns else np.empty((n_steps, 0))
 
 
-def _assemble(settings: Settings, rows: _Rows, series: _Series,
-              read_bus: Callable[[str], BusId]) -> Scenario:
+def _assemble(
+    settings: Settings, rows: _Rows, series: _Series, read_bus: Callable[[str], BusId]
+) -> Scenario:
     """The scenario, from files in which no problem was found."""
     file = settings.file
     grid = settings.grid
@@ -245,17 +265,23 @@ def _assemble(settings: Settings, rows: _Rows, series: _Series,
         ends = round((pd.Timestamp(outage.end) - grid.start) / step)
         limit_kw[begins:ends] = 0.0
     return Scenario(
-        name=file.name, title=file.title or file.name, grid=grid,
+        name=file.name,
+        title=file.title or file.name,
+        grid=grid,
         network=_network(file.network, rows.lines, read_bus),
         customers=_customers(rows.customers, file.tiers, read_bus),
         pv=PVSystems(**_columns(rows.pv, schema.PVRow)),
         batteries=_batteries(rows.batteries, read_bus),
-        load_kw=series.load_kw, pv_kw=series.pv_kw, grid_limit_kw=limit_kw,
-        price_gbp_per_kwh=series.price_gbp_per_kwh, temperature_c=series.temperature_c,
+        load_kw=series.load_kw,
+        pv_kw=series.pv_kw,
+        grid_limit_kw=limit_kw,
+        price_gbp_per_kwh=series.price_gbp_per_kwh,
+        temperature_c=series.temperature_c,
         tiers=tuple(file.tiers),
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
-        switching=SwitchingRules(**file.switching.model_dump()))
+        switching=SwitchingRules(**file.switching.model_dump()),
+    )
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:
@@ -263,8 +289,11 @@ def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str,
     return {name: [getattr(row, name) for row in rows.values()] for name in model.model_fields}
 
 
-def _network(section: schema.NetworkSection, rows: Mapping[int, schema.LineRow],
-             read_bus: Callable[[str], BusId]) -> Network:
+def _network(
+    section: schema.NetworkSection,
+    rows: Mapping[int, schema.LineRow],
+    read_bus: Callable[[str], BusId],
+) -> Network:
     columns = _columns(rows, schema.LineRow)
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]
@@ -273,22 +302,29 @@ def _network(section: schema.NetworkSection, rows: Mapping[int, schema.LineRow],
     return Network(**columns, **scalars)
 
 
-def _customers(rows: Mapping[int, schema.CustomerRow], tiers: dict[str, float],
-               read_bus: Callable[[str], BusId]) -> Customers:
+def _customers(
+    rows: Mapping[int, schema.CustomerRow],
+    tiers: dict[str, float],
+    read_bus: Callable[[str], BusId],
+) -> Customers:
     columns = _columns(rows, schema.CustomerRow)
     columns["bus"] = [read_bus(text) for text in columns["bus"]]
-    columns["weight"] = [tiers[row.tier] if row.weight is None else row.weight
-                         for row in rows.values()]
+    columns["weight"] = [
+        tiers[row.tier] if row.weight is None else row.weight for row in rows.values()
+    ]
     return Customers(**columns)
 
 
-def _batteries(rows: Mapping[int, schema.BatteryRow],
-               read_bus: Callable[[str], BusId]) -> Batteries:
+def _batteries(
+    rows: Mapping[int, schema.BatteryRow], read_bus: Callable[[str], BusId]
+) -> Batteries:
     columns = _columns(rows, schema.BatteryRow)
     columns["bus"] = [read_bus(text) for text in columns["bus"]]
-    columns["soc_initial"] = [row.soc_min if row.soc_initial is None else row.soc_initial
-                              for row in rows.values()]
-    columns["t_initial_c"] = [np.nan if row.t_initial_c is None else row.t_initial_c
-                              for row in rows.values()]
+    columns["soc_initial"] = [
+        row.soc_min if row.soc_initial is None else row.soc_initial for row in rows.values()
+    ]
+    columns["t_initial_c"] = [
+        np.nan if row.t_initial_c is None else row.t_initial_c for row in rows.values()
+    ]
     columns["grid_forming"] = [row.grid_forming == "yes" for row in rows.values()]
     return Batteries(**columns)

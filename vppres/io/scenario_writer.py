@@ -70,21 +70,30 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     document = {
         "name": scenario.name,
         "title": scenario.title,
-        "time": {"start": grid.start.to_pydatetime(), "step_minutes": float(grid.step_minutes),
-                 "steps": int(grid.n_steps)},
-        "network": {"slack_bus": _plain(network.slack_bus),
-                    **{name: float(getattr(network, name)) for name in limits}},
+        "time": {
+            "start": grid.start.to_pydatetime(),
+            "step_minutes": float(grid.step_minutes),
+            "steps": int(grid.n_steps),
+        },
+        "network": {
+            "slack_bus": _plain(network.slack_bus),
+            **{name: float(getattr(network, name)) for name in limits},
+        },
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
-        "objective": {f.name: float(getattr(scenario.objective, f.name))
-                      for f in fields(scenario.objective)},
+        "objective": {
+            f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
+        },
         "outages": outage_intervals(scenario),
-        "controller": {"kind": scenario.controller.kind,
-                       "horizon_h": float(scenario.controller.horizon_h),
-                       "mode": scenario.controller.mode},
+        "controller": {
+            "kind": scenario.controller.kind,
+            "horizon_h": float(scenario.controller.horizon_h),
+            "mode": scenario.controller.mode,
+        },
     }
     if scenario.switching != SwitchingRules():
-        document["switching"] = {name: value for name, value in asdict(scenario.switching).items()
-                                 if value is not None}
+        document["switching"] = {
+            name: value for name, value in asdict(scenario.switching).items() if value is not None
+        }
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
@@ -109,8 +118,9 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     network = scenario.network
     customers = scenario.customers
     frames = {
-        "lines": pd.DataFrame({name: getattr(network, name)
-                               for name in schema.LineRow.model_fields}),
+        "lines": pd.DataFrame(
+            {name: getattr(network, name) for name in schema.LineRow.model_fields}
+        ),
         "customers": _frame(customers, schema.CustomerRow),
         "pv": _frame(scenario.pv, schema.PVRow),
         "batteries": _battery_frame(scenario.batteries),
@@ -149,9 +159,11 @@ def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.Data
 def _system_frame(scenario: Scenario) -> pd.DataFrame:
     """Outages are in scenario.toml, so that the limit is a column only where it limits."""
     limit_kw = scenario.grid_limit_kw
-    columns = {TIME: [iso(time) for time in scenario.grid.times],
-               "price_gbp_per_kwh": scenario.price_gbp_per_kwh,
-               "temperature_c": scenario.temperature_c}
+    columns = {
+        TIME: [iso(time) for time in scenario.grid.times],
+        "price_gbp_per_kwh": scenario.price_gbp_per_kwh,
+        "temperature_c": scenario.temperature_c,
+    }
     if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
         columns["grid_limit_kw"] = limit_kw
     return pd.DataFrame(columns)

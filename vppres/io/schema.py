@@ -63,13 +63,16 @@ _FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
 
 def _sound(longest: int) -> AfterValidator:
     """A check that a text can be shown, drawn and written as it is."""
+
     def check(text: str) -> str:
         flaw = flaw_of_name(text, longest)
         if flaw:
             message, cure = flaw
-            raise PydanticCustomError("flawed_name", "{message}", {"message": message,
-                                                                   "cure": cure})
+            raise PydanticCustomError(
+                "flawed_name", "{message}", {"message": message, "cure": cure}
+            )
         return text
+
     return AfterValidator(check)
 
 
@@ -89,13 +92,16 @@ class LineRow(Row):
     from_bus: Name = Field(description="bus at one end of the line")
     to_bus: Name = Field(description="bus at the other end of the line")
     r_ohm: float = Field(
-        ge=MIN_OHM, le=MAX_OHM, description="series resistance", json_schema_extra=OHM)
-    x_ohm: float = Field(
-        ge=0, le=MAX_OHM, description="series reactance", json_schema_extra=OHM)
+        ge=MIN_OHM, le=MAX_OHM, description="series resistance", json_schema_extra=OHM
+    )
+    x_ohm: float = Field(ge=0, le=MAX_OHM, description="series reactance", json_schema_extra=OHM)
     i_max_a: float | None = Field(
-        default=None, ge=MIN_KW, le=MAX_A,
-        description="thermal rating for the report's line loading (empty: "
-        "none)", json_schema_extra={"unit": "A"})
+        default=None,
+        ge=MIN_KW,
+        le=MAX_A,
+        description="thermal rating for the report's line loading (empty: none)",
+        json_schema_extra={"unit": "A"},
+    )
 
 
 class CustomerRow(Row):
@@ -105,13 +111,21 @@ class CustomerRow(Row):
     bus: Name = Field(description="bus of the customer")
     tier: Name = Field(description="priority tier, one of scenario.toml's tiers")
     power_factor: float = Field(
-        ge=MIN_POWER_FACTOR, le=1, description="lagging power factor of the load")
+        ge=MIN_POWER_FACTOR, le=1, description="lagging power factor of the load"
+    )
     weight: float | None = Field(
-        default=None, ge=MIN_WEIGHT, le=MAX_WEIGHT,
-        description="priority weight (empty: the weight of the tier)")
+        default=None,
+        ge=MIN_WEIGHT,
+        le=MAX_WEIGHT,
+        description="priority weight (empty: the weight of the tier)",
+    )
     shed_steps: int = Field(
-        default=1, ge=1, le=MAX_SHED_STEPS, description="number of equal parts of the customer "
-        "that may be switched off one by one; 1 is all or nothing")
+        default=1,
+        ge=1,
+        le=MAX_SHED_STEPS,
+        description="number of equal parts of the customer "
+        "that may be switched off one by one; 1 is all or nothing",
+    )
 
 
 class PVRow(Row):
@@ -120,9 +134,11 @@ class PVRow(Row):
     id: Name = Field(description="identifier of the PV system")
     customer: Name = Field(description="customer that owns the PV system")
     p_max_kw: float = Field(
-        ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW)
+        ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW
+    )
     s_max_kva: float = Field(
-        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA)
+        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA
+    )
 
 
 class BatteryRow(Row):
@@ -131,54 +147,94 @@ class BatteryRow(Row):
     id: Name = Field(description="identifier of the battery")
     bus: Name = Field(description="bus of the battery")
     energy_kwh: float = Field(
-        ge=MIN_KW, le=MAX_KW, description="energy capacity", json_schema_extra=KWH)
+        ge=MIN_KW, le=MAX_KW, description="energy capacity", json_schema_extra=KWH
+    )
     p_max_kw: float = Field(
-        ge=MIN_KW, le=MAX_KW,
-        description="largest charging and discharging power", json_schema_extra=KW)
+        ge=MIN_KW,
+        le=MAX_KW,
+        description="largest charging and discharging power",
+        json_schema_extra=KW,
+    )
     s_max_kva: float = Field(
-        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA)
+        ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA
+    )
     soc_min: float = Field(default=0.15, ge=0, le=1, description="lowest state of charge")
     soc_max: float = Field(default=0.85, ge=0, le=1, description="highest state of charge")
     soc_initial: float | None = Field(
-        default=None, ge=0, le=1, description="state of charge at the start (empty: soc_min)")
+        default=None, ge=0, le=1, description="state of charge at the start (empty: soc_min)"
+    )
     eta_charge: float = Field(
-        default=0.95, ge=MIN_EFFICIENCY, le=1, description="charging efficiency")
+        default=0.95, ge=MIN_EFFICIENCY, le=1, description="charging efficiency"
+    )
     eta_discharge: float = Field(
-        default=0.95, ge=MIN_EFFICIENCY, le=1, description="discharging efficiency")
+        default=0.95, ge=MIN_EFFICIENCY, le=1, description="discharging efficiency"
+    )
     r_theta_c_per_kw: float = Field(
-        default=3.5, ge=MIN_THERMAL, le=MAX_THERMAL,
-        description="thermal resistance", json_schema_extra={"unit": "°C/kW"})
+        default=3.5,
+        ge=MIN_THERMAL,
+        le=MAX_THERMAL,
+        description="thermal resistance",
+        json_schema_extra={"unit": "°C/kW"},
+    )
     c_theta_kwh_per_c: float = Field(
-        default=0.3, ge=MIN_THERMAL, le=MAX_THERMAL,
-        description="thermal capacitance", json_schema_extra={"unit": "kWh/°C"})
+        default=0.3,
+        ge=MIN_THERMAL,
+        le=MAX_THERMAL,
+        description="thermal capacitance",
+        json_schema_extra={"unit": "kWh/°C"},
+    )
     alpha_charge_per_c2: float = Field(
-        default=1e-4, ge=0, le=MAX_LOSS_PER_C2,
+        default=1e-4,
+        ge=0,
+        le=MAX_LOSS_PER_C2,
         description="loss of charging efficiency per squared deviation from "
-        "the reference temperature", json_schema_extra=PER_C2)
+        "the reference temperature",
+        json_schema_extra=PER_C2,
+    )
     alpha_discharge_per_c2: float = Field(
-        default=1e-4, ge=0, le=MAX_LOSS_PER_C2,
+        default=1e-4,
+        ge=0,
+        le=MAX_LOSS_PER_C2,
         description="loss of discharging efficiency per squared deviation "
-        "from the reference temperature", json_schema_extra=PER_C2)
+        "from the reference temperature",
+        json_schema_extra=PER_C2,
+    )
     r_int_ohm: float = Field(
-        default=0.0035, ge=0, le=MAX_CELL_OHM,
+        default=0.0035,
+        ge=0,
+        le=MAX_CELL_OHM,
         description="internal resistance at the reference temperature",
-        json_schema_extra=OHM)
+        json_schema_extra=OHM,
+    )
     beta_per_c: float = Field(
-        default=0.003, ge=0, le=MAX_LOSS_PER_C2,
+        default=0.003,
+        ge=0,
+        le=MAX_LOSS_PER_C2,
         description="temperature coefficient of the internal resistance",
-        json_schema_extra={"unit": "1/°C"})
+        json_schema_extra={"unit": "1/°C"},
+    )
     u_batt_v: float = Field(
-        default=900.0, ge=1, le=MAX_BATTERY_V,
-        description="terminal voltage", json_schema_extra={"unit": "V"})
+        default=900.0,
+        ge=1,
+        le=MAX_BATTERY_V,
+        description="terminal voltage",
+        json_schema_extra={"unit": "V"},
+    )
     t_ref_c: float = Field(
-        default=25.0, ge=-50, le=60, description="reference temperature",
-        json_schema_extra=CELSIUS)
+        default=25.0, ge=-50, le=60, description="reference temperature", json_schema_extra=CELSIUS
+    )
     t_initial_c: float | None = Field(
-        default=None, ge=-50, le=100, description="temperature at the start (empty: the ambient "
-        "temperature of the first step)", json_schema_extra=CELSIUS)
+        default=None,
+        ge=-50,
+        le=100,
+        description="temperature at the start (empty: the ambient temperature of the first step)",
+        json_schema_extra=CELSIUS,
+    )
     grid_forming: Literal["yes", "no"] = Field(
-        default="no", description="duty of forming the grid of an island in physical mode (where "
-        "no battery has it, the one with the largest inverter does)")
+        default="no",
+        description="duty of forming the grid of an island in physical mode (where "
+        "no battery has it, the one with the largest inverter does)",
+    )
 
 
 class LoadSeries(Row):
@@ -186,8 +242,12 @@ class LoadSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     load_kw: float = Field(
-        alias="<customer id>", ge=0, le=MAX_KW, description="demand of the customer if served",
-        json_schema_extra=KW)
+        alias="<customer id>",
+        ge=0,
+        le=MAX_KW,
+        description="demand of the customer if served",
+        json_schema_extra=KW,
+    )
 
 
 class PVSeries(Row):
@@ -195,8 +255,12 @@ class PVSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     pv_kw: float = Field(
-        alias="<PV id>", ge=0, le=MAX_KW, description="power available from the PV system",
-        json_schema_extra=KW)
+        alias="<PV id>",
+        ge=0,
+        le=MAX_KW,
+        description="power available from the PV system",
+        json_schema_extra=KW,
+    )
 
 
 class SystemSeries(Row):
@@ -204,15 +268,21 @@ class SystemSeries(Row):
 
     time: str = Field(description="beginning of the step, ISO 8601 with time zone")
     price_gbp_per_kwh: float = Field(
-        ge=-MAX_PRICE, le=MAX_PRICE,
+        ge=-MAX_PRICE,
+        le=MAX_PRICE,
         description="import price (negative: the feeder is paid)",
-        json_schema_extra=GBP_PER_KWH)
+        json_schema_extra=GBP_PER_KWH,
+    )
     temperature_c: float = Field(
-        ge=-50, le=60, description="ambient temperature", json_schema_extra=CELSIUS)
+        ge=-50, le=60, description="ambient temperature", json_schema_extra=CELSIUS
+    )
     grid_limit_kw: float | None = Field(
-        default=None, ge=0, le=MAX_KW,
-        description="largest import from the grid (inf, or no such column: "
-        "no limit)", json_schema_extra=KW)
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest import from the grid (inf, or no such column: no limit)",
+        json_schema_extra=KW,
+    )
 
 
 class Section(BaseModel):
@@ -226,7 +296,8 @@ class TimeSection(Section):
 
     start: AwareDatetime = Field(description="beginning of the first step, with time zone")
     step_minutes: float = Field(
-        ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"})
+        ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"}
+    )
     steps: int = Field(ge=1, le=MAX_STEPS, description="number of steps")
 
 
@@ -234,52 +305,86 @@ class NetworkSection(Section):
     """The grid connection and the voltage limits."""
 
     base_kv: float = Field(
-        ge=MIN_KV, le=MAX_KV,
-        description="nominal line-to-line voltage", json_schema_extra={"unit": "kV"})
+        ge=MIN_KV,
+        le=MAX_KV,
+        description="nominal line-to-line voltage",
+        json_schema_extra={"unit": "kV"},
+    )
     # Buses may be numbers or names: both are compared as text until lines.csv has been read.
     slack_bus: Name = Field(
-        min_length=1, strict=False, coerce_numbers_to_str=True,
+        min_length=1,
+        strict=False,
+        coerce_numbers_to_str=True,
         description="bus of the grid connection",
-        json_schema_extra={"type": ["string", "integer"]})
+        json_schema_extra={"type": ["string", "integer"]},
+    )
     v_slack_pu: float = Field(
-        default=Network.v_slack_pu, ge=MIN_PU, le=2, description="voltage of the slack bus",
-        json_schema_extra=PU)
+        default=Network.v_slack_pu,
+        ge=MIN_PU,
+        le=2,
+        description="voltage of the slack bus",
+        json_schema_extra=PU,
+    )
     v_min_pu: float = Field(
-        default=Network.v_min_pu, ge=MIN_PU, le=2, description="lowest voltage in the optimisation",
-        json_schema_extra=PU)
+        default=Network.v_min_pu,
+        ge=MIN_PU,
+        le=2,
+        description="lowest voltage in the optimisation",
+        json_schema_extra=PU,
+    )
     v_max_pu: float = Field(
-        default=Network.v_max_pu, ge=MIN_PU, le=2,
+        default=Network.v_max_pu,
+        ge=MIN_PU,
+        le=2,
         description="highest voltage in the optimisation",
-        json_schema_extra=PU)
+        json_schema_extra=PU,
+    )
     v_min_ac_pu: float = Field(
-        default=Network.v_min_ac_pu, ge=MIN_PU, le=2,
-        description="lowest voltage allowed in the AC "
-        "power flow", json_schema_extra=PU)
+        default=Network.v_min_ac_pu,
+        ge=MIN_PU,
+        le=2,
+        description="lowest voltage allowed in the AC power flow",
+        json_schema_extra=PU,
+    )
     v_max_ac_pu: float = Field(
-        default=Network.v_max_ac_pu, ge=MIN_PU, le=2,
-        description="highest voltage allowed in the AC "
-        "power flow", json_schema_extra=PU)
+        default=Network.v_max_ac_pu,
+        ge=MIN_PU,
+        le=2,
+        description="highest voltage allowed in the AC power flow",
+        json_schema_extra=PU,
+    )
 
 
 class ObjectiveSection(Section):
     """The weights of the objective, for powers in kW."""
 
     lambda_grid: float = Field(
-        default=ObjectiveWeights.lambda_grid, ge=0, le=MAX_LAMBDA,
+        default=ObjectiveWeights.lambda_grid,
+        ge=0,
+        le=MAX_LAMBDA,
         description="weight of the import cost",
-        json_schema_extra={"unit": "1/GBP"})
+        json_schema_extra={"unit": "1/GBP"},
+    )
     lambda_curt: float = Field(
-        default=ObjectiveWeights.lambda_curt, ge=0, le=MAX_LAMBDA,
+        default=ObjectiveWeights.lambda_curt,
+        ge=0,
+        le=MAX_LAMBDA,
         description="weight of curtailed PV power",
-        json_schema_extra={"unit": "1/kW"})
+        json_schema_extra={"unit": "1/kW"},
+    )
     lambda_l: float = Field(
-        default=ObjectiveWeights.lambda_l, ge=0, le=MAX_LAMBDA,
-        description="weight of squared line flows times "
-        "resistance", json_schema_extra={"unit": "1/(ohm kVA²)"})
+        default=ObjectiveWeights.lambda_l,
+        ge=0,
+        le=MAX_LAMBDA,
+        description="weight of squared line flows times resistance",
+        json_schema_extra={"unit": "1/(ohm kVA²)"},
+    )
     lambda_q: float = Field(
-        default=ObjectiveWeights.lambda_q, ge=0, le=MAX_LAMBDA,
-        description="weight of the squared use of "
-        "inverters for reactive power")
+        default=ObjectiveWeights.lambda_q,
+        ge=0,
+        le=MAX_LAMBDA,
+        description="weight of the squared use of inverters for reactive power",
+    )
 
 
 class OutageSection(Section):
@@ -291,8 +396,10 @@ class OutageSection(Section):
 
 def _option_section(title: str, section: str, words: str) -> type[Section]:
     """The model of a section whose keys are options of a run, made from their table."""
-    fields: dict[str, Any] = {key: (_option_type(option), _option_field(option))
-                              for key, option in section_options(section).items()}
+    fields: dict[str, Any] = {
+        key: (_option_type(option), _option_field(option))
+        for key, option in section_options(section).items()
+    }
     return create_model(title, __base__=Section, __doc__=words, __module__=__name__, **fields)
 
 
@@ -310,8 +417,12 @@ def _option_field(option: Option) -> Any:
         bounds["gt" if option.range.open_least else "ge"] = option.range.least
         bounds["lt" if option.range.open_most else "le"] = min(option.range.most, option.file_most)
     bounds = {name: bound for name, bound in bounds.items() if bound < inf}
-    return Field(default=option.default, description=option.meaning + absent,
-                 json_schema_extra={"unit": option.unit} if option.unit else None, **bounds)
+    return Field(
+        default=option.default,
+        description=option.meaning + absent,
+        json_schema_extra={"unit": option.unit} if option.unit else None,
+        **bounds,
+    )
 
 
 # A type checker sees the sections that the table of options makes as sections without keys.
@@ -320,11 +431,13 @@ if TYPE_CHECKING:
     SwitchingSection = Section
 else:
     ControllerSection = _option_section(
-        "ControllerSection", "controller",
-        "What a run uses when its options do not say otherwise.")
+        "ControllerSection", "controller", "What a run uses when its options do not say otherwise."
+    )
     SwitchingSection = _option_section(
-        "SwitchingSection", "switching",
-        "Rules on switching customers; a run without options of its own uses them.")
+        "SwitchingSection",
+        "switching",
+        "Rules on switching customers; a run without options of its own uses them.",
+    )
 
 
 class FilesSection(Section):
@@ -332,37 +445,43 @@ class FilesSection(Section):
 
     lines: Name = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
     customers: Name = Field(
-        default="customers.csv", pattern=_FILE_NAME, description="file of the customers")
+        default="customers.csv", pattern=_FILE_NAME, description="file of the customers"
+    )
     pv: str = Field(default="pv.csv", pattern=_FILE_NAME, description="file of the PV systems")
     batteries: Name = Field(
-        default="batteries.csv", pattern=_FILE_NAME, description="file of the batteries")
+        default="batteries.csv", pattern=_FILE_NAME, description="file of the batteries"
+    )
     load_kw: Name = Field(
-        default="load_kw.csv", pattern=_FILE_NAME, description="file of the load series")
+        default="load_kw.csv", pattern=_FILE_NAME, description="file of the load series"
+    )
     pv_kw: Name = Field(
-        default="pv_kw.csv", pattern=_FILE_NAME, description="file of the PV series")
+        default="pv_kw.csv", pattern=_FILE_NAME, description="file of the PV series"
+    )
     system: Name = Field(
-        default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series")
+        default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series"
+    )
 
 
 class ScenarioFile(Section):
     """The whole of scenario.toml."""
 
     name: str = Field(
-        max_length=MAX_NAME_LENGTH, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
-        description="short name of the scenario: letters, "
-        "digits, '-', '_' and '.'")
+        max_length=MAX_NAME_LENGTH,
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
+        description="short name of the scenario: letters, digits, '-', '_' and '.'",
+    )
     title: Title = Field(default="", description="title for headings (empty: the name)")
     time: TimeSection = Field(description="table [time]")
     network: NetworkSection = Field(description="table [network]")
     tiers: dict[Name, Annotated[float, Field(ge=MIN_WEIGHT, le=MAX_WEIGHT)]] = Field(
-        min_length=1, description="table [tiers]: weight of each tier, most important first")
-    objective: ObjectiveSection = Field(
-        default=ObjectiveSection(), description="table [objective]")
+        min_length=1, description="table [tiers]: weight of each tier, most important first"
+    )
+    objective: ObjectiveSection = Field(default=ObjectiveSection(), description="table [objective]")
     outages: list[OutageSection] = Field(default=[], description="list of tables [[outages]]")
     controller: ControllerSection = Field(
-        default=ControllerSection(), description="table [controller]")
-    switching: SwitchingSection = Field(
-        default=SwitchingSection(), description="table [switching]")
+        default=ControllerSection(), description="table [controller]"
+    )
+    switching: SwitchingSection = Field(default=SwitchingSection(), description="table [switching]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
 

@@ -29,8 +29,14 @@ class Attribute:
 def attributes(model: type[BaseModel]) -> Iterator[Attribute]:
     """The attributes of one table, in the order of its columns."""
     for name, field in model.model_fields.items():
-        yield Attribute(field.alias or name, _kind(field), unit(field), _bounds(field),
-                        _default(field), field.description or "")
+        yield Attribute(
+            field.alias or name,
+            _kind(field),
+            unit(field),
+            _bounds(field),
+            _default(field),
+            field.description or "",
+        )
 
 
 def attribute_table_markdown() -> str:
@@ -40,22 +46,29 @@ def attribute_table_markdown() -> str:
 
 def json_schema() -> JsonSchemaValue:
     """JSON Schema of scenario.toml (`ScenarioFile`) and of one row of each table."""
-    return models_json_schema([(model, "validation") for model in TABLES.values()],
-                              title="vppres scenario")[1]
+    return models_json_schema(
+        [(model, "validation") for model in TABLES.values()], title="vppres scenario"
+    )[1]
 
 
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
     head = ["name", "type", "unit", "range", "default", "meaning"]
-    rows = [[f"`{a.name}`", a.kind, a.unit, a.bounds, a.default, a.meaning]
-            for a in attributes(model)]
+    rows = [
+        [f"`{a.name}`", a.kind, a.unit, a.bounds, a.default, a.meaning] for a in attributes(model)
+    ]
     table = [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows]]
     return "\n".join([f"### {title}", "", f"{model.__doc__}", "", *table])
 
 
 def _kind(field: FieldInfo) -> str:
     """Type of a field in plain words."""
-    words: dict[Any, str] = {str: "text", float: "number", int: "whole number",
-                             bool: "true or false", AwareDatetime: "date and time"}
+    words: dict[Any, str] = {
+        str: "text",
+        float: "number",
+        int: "whole number",
+        bool: "true or false",
+        AwareDatetime: "date and time",
+    }
     kind = field.annotation
     choices = get_args(field.annotation)
     if get_origin(kind) is Literal:
@@ -67,8 +80,12 @@ def _bounds(field: FieldInfo) -> str:
     """Permitted range of a field."""
     choices = [str(a) for a in get_args(field.annotation) if isinstance(a, str)]
     words = {Gt: "> ", Ge: "≥ ", Lt: "< ", Le: "≤ "}
-    found = [f"{sign}{getattr(m, kind.__name__.lower()):g}"
-             for kind, sign in words.items() for m in field.metadata if isinstance(m, kind)]
+    found = [
+        f"{sign}{getattr(m, kind.__name__.lower()):g}"
+        for kind, sign in words.items()
+        for m in field.metadata
+        if isinstance(m, kind)
+    ]
     return " or ".join(choices) or ", ".join(found)
 
 

@@ -29,12 +29,16 @@ def check_times(table: Table, grid: TimeGrid) -> list[Problem]:
         return problems
     if times.empty:
         return [Problem(table.file, "has no row", _grid_cure(grid))]
-    return (_check_step(table.file, times, grid) or _check_members(table.file, times, grid)
-            or _check_sorted(table.file, times))
+    return (
+        _check_step(table.file, times, grid)
+        or _check_members(table.file, times, grid)
+        or _check_sorted(table.file, times)
+    )
 
 
-def read_values(table: Table, name: str, field: FieldInfo,
-                infinite: bool = False) -> tuple[Floats, list[Problem]]:
+def read_values(
+    table: Table, name: str, field: FieldInfo, infinite: bool = False
+) -> tuple[Floats, list[Problem]]:
     """Numbers of one column and the cells that are none, or out of bounds.
 
     Parameters
@@ -65,15 +69,22 @@ def read_values(table: Table, name: str, field: FieldInfo,
     ]
     problems = []
     for bad, message in faults:
-        problems += few(np.flatnonzero(bad), partial(
-            _bad_cell, table, name, message, schema.cure(field)))
+        problems += few(
+            np.flatnonzero(bad), partial(_bad_cell, table, name, message, schema.cure(field))
+        )
     return values, problems
 
 
 def _bad_cell(table: Table, name: str, message: str, cure: str, position: int) -> Problem:
     text = shown(cell_text(table.frame[name].iloc[position]))
-    return Problem(table.file, message if text else "is empty", cure,
-                   row=int(table.frame.index[position]), field=name, value=text)
+    return Problem(
+        table.file,
+        message if text else "is empty",
+        cure,
+        row=int(table.frame.index[position]),
+        field=name,
+        value=text,
+    )
 
 
 def _as_floats(column: pd.Series[float]) -> Floats:
@@ -98,24 +109,38 @@ def _read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     texts = table.texts(TIME) if TIME in table.names else pd.Series([], dtype=object)
     times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")
     unreadable = (times.isna() | ~texts.str[:4].str.isdigit().astype(bool)).to_numpy(bool)
-    has_offset = np.fromiter((_OFFSET.search(text[:_LONGEST_TIME]) is not None
-                              for text in texts), bool)
+    has_offset = np.fromiter(
+        (_OFFSET.search(text[:_LONGEST_TIME]) is not None for text in texts), bool
+    )
 
     def problem(i: int) -> Problem:
         text = texts.iloc[i]
         message = "is not an ISO 8601 time" if unreadable[i] else "has no time zone"
-        cure = ("Write it like 2022-07-19T12:00:00Z." if unreadable[i] else
-                f"Add the offset, for example {text}Z.")
-        return Problem(table.file, message if text else "is empty", cure,
-                       row=int(texts.index[i]), field=TIME, value=shown(text))
+        cure = (
+            "Write it like 2022-07-19T12:00:00Z."
+            if unreadable[i]
+            else f"Add the offset, for example {text}Z."
+        )
+        return Problem(
+            table.file,
+            message if text else "is empty",
+            cure,
+            row=int(texts.index[i]),
+            field=TIME,
+            value=shown(text),
+        )
 
-    return times, (few(np.flatnonzero(unreadable), problem)
-                   + few(np.flatnonzero(~unreadable & ~has_offset), problem))
+    return times, (
+        few(np.flatnonzero(unreadable), problem)
+        + few(np.flatnonzero(~unreadable & ~has_offset), problem)
+    )
 
 
 def _grid_cure(grid: TimeGrid) -> str:
-    return (f"The scenario's steps begin at {iso(grid.start)} and last {grid.step_minutes:g} min; "
-            f"there are {grid.n_steps}.")
+    return (
+        f"The scenario's steps begin at {iso(grid.start)} and last {grid.step_minutes:g} min; "
+        f"there are {grid.n_steps}."
+    )
 
 
 def _check_step(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
@@ -137,17 +162,36 @@ def _check_members(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) ->
     missing = expected[~expected.isin(times)]
 
     def foreign(i: int) -> Problem:
-        return Problem(file, "is not a step of the scenario", _grid_cure(grid),
-                       row=int(times.index[i]), field=TIME, value=iso(times.iloc[i]))
+        return Problem(
+            file,
+            "is not a step of the scenario",
+            _grid_cure(grid),
+            row=int(times.index[i]),
+            field=TIME,
+            value=iso(times.iloc[i]),
+        )
 
     def duplicate(i: int) -> Problem:
         first = times.index[int(np.argmax(times == times.iloc[i]))]
-        return Problem(file, f"is a duplicate of row {first}", "Remove one of the two rows.",
-                       row=int(times.index[i]), field=TIME, value=iso(times.iloc[i]))
+        return Problem(
+            file,
+            f"is a duplicate of row {first}",
+            "Remove one of the two rows.",
+            row=int(times.index[i]),
+            field=TIME,
+            value=iso(times.iloc[i]),
+        )
 
-    return (few(np.flatnonzero(~member), foreign) + few(np.flatnonzero(member & again), duplicate)
-            + few(range(len(missing)), lambda i: Problem(
-                file, "this step is missing", "Add its row.", field=TIME, value=iso(missing[i]))))
+    return (
+        few(np.flatnonzero(~member), foreign)
+        + few(np.flatnonzero(member & again), duplicate)
+        + few(
+            range(len(missing)),
+            lambda i: Problem(
+                file, "this step is missing", "Add its row.", field=TIME, value=iso(missing[i])
+            ),
+        )
+    )
 
 
 def _check_sorted(file: str, times: pd.Series[pd.Timestamp]) -> list[Problem]:
@@ -156,5 +200,13 @@ def _check_sorted(file: str, times: pd.Series[pd.Timestamp]) -> list[Problem]:
     if len(back) == 0:
         return []
     i = int(back[0]) + 1
-    return [Problem(file, "is out of order", "Sort the rows by time.",
-                    row=int(times.index[i]), field=TIME, value=iso(times.iloc[i]))]
+    return [
+        Problem(
+            file,
+            "is out of order",
+            "Sort the rows by time.",
+            row=int(times.index[i]),
+            field=TIME,
+            value=iso(times.iloc[i]),
+        )
+    ]

@@ -62,20 +62,37 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     grid = _grid(time) if time and not too_long else None
     problems += check_outages(outages, grid) if grid else []
     return Settings(
-        file=file, grid=grid, slack_bus=network.slack_bus if network else None,
+        file=file,
+        grid=grid,
+        slack_bus=network.slack_bus if network else None,
         tiers=file.tiers if file else _sound_tiers(document),
-        files=files or schema.FilesSection()), problems
+        files=files or schema.FilesSection(),
+    ), problems
 
 
 def check_length(time: schema.TimeSection) -> list[Problem]:
     """A time grid too long, or too far away, to be meant."""
     days = minutes_to_h(time.step_minutes) * time.steps / 24
     if not 1970 <= time.start.year < 2200:
-        return [Problem(SCENARIO_FILE, "must lie in the years 1970 to 2199",
-                        "Correct the year.", field="time.start", value=iso(time.start))]
+        return [
+            Problem(
+                SCENARIO_FILE,
+                "must lie in the years 1970 to 2199",
+                "Correct the year.",
+                field="time.start",
+                value=iso(time.start),
+            )
+        ]
     if days > schema.MAX_GRID_DAYS:
-        return [Problem(SCENARIO_FILE, f"the scenario is longer than {schema.MAX_GRID_DAYS} days",
-                        "Reduce steps or step_minutes.", field="time.steps", value=time.steps)]
+        return [
+            Problem(
+                SCENARIO_FILE,
+                f"the scenario is longer than {schema.MAX_GRID_DAYS} days",
+                "Reduce steps or step_minutes.",
+                field="time.steps",
+                value=time.steps,
+            )
+        ]
     return []
 
 
@@ -86,14 +103,25 @@ def check_voltages(network: schema.NetworkSection) -> list[Problem]:
         lower = getattr(network, low)
         upper = getattr(network, high)
         if not lower < upper:
-            problems.append(Problem(SCENARIO_FILE, f"must be less than {high} ({upper:g})",
-                                    "Correct one of the limits.", field=f"network.{low}",
-                                    value=lower))
+            problems.append(
+                Problem(
+                    SCENARIO_FILE,
+                    f"must be less than {high} ({upper:g})",
+                    "Correct one of the limits.",
+                    field=f"network.{low}",
+                    value=lower,
+                )
+            )
         elif not lower <= network.v_slack_pu <= upper:
-            problems.append(Problem(
-                SCENARIO_FILE, f"must lie between {low} ({lower:g}) and {high} ({upper:g})",
-                "Correct the voltage of the slack bus or the limits.",
-                field="network.v_slack_pu", value=network.v_slack_pu))
+            problems.append(
+                Problem(
+                    SCENARIO_FILE,
+                    f"must lie between {low} ({lower:g}) and {high} ({upper:g})",
+                    "Correct the voltage of the slack bus or the limits.",
+                    field="network.v_slack_pu",
+                    value=network.v_slack_pu,
+                )
+            )
     return problems
 
 
@@ -104,9 +132,15 @@ def check_outages(outages: list[schema.OutageSection], grid: TimeGrid) -> list[P
     step = pd.Timedelta(minutes=grid.step_minutes)
     for i, outage in enumerate(outages, start=1):
         if outage.end <= outage.start:
-            problems.append(Problem(
-                SCENARIO_FILE, f"must be after the outage's start ({iso(outage.start)})",
-                "Correct start or end.", field=f"outages[{i}].end", value=iso(outage.end)))
+            problems.append(
+                Problem(
+                    SCENARIO_FILE,
+                    f"must be after the outage's start ({iso(outage.start)})",
+                    "Correct start or end.",
+                    field=f"outages[{i}].end",
+                    value=iso(outage.end),
+                )
+            )
             continue
         for name, time in (("start", outage.start), ("end", outage.end)):
             if not grid.start <= time <= grid.end:
@@ -115,8 +149,9 @@ def check_outages(outages: list[schema.OutageSection], grid: TimeGrid) -> list[P
                 message = "lies inside a step"
             else:
                 continue
-            problems.append(Problem(SCENARIO_FILE, message, day,
-                                    field=f"outages[{i}].{name}", value=iso(time)))
+            problems.append(
+                Problem(SCENARIO_FILE, message, day, field=f"outages[{i}].{name}", value=iso(time))
+            )
     return problems
 
 
@@ -131,8 +166,13 @@ def iso(time: datetime) -> str:
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if not path.is_file():
-        return {}, [Problem(path.name, "the file is missing",
-                            "A scenario folder needs it: see the page on the scenario format.")]
+        return {}, [
+            Problem(
+                path.name,
+                "the file is missing",
+                "A scenario folder needs it: see the page on the scenario format.",
+            )
+        ]
     text, problems = read_text(path, MAX_SETTINGS_BYTES)
     if problems:
         return {}, problems
@@ -142,8 +182,9 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line = int(found[1]) if found else text.count("\n") + 1
         reason = str(error).split(" (at ")[0]
-        return {}, [Problem(path.name, f"is not valid TOML: {reason}", "Correct this line.",
-                            row=line)]
+        return {}, [
+            Problem(path.name, f"is not valid TOML: {reason}", "Correct this line.", row=line)
+        ]
 
 
 def _grid(time: schema.TimeSection) -> TimeGrid:
@@ -169,5 +210,7 @@ def outage_intervals(scenario: Scenario) -> list[dict[str, Any]]:
     grid = scenario.grid
     edges = np.diff(np.concatenate([[0], scenario.outage.astype(int), [0]]))
     times = [*grid.times, grid.end]
-    return [{"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
-            for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)]
+    return [
+        {"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
+        for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
+    ]

@@ -62,20 +62,31 @@ class Table:
 
 def no_table(file: str, model: type[BaseModel]) -> Table:
     """The table of assets that the scenario does not have: a header without rows."""
-    required = [name for name, field in model.model_fields.items()
-                if field.is_required() and field.alias is None]
+    required = [
+        name
+        for name, field in model.model_fields.items()
+        if field.is_required() and field.alias is None
+    ]
     return Table(file, pd.DataFrame(columns=required))
 
 
 def read_table(path: Path) -> tuple[Table | None, list[Problem]]:
     """A table, or the problems that keep the file from being one."""
     if not path.is_file():
-        return None, [Problem(path.name, "the file is missing",
-                              "Add it, or name another file under [files] in scenario.toml.")]
+        return None, [
+            Problem(
+                path.name,
+                "the file is missing",
+                "Add it, or name another file under [files] in scenario.toml.",
+            )
+        ]
     table, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if table is not None:
-        problems = [_bad_name(path.name, i, *flaw) for i, name in enumerate(table.names, start=1)
-                    if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))]
+        problems = [
+            _bad_name(path.name, i, *flaw)
+            for i, name in enumerate(table.names, start=1)
+            if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))
+        ]
     return (None, problems) if problems else (table, [])
 
 
@@ -86,13 +97,24 @@ def read_text(path: Path, most_bytes: int = MAX_FILE_BYTES) -> tuple[str, list[P
             return "", [_too_large(path.name, f"more than {most_bytes / 1e6:g} MB")]
         return path.read_bytes().decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
-        line = error.object[:error.start].count(b"\n") + 1
+        line = error.object[: error.start].count(b"\n") + 1
         byte = f"0x{error.object[error.start]:02x}"
-        return "", [Problem(path.name, f"is not UTF-8 text (byte {byte})",
-                            "Save the file with UTF-8 encoding.", row=line)]
+        return "", [
+            Problem(
+                path.name,
+                f"is not UTF-8 text (byte {byte})",
+                "Save the file with UTF-8 encoding.",
+                row=line,
+            )
+        ]
     except OSError as error:
-        return "", [Problem(path.name, f"cannot be read ({error.strerror})",
-                            "Check the file and its permissions.")]
+        return "", [
+            Problem(
+                path.name,
+                f"cannot be read ({error.strerror})",
+                "Check the file and its permissions.",
+            )
+        ]
 
 
 def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
@@ -100,12 +122,19 @@ def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[P
     if table is None:
         return {}, []
     if len(table.frame) > schema.MAX_ITEMS:
-        return {}, [Problem(table.file, f"has {len(table.frame)} rows, more than "
-                            f"{schema.MAX_ITEMS}", "Reduce the feeder, or split it at its "
-                            "substation.")]
-    problems = check_columns(table, list(model.model_fields),
-                             [n for n, f in model.model_fields.items() if f.is_required()],
-                             {n: schema.cure(f) for n, f in model.model_fields.items()})
+        return {}, [
+            Problem(
+                table.file,
+                f"has {len(table.frame)} rows, more than {schema.MAX_ITEMS}",
+                "Reduce the feeder, or split it at its substation.",
+            )
+        ]
+    problems = check_columns(
+        table,
+        list(model.model_fields),
+        [n for n, f in model.model_fields.items() if f.is_required()],
+        {n: schema.cure(f) for n, f in model.model_fields.items()},
+    )
     columns = {name: table.column(name) for name in table.names if name in model.model_fields}
     rows: dict[int, R] = {}
     for line in table.frame.index:
@@ -114,23 +143,30 @@ def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[P
             rows[int(line)] = model.model_validate(given)
         except ValidationError as error:
             # A missing column has been named once; it need not be named again in every row.
-            problems += [p for p in problems_of(error, model, table.file, int(line))
-                         if p.field in columns]
+            problems += [
+                p for p in problems_of(error, model, table.file, int(line)) if p.field in columns
+            ]
     return rows, problems
 
 
-def check_columns(table: Table, known: list[str], required: list[str],
-                  cures: dict[str, str]) -> list[Problem]:
+def check_columns(
+    table: Table, known: list[str], required: list[str], cures: dict[str, str]
+) -> list[Problem]:
     """Columns that are missing or unknown."""
     given = set(table.names)
     missing = [name for name in required if name not in given]
     allowed = set(known)
     unknown = [name for name in table.names if name not in allowed]
     suggestions = Suggestions([name for name in known if name not in given], "Remove it.")
-    return few(range(len(missing)), lambda i: Problem(
-        table.file, "the column is missing", cures[missing[i]], field=missing[i])) + few(
-        range(len(unknown)), lambda i: Problem(
-            table.file, "is not a known column", suggestions.cure(unknown[i]), field=unknown[i]))
+    return few(
+        range(len(missing)),
+        lambda i: Problem(table.file, "the column is missing", cures[missing[i]], field=missing[i]),
+    ) + few(
+        range(len(unknown)),
+        lambda i: Problem(
+            table.file, "is not a known column", suggestions.cure(unknown[i]), field=unknown[i]
+        ),
+    )
 
 
 def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
@@ -150,35 +186,59 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
                 if _beyond(len(rows), len(cells), n_cells):
                     return None, [_too_many(path.name)]
     except csv.Error as error:
-        return None, [Problem(path.name, f"is not valid CSV ({error})",
-                              "Correct the quotes of this row.", row=reader.line_num)]
+        return None, [
+            Problem(
+                path.name,
+                f"is not valid CSV ({error})",
+                "Correct the quotes of this row.",
+                row=reader.line_num,
+            )
+        ]
     if not rows:
         return None, [Problem(path.name, "is empty", "Write a header row with column names.")]
     problems = _check_header(path.name, rows[0]) + _check_ragged(path.name, rows, lines)
     if problems:
         return None, problems
-    return Table(path.name, pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0],
-                                         dtype=object)), []
+    return Table(
+        path.name, pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0], dtype=object)
+    ), []
 
 
 def _check_header(file: str, header: list[str]) -> list[Problem]:
     if len(header) == 1 and ";" in header[0]:
-        return [Problem(file, "has a single column", "Separate the cells with commas, and write "
-                        "decimal points.", row=1)]
+        return [
+            Problem(
+                file,
+                "has a single column",
+                "Separate the cells with commas, and write decimal points.",
+                row=1,
+            )
+        ]
     nameless = [i for i, name in enumerate(header, start=1) if not name]
-    problems = few(nameless, lambda i: Problem(file, f"column {i} has no name",
-                                               "Name it or remove it.", row=1))
+    problems = few(
+        nameless, lambda i: Problem(file, f"column {i} has no name", "Name it or remove it.", row=1)
+    )
     twice = sorted(name for name, count in Counter(header).items() if name and count > 1)
-    return problems + few(range(len(twice)), lambda i: Problem(
-        file, "the column appears twice", "Remove or rename one of them.", row=1, field=twice[i]))
+    return problems + few(
+        range(len(twice)),
+        lambda i: Problem(
+            file, "the column appears twice", "Remove or rename one of them.", row=1, field=twice[i]
+        ),
+    )
 
 
 def _check_ragged(file: str, rows: list[list[str]], lines: list[int]) -> list[Problem]:
     width = len(rows[0])
     ragged = [i for i, cells in enumerate(rows) if len(cells) != width]
-    return few(ragged, lambda i: Problem(
-        file, f"has {len(rows[i])} cells, but the header has {width}",
-        "Give one cell per column; quote a cell that contains a comma.", row=lines[i]))
+    return few(
+        ragged,
+        lambda i: Problem(
+            file,
+            f"has {len(rows[i])} cells, but the header has {width}",
+            "Give one cell per column; quote a cell that contains a comma.",
+            row=lines[i],
+        ),
+    )
 
 
 def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
@@ -188,12 +248,18 @@ def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
         content = pq.ParquetFile(path).metadata
         # A small file can say that one value repeats without end: ask before reading.
         if path.stat().st_size > MAX_FILE_BYTES or _beyond(
-                content.num_rows, content.num_columns, content.num_rows * content.num_columns):
+            content.num_rows, content.num_columns, content.num_rows * content.num_columns
+        ):
             return None, [_too_many(path.name)]
         frame = pd.read_parquet(path, engine="pyarrow")
     except (pa.ArrowException, OSError, ValueError) as error:
-        return None, [Problem(path.name, f"is not a readable Parquet file ({shown(error)})",
-                              "Write the file again.")]
+        return None, [
+            Problem(
+                path.name,
+                f"is not a readable Parquet file ({shown(error)})",
+                "Write the file again.",
+            )
+        ]
     named = [name for name in frame.index.names if name is not None]
     frame = frame.reset_index(level=named) if named else frame
     frame.columns = pd.Index([str(name).strip() for name in frame.columns])
@@ -212,8 +278,9 @@ def _beyond(rows: int, columns: int, cells: int) -> bool:
 
 
 def _too_many(file: str) -> Problem:
-    return _too_large(file, f"more than {MAX_ROWS} rows, {MAX_COLUMNS} columns or {MAX_CELLS} "
-                            "cells")
+    return _too_large(
+        file, f"more than {MAX_ROWS} rows, {MAX_COLUMNS} columns or {MAX_CELLS} cells"
+    )
 
 
 def _bad_name(file: str, column: int, message: str, cure: str) -> Problem:
@@ -222,5 +289,8 @@ def _bad_name(file: str, column: int, message: str, cure: str) -> Problem:
 
 def cell_text(cell: object) -> str:
     """A cell as text; missing values of Parquet files become empty."""
-    return "" if cell is None or cell is pd.NA or cell is pd.NaT or cell != cell else (
-        str(cell).strip())
+    return (
+        ""
+        if cell is None or cell is pd.NA or cell is pd.NaT or cell != cell
+        else (str(cell).strip())
+    )

@@ -96,10 +96,15 @@ class SetPoints:
     def _repr_html_(self) -> str:
         """Heading and tables for a notebook."""
         on = self.customers["served"]
-        head = facts_html(f"Set-points of {self.time:%Y-%m-%d %H:%M}", {
-            "customers on": f"{int(on.sum())} of {len(on)}", "import (kW)": f"{self.import_kw:.1f}",
-            "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s",
-            "fallback": self.solve["fallback_reason"] or "none"})
+        head = facts_html(
+            f"Set-points of {self.time:%Y-%m-%d %H:%M}",
+            {
+                "customers on": f"{int(on.sum())} of {len(on)}",
+                "import (kW)": f"{self.import_kw:.1f}",
+                "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s",
+                "fallback": self.solve["fallback_reason"] or "none",
+            },
+        )
         tables = (self.customers, self.batteries, self.pv)
         return head + "".join(table.to_html(float_format="{:.3f}".format) for table in tables)
 
@@ -163,7 +168,7 @@ class Controller:
     def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
         """Times for which the decision at ``time`` uses forecasts, ``time`` itself included."""
         steps = self._decider.horizon_steps(step_at(self.scenario.grid, time))
-        return self.times[steps.start:steps.stop]
+        return self.times[steps.start : steps.stop]
 
     def step(self, observation: Measurement) -> SetPoints:
         """Decide on the step that begins now.
@@ -226,23 +231,46 @@ class Controller:
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
         measured = Observation(
-            seen.t, replace(forecast, load_kw=_first_row(forecast.load_kw, seen.load_kw),
-                            pv_kw=_first_row(forecast.pv_kw, seen.pv_kw)),
-            soc, seen.eta_charge, seen.eta_discharge, past.operating_point, switching,
-            battery_kw=seen.battery_kw, online=seen.online, import_kw=seen.import_kw,
-            served=past.served)
+            seen.t,
+            replace(
+                forecast,
+                load_kw=_first_row(forecast.load_kw, seen.load_kw),
+                pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
+            ),
+            soc,
+            seen.eta_charge,
+            seen.eta_discharge,
+            past.operating_point,
+            switching,
+            battery_kw=seen.battery_kw,
+            online=seen.online,
+            import_kw=seen.import_kw,
+            served=past.served,
+        )
         decision = self._decider.decide(measured)
         guard = self._decider
-        known = (guard.known.observation
-                 if isinstance(guard, GuardedController) and guard.known else measured)
+        known = (
+            guard.known.observation
+            if isinstance(guard, GuardedController) and guard.known
+            else measured
+        )
         scenario = seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
         day = Day(scenario, self.options)
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, b.t_ref_c)
         day.switching = switching
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
-        return scenario, record, _Past(seen.t, day.operating_point, day.switching,
-                                       day.plant.cold_load, record.customers["served"])
+        return (
+            scenario,
+            record,
+            _Past(
+                seen.t,
+                day.operating_point,
+                day.switching,
+                day.plant.cold_load,
+                record.customers["served"],
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,24 +311,49 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
     customers = step.customers
     batteries = step.batteries
     powers = step.pv
-    solve = {name: step.steps[name] for name in (
-        "status", "gap", "objective", "bound", "solve_s", "corrected", "fallback",
-        "fallback_reason", "estimated")}
+    solve = {
+        name: step.steps[name]
+        for name in (
+            "status",
+            "gap",
+            "objective",
+            "bound",
+            "solve_s",
+            "corrected",
+            "fallback",
+            "fallback_reason",
+            "estimated",
+        )
+    }
     return SetPoints(
         time=scenario.grid.times[step.t],
         customers=_table(
-            c.id, bus=c.bus, tier=c.tier, load_kw=customers["p_load_kw"],
-            load_kvar=customers["q_load_kvar"], served=customers["served"]),
+            c.id,
+            bus=c.bus,
+            tier=c.tier,
+            load_kw=customers["p_load_kw"],
+            load_kvar=customers["q_load_kvar"],
+            served=customers["served"],
+        ),
         batteries=_table(
-            b.id, bus=b.bus, p_kw=batteries["charge_kw"] - batteries["discharge_kw"],
-            q_kvar=batteries["q_kvar"], soc_end=batteries["soc_end"]),
+            b.id,
+            bus=b.bus,
+            p_kw=batteries["charge_kw"] - batteries["discharge_kw"],
+            q_kvar=batteries["q_kvar"],
+            soc_end=batteries["soc_end"],
+        ),
         pv=_table(
-            pv.id, bus=c.bus[pv.owner(c)], available_kw=powers["available_kw"],
-            p_kw=powers["self_kw"] + powers["export_kw"], curtailed_kw=powers["curtailed_kw"],
-            q_kvar=powers["q_kvar"]),
+            pv.id,
+            bus=c.bus[pv.owner(c)],
+            available_kw=powers["available_kw"],
+            p_kw=powers["self_kw"] + powers["export_kw"],
+            curtailed_kw=powers["curtailed_kw"],
+            q_kvar=powers["q_kvar"],
+        ),
         buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
         import_kw=float(step.steps["p_grid_kw"]),
-        solve={**solve, "reason": step.steps["correction_reason"]})
+        solve={**solve, "reason": step.steps["correction_reason"]},
+    )
 
 
 def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:

@@ -74,13 +74,15 @@ RANGES = {
     "soc": Range(0.0, 1.0, _SHARE, "Give a share, for example 0.5."),
     "load_kw": _POWER,
     "pv_kw": _POWER,
-    "price_gbp_per_kwh": Range(-MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT,
-                               "is more than any price"),
+    "price_gbp_per_kwh": Range(
+        -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
+    ),
     "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
     "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
-    "eta_discharge": Range(0.1, 1.0, "must lie between 0.1 and 1",
-                           "Give a share, for example 0.95."),
+    "eta_discharge": Range(
+        0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."
+    ),
     "battery_kw": Range(-1e6, 1e6, "must be a finite number", _CORRECT, _UNIT),
     "import_kw": Range(-1e7, 1e7, "must be a finite number", _CORRECT, _UNIT),
 }
@@ -115,9 +117,16 @@ class Door:
         InputError
             If there is one.
         """
-        more = [Problem(WHERE, f"has {count - MOST_OF_A_KIND} more problems",
-                        "Cure those above first.", field=field)
-                for field, count in self._counts.items() if count > MOST_OF_A_KIND]
+        more = [
+            Problem(
+                WHERE,
+                f"has {count - MOST_OF_A_KIND} more problems",
+                "Cure those above first.",
+                field=field,
+            )
+            for field, count in self._counts.items()
+            if count > MOST_OF_A_KIND
+        ]
         if self.problems:
             raise InputError([*self.problems, *more])
 
@@ -136,8 +145,14 @@ class Door:
             pairs = self._pairs(field, given, "a mapping, a Series or a DataFrame by time")
             rows = np.array([self.t])
             columns = self._positions(field, [name for name, _ in pairs], ids)
-            values = np.array([[self._number(field, f"{field} of {shown(name)}", value, now=True)
-                                for name, value in pairs]]).reshape(1, len(pairs))
+            values = np.array(
+                [
+                    [
+                        self._number(field, f"{field} of {shown(name)}", value, now=True)
+                        for name, value in pairs
+                    ]
+                ]
+            ).reshape(1, len(pairs))
         if self.problems:
             return series
         result = series.copy()
@@ -178,8 +193,13 @@ class Door:
         positions = self._positions(field, list(named), ids)
         for (name, value), position in zip(named.items(), positions, strict=True):
             if not isinstance(value, (bool, np.bool_)):
-                self.problem(field, "is neither true nor false", "Give True or False.",
-                             f"{field} of {shown(name)}", value)
+                self.problem(
+                    field,
+                    "is neither true nor false",
+                    "Give True or False.",
+                    f"{field} of {shown(name)}",
+                    value,
+                )
             elif position >= 0:
                 result[position] = value
         return result
@@ -195,8 +215,15 @@ class Door:
         """Keep a problem, or count it where there are many of its kind."""
         self._counts[kind] += 1
         if self._counts[kind] <= MOST_OF_A_KIND:
-            self.problems.append(Problem(WHERE, message, cure, field=field,
-                                         value=None if value is None else readable(value)))
+            self.problems.append(
+                Problem(
+                    WHERE,
+                    message,
+                    cure,
+                    field=field,
+                    value=None if value is None else readable(value),
+                )
+            )
 
     def _pairs(self, field: str, given: Any, wanted: str) -> list[tuple[Any, Any]]:
         """Identifiers and values, each identifier once."""
@@ -205,11 +232,17 @@ class Door:
             if isinstance(given, Mapping) or given.index.is_unique:
                 return pairs
             for name in given.index[given.index.duplicated()].unique():
-                self.problem(field, "is given more than once", "Give each identifier once.", field,
-                             name)
+                self.problem(
+                    field, "is given more than once", "Give each identifier once.", field, name
+                )
             return list(dict(pairs).items())
-        self.problem(field, f"is not {wanted}", "Give values by identifier, for example {'a': 1}.",
-                     field, f"{type(given).__name__} {readable(given)}")
+        self.problem(
+            field,
+            f"is not {wanted}",
+            "Give values by identifier, for example {'a': 1}.",
+            field,
+            f"{type(given).__name__} {readable(given)}",
+        )
         return []
 
     def _values_of(self, field: str, frame: pd.DataFrame, rows: Wholes) -> Floats:
@@ -220,13 +253,17 @@ class Door:
             plain = isinstance(cells.dtype, np.dtype) and cells.dtype.kind in "fiu"
             numbers = cells.to_numpy(dtype=float) if plain else None
             limits = RANGES[field]
-            if numbers is not None and ((numbers >= limits.lowest)
-                                        & (numbers <= limits.highest)).all():
+            if (
+                numbers is not None
+                and ((numbers >= limits.lowest) & (numbers <= limits.highest)).all()
+            ):
                 values[:, column] = numbers
                 continue
             what = f"{field} of {shown(name)}"
-            values[:, column] = [self._number(field, what, value, now=bool(step == self.t))
-                                 for value, step in zip(cells.to_list(), rows, strict=True)]
+            values[:, column] = [
+                self._number(field, what, value, now=bool(step == self.t))
+                for value, step in zip(cells.to_list(), rows, strict=True)
+            ]
         return values
 
     def _number(self, field: str, what: str, value: Any, now: bool = False) -> float:
@@ -234,8 +271,9 @@ class Door:
         limits = RANGES[field]
         number = _float_of(value)
         if number is None:
-            self.problem(field, "is not a number", LEAVE_OUT, what,
-                         "None" if value is None else value)
+            self.problem(
+                field, "is not a number", LEAVE_OUT, what, "None" if value is None else value
+            )
             return np.nan
         if limits.holds(number):
             return number
@@ -252,16 +290,26 @@ class Door:
         steps = np.array([self._step(field, time) for time in times], dtype=np.int64)
         known = steps[steps >= 0]
         for step in (np.bincount(known, minlength=1) > 1).nonzero()[0].tolist():
-            self.problem(field, "is given more than once", "Give each time once.", field,
-                         self.grid.times[step])
+            self.problem(
+                field,
+                "is given more than once",
+                "Give each time once.",
+                field,
+                self.grid.times[step],
+            )
         return steps
 
     def _step(self, field: str, time: Any) -> int:
         """The step that begins at a time, -1 if none does."""
         moment = moment_of(time)
         if moment is None:
-            self.problem(field, "is not a date and time", WRITE_A_TIME, field,
-                         "None" if time is None else time)
+            self.problem(
+                field,
+                "is not a date and time",
+                WRITE_A_TIME,
+                field,
+                "None" if time is None else time,
+            )
             return -1
         if moment.tzinfo is None:
             self.problem(field, "has no time zone", WRITE_A_TIME, field, time)
@@ -269,9 +317,14 @@ class Door:
         step = self._steps_at.get(moment, -1)
         if step < 0:
             grid = self.grid
-            self.problem(field, "is not the beginning of a step",
-                         f"The scenario's steps begin at {grid.start.isoformat()} and last "
-                         f"{grid.step_minutes:g} min; there are {grid.n_steps}.", field, time)
+            self.problem(
+                field,
+                "is not the beginning of a step",
+                f"The scenario's steps begin at {grid.start.isoformat()} and last "
+                f"{grid.step_minutes:g} min; there are {grid.n_steps}.",
+                field,
+                time,
+            )
         return step
 
     def _positions(self, field: str, names: Iterable[Any], ids: Names) -> Wholes:
@@ -283,16 +336,21 @@ class Door:
             at = position.get(name, -1) if isinstance(name, Hashable) else -1
             found.append(at)
             if at in taken:
-                self.problem(field, "is given more than once", "Give each identifier once.", field,
-                             name)
+                self.problem(
+                    field, "is given more than once", "Give each identifier once.", field, name
+                )
             if at >= 0:
                 taken.add(at)
             elif self._counts[field] >= MOST_OF_A_KIND:
                 self._counts[field] += 1  # looking for a similar name takes time
             else:
-                self.problem(field, "is not in the scenario",
-                             did_you_mean(readable(name), [*map(str, ids)],
-                                          "Correct the identifier."), field, name)
+                self.problem(
+                    field,
+                    "is not in the scenario",
+                    did_you_mean(readable(name), [*map(str, ids)], "Correct the identifier."),
+                    field,
+                    name,
+                )
         return np.array(found, dtype=np.int64)
 
 

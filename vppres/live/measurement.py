@@ -114,8 +114,11 @@ class Seen:
 
     def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
         """The scenario with what is taken for true of the step, (C,) and (P,)."""
-        return replace(self.scenario, load_kw=_with_row(self.scenario.load_kw, self.t, load_kw),
-                       pv_kw=_with_row(self.scenario.pv_kw, self.t, pv_kw))
+        return replace(
+            self.scenario,
+            load_kw=_with_row(self.scenario.load_kw, self.t, load_kw),
+            pv_kw=_with_row(self.scenario.pv_kw, self.t, pv_kw),
+        )
 
 
 def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest: int = 0) -> Seen:
@@ -138,16 +141,27 @@ def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest:
         With every value that does not fit the scenario.
     """
     if not isinstance(measured, Measurement):
-        raise InputError(Problem(WHERE, "is not a Measurement", "Give a vppres.Measurement.",
-                                 field="observation", value=readable(measured)))
+        raise InputError(
+            Problem(
+                WHERE,
+                "is not a Measurement",
+                "Give a vppres.Measurement.",
+                field="observation",
+                value=readable(measured),
+            )
+        )
     try:
         return _seen(scenario, measured, guard, earliest)
     except VppresError:
         raise
     except Exception as error:  # a mapping may be of anybody's making
-        raise InputError(Problem(WHERE, f"cannot be read: {type(error).__name__}, "
-                                 f"{readable(error)}", "Give plain dictionaries, numbers, Series "
-                                 "and DataFrames.")) from error
+        raise InputError(
+            Problem(
+                WHERE,
+                f"cannot be read: {type(error).__name__}, {readable(error)}",
+                "Give plain dictionaries, numbers, Series and DataFrames.",
+            )
+        ) from error
 
 
 def step_at(grid: TimeGrid, time: Any) -> int:
@@ -172,8 +186,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     _check_order(door, measured, earliest)
     load = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
     pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
-    price = door.series("price_gbp_per_kwh", measured.price_gbp_per_kwh,
-                        scenario.price_gbp_per_kwh)
+    price = door.series("price_gbp_per_kwh", measured.price_gbp_per_kwh, scenario.price_gbp_per_kwh)
     limit = door.series("grid_limit_kw", measured.grid_limit_kw, scenario.grid_limit_kw)
     none = np.full(len(b), np.nan)
     soc = door.values("soc", measured.soc, b.id, none)
@@ -188,46 +201,75 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     t = door.t
-    laid = replace(scenario, load_kw=np.where(np.isnan(load), scenario.load_kw, load),
-                   pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
-                   price_gbp_per_kwh=price, grid_limit_kw=limit)
+    laid = replace(
+        scenario,
+        load_kw=np.where(np.isnan(load), scenario.load_kw, load),
+        pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
+        price_gbp_per_kwh=price,
+        grid_limit_kw=limit,
+    )
     # A missing efficiency is the nominal one: no estimate is any better.
-    return Seen(t, laid, load[t], pv_kw[t], soc,
-                np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
-                np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
-                None if measured.battery_kw is None else battery_kw, online, import_kw)
+    return Seen(
+        t,
+        laid,
+        load[t],
+        pv_kw[t],
+        soc,
+        np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
+        np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
+        None if measured.battery_kw is None else battery_kw,
+        online,
+        import_kw,
+    )
 
 
 def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
     """Time does not go back: what happened since cannot be undone."""
     if 0 <= door.t < earliest:
-        door.problem("time", "lies before the step that was decided last, "
-                     f"{door.grid.times[earliest].isoformat()}",
-                     "Decide steps in their order; to begin again, make another Controller.",
-                     "time", measured.time)
+        door.problem(
+            "time",
+            f"lies before the step that was decided last, {door.grid.times[earliest].isoformat()}",
+            "Decide steps in their order; to begin again, make another Controller.",
+            "time",
+            measured.time,
+        )
 
 
 def _check_batteries(door: Door, scenario: Scenario, soc: Floats, battery_kw: Floats) -> None:
     """Powers that no inverter passes."""
     b = scenario.batteries
     for i in np.flatnonzero(np.abs(battery_kw) > IMPLAUSIBLE_SHARE * b.s_max_kva):
-        door.problem("battery_kw", "is beyond the inverter's rating of "
-                     f"{b.s_max_kva[i]:g} kVA", "Give the power in kW.",
-                     f"battery_kw of {b.id[i]}", battery_kw[i])
+        door.problem(
+            "battery_kw",
+            f"is beyond the inverter's rating of {b.s_max_kva[i]:g} kVA",
+            "Give the power in kW.",
+            f"battery_kw of {b.id[i]}",
+            battery_kw[i],
+        )
 
 
-def _check_complete(door: Door, scenario: Scenario, measured: Measurement, soc: Floats,
-                    online: Flags) -> None:
+def _check_complete(
+    door: Door, scenario: Scenario, measured: Measurement, soc: Floats, online: Flags
+) -> None:
     """What only a guard can do without."""
     b = scenario.batteries
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
     for i in np.flatnonzero(np.isnan(soc)):
         if b.id[i] not in given:
-            door.problem("soc", "is missing", "Give the state of charge of every battery.",
-                         f"soc of {b.id[i]}")
+            door.problem(
+                "soc",
+                "is missing",
+                "Give the state of charge of every battery.",
+                f"soc of {b.id[i]}",
+            )
     for i in np.flatnonzero(~online):
-        door.problem("online", "needs a guard, which plans without the battery",
-                     "Leave RunOptions.guard as it is.", f"online of {b.id[i]}", False)
+        door.problem(
+            "online",
+            "needs a guard, which plans without the battery",
+            "Leave RunOptions.guard as it is.",
+            f"online of {b.id[i]}",
+            False,
+        )
 
 
 def _with_row(series: Floats, t: int, row: Floats) -> Floats:

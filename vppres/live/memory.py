@@ -44,8 +44,10 @@ class Memory:
 
 def _copied(state: dict[str, Any]) -> dict[str, Any]:
     """Attributes, with containers of their own: a controller changes them in place."""
-    return {name: value.copy() if isinstance(value, (dict, set, list)) else value
-            for name, value in state.items()}
+    return {
+        name: value.copy() if isinstance(value, (dict, set, list)) else value
+        for name, value in state.items()
+    }
 
 
 def _parts(found: object, known: set[int]) -> Iterator[object]:

@@ -60,8 +60,9 @@ def battery_soc(site: Site, v: Variables, p: Parameters) -> Named:
     }
 
 
-def battery_soc_limits(site: Site, v: Variables, p: Parameters,
-                       SoC_min: cp.Expression | None = None) -> Named:
+def battery_soc_limits(
+    site: Site, v: Variables, p: Parameters, SoC_min: cp.Expression | None = None
+) -> Named:
     """SoC between its limits at the end of every step; what was measured may lie outside.
 
     ``SoC_min``, (W, B), is a lower limit that changes with the steps.
@@ -74,8 +75,9 @@ def battery_soc_limits(site: Site, v: Variables, p: Parameters,
     }
 
 
-def battery_inverter(site: Site, v: Variables, p: Parameters,
-                     S_max: cp.Expression | None = None) -> Named:
+def battery_inverter(
+    site: Site, v: Variables, p: Parameters, S_max: cp.Expression | None = None
+) -> Named:
     """Apparent power of batteries within their inverters' ratings (3), ``eq:batt_inverter``.
 
     ``S_max``, (W, B), is a rating that changes with the steps.
@@ -99,8 +101,9 @@ def pv_balance(site: Site, v: Variables, p: Parameters) -> Named:
     return {"pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv}
 
 
-def pv_self_consumption(site: Site, v: Variables, p: Parameters,
-                        added: cp.Expression | None = None) -> Named:
+def pv_self_consumption(
+    site: Site, v: Variables, p: Parameters, added: cp.Expression | None = None
+) -> Named:
     """Self-consumption follows the owner's service (6), ``eq:min_pv``.
 
     ``P_self_max`` holds the equation's min(P_load, P_pv). ``added``, (W, P), is
@@ -121,8 +124,9 @@ def pv_inverter(site: Site, v: Variables, p: Parameters) -> Named:
 # Power balance.
 
 
-def active_balance(site: Site, v: Variables, p: Parameters,
-                   added: AddedDemand | None = None) -> Named:
+def active_balance(
+    site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
+) -> Named:
     """Active balance at every bus (8), with its injection (9) and its load (10).
 
     The grid supplies the slack bus, which the paper leaves unsaid.
@@ -137,8 +141,9 @@ def active_balance(site: Site, v: Variables, p: Parameters,
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
 
 
-def reactive_balance(site: Site, v: Variables, p: Parameters,
-                     added: AddedDemand | None = None) -> Named:
+def reactive_balance(
+    site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
+) -> Named:
     """Reactive balance at every bus (11), with its injection (12) and its load (13), (14)."""
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
     Q_served = cp.multiply(p.Q_load, v.x_served)
@@ -162,8 +167,9 @@ def grid_connection(site: Site, v: Variables, p: Parameters) -> Named:
     }
 
 
-def voltage_limits(site: Site, v: Variables, p: Parameters,
-                   slack: cp.Expression | None = None) -> Named:
+def voltage_limits(
+    site: Site, v: Variables, p: Parameters, slack: cp.Expression | None = None
+) -> Named:
     """Squared voltage between the squared limits, at every bus but the slack bus.
 
     ``slack``, in pu², is by how much both limits give.

@@ -127,17 +127,26 @@ class WindowData:
 
     def first(self, n_steps: int) -> WindowData:
         """The first steps of the window."""
-        cut = {name: getattr(self, name)[:n_steps] for name in
-               ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")}
-        return replace(self, **cut, physics=self.physics and self.physics.first(n_steps),
-                       switching=self.switching and self.switching.first(n_steps),
-                       moves=self.moves and self.moves.first(n_steps))
+        cut = {
+            name: getattr(self, name)[:n_steps]
+            for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")
+        }
+        return replace(
+            self,
+            **cut,
+            physics=self.physics and self.physics.first(n_steps),
+            switching=self.switching and self.switching.first(n_steps),
+            moves=self.moves and self.moves.first(n_steps),
+        )
 
     @property
     def loss_kw(self) -> Floats:
         """Losses of all lines, (W,); zero in the paper's mode."""
-        return (np.zeros(self.n_steps) if self.physics is None
-                else np.asarray(self.physics.loss_kw.sum(axis=1)))
+        return (
+            np.zeros(self.n_steps)
+            if self.physics is None
+            else np.asarray(self.physics.loss_kw.sum(axis=1))
+        )
 
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""
@@ -160,14 +169,16 @@ class WindowData:
 
         Nothing can be exported, so no more than all demand and all charging is ever imported.
         """
-        useful = (self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
-                  + self.loss_kw)
+        useful = self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
-        possible = (self.all_cold().load_kw @ site.customers.q_per_p
-                    + site.batteries.s_max_kva.sum() + site.pv.s_max_kva.sum())
+        possible = (
+            self.all_cold().load_kw @ site.customers.q_per_p
+            + site.batteries.s_max_kva.sum()
+            + site.pv.s_max_kva.sum()
+        )
         if self.physics is not None:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)

@@ -62,8 +62,11 @@ def widened(network: Network, slack_pu2: float) -> Network:
     """
     low = np.sqrt(max(network.v_min_pu**2 - slack_pu2, 0.0))
     high = np.sqrt(network.v_max_pu**2 + slack_pu2)
-    return with_limits(network, float(np.round(np.floor(low / ROUNDING_PU) * ROUNDING_PU, 6)),
-                       float(np.round(np.ceil(high / ROUNDING_PU) * ROUNDING_PU, 6)))
+    return with_limits(
+        network,
+        float(np.round(np.floor(low / ROUNDING_PU) * ROUNDING_PU, 6)),
+        float(np.round(np.ceil(high / ROUNDING_PU) * ROUNDING_PU, 6)),
+    )
 
 
 def with_limits(network: Network, v_min_pu: float, v_max_pu: float) -> Network:

@@ -49,12 +49,28 @@ from vppres.model.variables import Mode, Parameters, Variables
 Level = Literal["service", "cost"]
 
 DEVICES = (
-    "battery_charge_mode", "battery_discharge_mode", "battery_soc_start", "battery_soc_dynamics",
-    "battery_soc_min", "battery_soc_max", "circular_charging", "pv_balance",
-    "pv_self_consumption", "grid_active_limit", "grid_reactive_max", "grid_reactive_min")
+    "battery_charge_mode",
+    "battery_discharge_mode",
+    "battery_soc_start",
+    "battery_soc_dynamics",
+    "battery_soc_min",
+    "battery_soc_max",
+    "circular_charging",
+    "pv_balance",
+    "pv_self_consumption",
+    "grid_active_limit",
+    "grid_reactive_max",
+    "grid_reactive_min",
+)
 INVERTERS = ("battery_inverter_capacity", "pv_inverter_capacity")
-NETWORK = ("active_power_balance", "reactive_power_balance", "voltage_slack", "delta_lindistflow",
-           "voltage_min", "voltage_max")
+NETWORK = (
+    "active_power_balance",
+    "reactive_power_balance",
+    "voltage_slack",
+    "delta_lindistflow",
+    "voltage_min",
+    "voltage_max",
+)
 SOLVER_ORDER = (*DEVICES, *INVERTERS, *NETWORK)
 """The order in which solvers get the paper's rows. Which of several optima that are equally good
 comes out depends on it, so it stays as it is."""
@@ -167,8 +183,9 @@ class WindowModel:
         args = (self.site, self.v, self.p)
         w = self.site.weights
         gbp = cost_scale(self.site)
-        cost = (gbp * w.lambda_grid * terms.f2_cost(*args)
-                + gbp * w.lambda_curt * terms.f3_curtailment(*args))
+        cost = gbp * w.lambda_grid * terms.f2_cost(
+            *args
+        ) + gbp * w.lambda_curt * terms.f3_curtailment(*args)
         if self.form.level == "cost":
             return cp.Minimize(cost)
         service = terms.f1_service(*args)
@@ -202,8 +219,9 @@ def without(named: Named, names: Sequence[str]) -> Named:
     return {name: constraint for name, constraint in named.items() if name not in names}
 
 
-def added_demand(site: Site, cold: ColdDemand | None,
-                 physical: PhysicalParameters | None) -> AddedDemand | None:
+def added_demand(
+    site: Site, cold: ColdDemand | None, physical: PhysicalParameters | None
+) -> AddedDemand | None:
     """Cold load and losses at the buses, None where there is neither."""
     parts = []
     if cold is not None:
@@ -220,8 +238,14 @@ def added_demand(site: Site, cold: ColdDemand | None,
     return AddedDemand(P, Q)
 
 
-def with_demand(named: Named, site: Site, v: Variables, p: Parameters, added: AddedDemand,
-                cold: ColdDemand | None = None) -> Named:
+def with_demand(
+    named: Named,
+    site: Site,
+    v: Variables,
+    p: Parameters,
+    added: AddedDemand,
+    cold: ColdDemand | None = None,
+) -> Named:
     """Balances (8), (11) with more demand; PV owners (6) consume more of their own when cold."""
     named = named | active_balance(site, v, p, added) | reactive_balance(site, v, p, added)
     if cold is not None:
@@ -229,17 +253,21 @@ def with_demand(named: Named, site: Site, v: Variables, p: Parameters, added: Ad
     return named
 
 
-def with_polygons(named: Named, site: Site, v: Variables, polygon: Polygon,
-                  S_max: cp.Expression | None = None) -> Named:
+def with_polygons(
+    named: Named, site: Site, v: Variables, polygon: Polygon, S_max: cp.Expression | None = None
+) -> Named:
     """Polygons for the discs of (3) and (7); ``S_max`` is what plans may use of a battery's."""
     return named | battery_polygon(site, v, polygon, S_max) | pv_polygon(site, v, polygon)
 
 
-def without_network(named: Named, site: Site, v: Variables, p: Parameters,
-                    added: AddedDemand | None = None) -> Named:
+def without_network(
+    named: Named, site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
+) -> Named:
     """Only what the network and the discs imply for sums and for active power; a relaxation."""
     kept = without(named, (*INVERTERS, *NETWORK))
-    return (kept
-            | lumped.total_balance(site, v, p, added)
-            | lumped.inverter_active(site, v)
-            | lumped.battery_room(site, v, p))
+    return (
+        kept
+        | lumped.total_balance(site, v, p, added)
+        | lumped.inverter_active(site, v)
+        | lumped.battery_room(site, v, p)
+    )

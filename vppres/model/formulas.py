@@ -22,8 +22,9 @@ Devices = Literal["pv", "batteries", "customers"]
 # Batteries.
 
 
-def cell_kw(charge_kw: Floats, discharge_kw: Floats, eta_charge: Floats,
-            eta_discharge: Floats) -> Floats:
+def cell_kw(
+    charge_kw: Floats, discharge_kw: Floats, eta_charge: Floats, eta_discharge: Floats
+) -> Floats:
     """Power that reaches the cells (2): what is charged less its losses, less what is drawn.
 
     >>> cell_kw(np.array([10.0, 0.0]), np.array([0.0, 9.0]), np.full(2, 0.9), np.full(2, 0.9))
@@ -49,15 +50,17 @@ def soc_after(soc: Floats, kw: Floats, batteries: Batteries, hours: float) -> Fl
     return np.asarray(soc + kw * hours / batteries.energy_kwh)
 
 
-def charge_to_kw(level: Floats, soc: Floats, eta_charge: Floats, batteries: Batteries,
-                 hours: float) -> Floats:
+def charge_to_kw(
+    level: Floats, soc: Floats, eta_charge: Floats, batteries: Batteries, hours: float
+) -> Floats:
     """Charging power that reaches a state of charge in time, 0 where it is already there, (B,)."""
     missing_kwh = np.maximum(level - soc, 0.0) * batteries.energy_kwh
     return np.asarray(missing_kwh / (eta_charge * hours))
 
 
-def discharge_to_kw(level: Floats, soc: Floats, eta_discharge: Floats, batteries: Batteries,
-                    hours: float) -> Floats:
+def discharge_to_kw(
+    level: Floats, soc: Floats, eta_discharge: Floats, batteries: Batteries, hours: float
+) -> Floats:
     """Discharging power that reaches a state of charge in time, 0 where it is below, (B,)."""
     held_kwh = np.maximum(soc - level, 0.0) * batteries.energy_kwh
     return np.asarray(held_kwh * eta_discharge / hours)
@@ -110,8 +113,7 @@ def voltage_offset_pu2(network: Network, u_pu2: Floats, p_kw: Floats, q_kvar: Fl
     return np.asarray(rise + voltage_drop_pu2(network, p_kw, q_kvar))
 
 
-def squared_voltages(network: Network, p_kw: Floats, q_kvar: Floats,
-                     offset_pu2: Floats) -> Floats:
+def squared_voltages(network: Network, p_kw: Floats, q_kvar: Floats, offset_pu2: Floats) -> Floats:
     """Squared voltages of all buses from the slack bus on (21), (N,) for flows and offset (L,)."""
     rise = offset_pu2 - voltage_drop_pu2(network, p_kw, q_kvar)
     return np.asarray(network.v_slack_pu**2 + network.downstream.T @ rise)

@@ -16,8 +16,9 @@ from vppres.model.formulas import lossless_flows, voltage_offset_pu2
 from vppres.scenario.network import Network
 
 
-def delta_offset(network: Network, point: OperatingPoint | None,
-                 centre: Centre = "lossless") -> Floats:
+def delta_offset(
+    network: Network, point: OperatingPoint | None, centre: Centre = "lossless"
+) -> Floats:
     """Offset of each line in pu², zero before the first AC solution.
 
     Parameters

@@ -12,8 +12,9 @@ from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 
-def total_balance(site: Site, v: Variables, p: Parameters,
-                  added: AddedDemand | None = None) -> Named:
+def total_balance(
+    site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
+) -> Named:
     """Sum of the active balances (8) over all buses: lossless lines cancel."""
     P_served = cp.multiply(p.P_load, v.x_served)
     load = cp.sum(P_served, axis=1) - cp.sum(v.P_self, axis=1)

@@ -41,5 +41,7 @@ def objective_scale(site: Site) -> float:
 def require_dpp(problem: cp.Problem, what: str) -> None:
     """Refuse a problem that would be compiled anew at every solve."""
     if not problem.is_dcp(dpp=True):
-        raise ModelError(f"The problem ({what}) is not DPP: a parameter multiplies a parameter or "
-                         "enters non-affinely. Move the product into the parameter's value.")
+        raise ModelError(
+            f"The problem ({what}) is not DPP: a parameter multiplies a parameter or "
+            "enters non-affinely. Move the product into the parameter's value."
+        )

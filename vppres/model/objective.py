@@ -32,10 +32,12 @@ def f4_flows(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     """Proxy of the ohmic losses: r (P² + Q²), in ohm kVA²."""
     root_r = np.sqrt(site.network.r_ohm)[None, :]
     return cp.sum_squares(cp.multiply(root_r, v.P_flow)) + cp.sum_squares(
-        cp.multiply(root_r, v.Q_flow))
+        cp.multiply(root_r, v.Q_flow)
+    )
 
 
 def f5_reactive(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     """Squared utilisation of the inverters by reactive power, without unit."""
-    return (cp.sum_squares(cp.multiply(1 / site.pv.s_max_kva[None, :], v.Q_pv))
-            + cp.sum_squares(cp.multiply(1 / site.batteries.s_max_kva[None, :], v.Q_batt)))
+    return cp.sum_squares(cp.multiply(1 / site.pv.s_max_kva[None, :], v.Q_pv)) + cp.sum_squares(
+        cp.multiply(1 / site.batteries.s_max_kva[None, :], v.Q_batt)
+    )

@@ -55,8 +55,13 @@ class Polygon:
         """The half planes that limit positive P."""
         return Polygon(self.angles[np.cos(self.angles) > 1e-9], self.reach)
 
-    def contains(self, P: cp.Expression, Q: cp.Expression, s_max_kva: Floats,
-              S_max: cp.Expression | None = None) -> cp.Constraint:
+    def contains(
+        self,
+        P: cp.Expression,
+        Q: cp.Expression,
+        s_max_kva: Floats,
+        S_max: cp.Expression | None = None,
+    ) -> cp.Constraint:
         """One block of rows for each angle; ``S_max`` is a rating that changes with the steps."""
         distance = np.broadcast_to(s_max_kva * self.reach, P.shape)
         rows: Floats | cp.Expression = np.vstack([distance] * len(self.angles))
@@ -66,22 +71,27 @@ class Polygon:
         return cp.vstack([np.cos(a) * P + np.sin(a) * Q for a in self.angles]) <= rows
 
 
-def battery_polygon(site: Site, v: Variables, polygon: Polygon,
-                    S_max: cp.Expression | None = None) -> Named:
+def battery_polygon(
+    site: Site, v: Variables, polygon: Polygon, S_max: cp.Expression | None = None
+) -> Named:
     """Battery inverters as polygons."""
     rating = site.batteries.s_max_kva
     return {"battery_inverter_capacity": polygon.contains(v.P_batt, v.Q_batt, rating, S_max)}
 
 
-def battery_half_polygon(site: Site, v: Variables, polygon: Polygon,
-                         S_max: cp.Expression | None = None) -> Named:
+def battery_half_polygon(
+    site: Site, v: Variables, polygon: Polygon, S_max: cp.Expression | None = None
+) -> Named:
     """Polygons of batteries whose modes exclude each other, in ``|P|`` and Q.
 
     ``|P|`` is then charging plus discharging, so half of the sides say what all of them do.
     """
     rating = site.batteries.s_max_kva
-    return {"battery_inverter_capacity":
-            polygon.right_half.contains(v.P_ch + v.P_dch, v.Q_batt, rating, S_max)}
+    return {
+        "battery_inverter_capacity": polygon.right_half.contains(
+            v.P_ch + v.P_dch, v.Q_batt, rating, S_max
+        )
+    }
 
 
 def pv_polygon(site: Site, v: Variables, polygon: Polygon) -> Named:

@@ -67,11 +67,13 @@ def paper_problem(site: Site, n_steps: int) -> PaperProblem:
 def paper_objective(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     """F of (30), ``objective_function``, which is maximised (``sec:objective``)."""
     w = site.weights
-    return (f1_service(site, v, p)  # (25)
-            - w.lambda_grid * f2_cost(site, v, p)  # (26)
-            - w.lambda_curt * f3_curtailment(site, v, p)  # (27)
-            - w.lambda_l * f4_flows(site, v, p)  # (28)
-            - w.lambda_q * f5_reactive(site, v, p))  # (29)
+    return (
+        f1_service(site, v, p)  # (25)
+        - w.lambda_grid * f2_cost(site, v, p)  # (26)
+        - w.lambda_curt * f3_curtailment(site, v, p)  # (27)
+        - w.lambda_l * f4_flows(site, v, p)  # (28)
+        - w.lambda_q * f5_reactive(site, v, p)
+    )  # (29)
 
 
 def paper_constraints(site: Site, v: Variables, p: Parameters) -> Named:

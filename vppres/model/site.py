@@ -28,14 +28,21 @@ class Site:
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
         """Site of a scenario."""
-        return cls(scenario.network, scenario.customers, scenario.pv, scenario.batteries,
-                   scenario.objective, scenario.grid.dt_h)
+        return cls(
+            scenario.network,
+            scenario.customers,
+            scenario.pv,
+            scenario.batteries,
+            scenario.objective,
+            scenario.grid.dt_h,
+        )
 
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
-        return f"{self.dt_h} " + content_key(self.weights, self.network, self.customers, self.pv,
-                                             self.batteries)
+        return f"{self.dt_h} " + content_key(
+            self.weights, self.network, self.customers, self.pv, self.batteries
+        )
 
     @cached_property
     def customer_bus(self) -> sp.csr_array:
@@ -56,8 +63,9 @@ class Site:
     def pv_customer(self) -> sp.csr_array:
         """Shape (C, P): places PV systems on their customers."""
         count = len(self.pv)
-        return sp.csr_array((np.ones(count), (self.owner, np.arange(count))),
-                            shape=(len(self.customers), count))
+        return sp.csr_array(
+            (np.ones(count), (self.owner, np.arange(count))), shape=(len(self.customers), count)
+        )
 
     @cached_property
     def pv_bus(self) -> sp.csr_array:

@@ -28,13 +28,11 @@ class Terms:
 
     def total(self, weights: ObjectiveWeights) -> float:
         """The objective F."""
-        return (self.upper_levels(weights)
-                - weights.lambda_l * self.f4 - weights.lambda_q * self.f5)
+        return self.upper_levels(weights) - weights.lambda_l * self.f4 - weights.lambda_q * self.f5
 
     def upper_levels(self, weights: ObjectiveWeights) -> float:
         """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
-        return (self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3
-                - self.f6)
+        return self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3 - self.f6
 
 
 def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:

@@ -33,8 +33,15 @@ SHARPER_ENERGY = 1e4
 residuals in proportion to the largest value of the solution, thousands of kW here; what is a
 fraction of one needs smaller units to be met as sharply."""
 
-KEPT = ("circular_charging", "grid_active_limit", "grid_reactive_max", "grid_reactive_min",
-        *NETWORK, "battery_inverter_capacity", "pv_inverter_capacity")
+KEPT = (
+    "circular_charging",
+    "grid_active_limit",
+    "grid_reactive_max",
+    "grid_reactive_min",
+    *NETWORK,
+    "battery_inverter_capacity",
+    "pv_inverter_capacity",
+)
 """The paper's constraints that are still there when service and modes are held."""
 
 
@@ -128,8 +135,14 @@ class TieBreakerModel:
         Whether batteries are to stay near the previous plan.
     """
 
-    def __init__(self, site: Site, n_steps: int, curtailing: bool,
-                 physical: bool = False, moves: bool = False) -> None:
+    def __init__(
+        self,
+        site: Site,
+        n_steps: int,
+        curtailing: bool,
+        physical: bool = False,
+        moves: bool = False,
+    ) -> None:
         self.site = site
         self.n_steps = n_steps
         self.curtailing = curtailing
@@ -227,14 +240,21 @@ class TieBreakerModel:
         w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
-        total = (scale * w.lambda_l * terms.f4_flows(*args)
-                 + scale * w.lambda_q * terms.f5_reactive(*args))
+        total = scale * w.lambda_l * terms.f4_flows(*args) + scale * w.lambda_q * terms.f5_reactive(
+            *args
+        )
         if self.near is not None:
             total = total + self.near.moved(self.P_batt)
         return cp.Minimize(total)
 
-    def fill(self, data: WindowData, dispatch: Dispatch, charging: Flags,
-             f2_held_gbp: float, f3_held_kwh: float) -> None:
+    def fill(
+        self,
+        data: WindowData,
+        dispatch: Dispatch,
+        charging: Flags,
+        f2_held_gbp: float,
+        f3_held_kwh: float,
+    ) -> None:
         """Write the window's data and what is held of a dispatch."""
         self.p.fill(self.site, data, dispatch.served)
         self.held.fill(self.site, data, charging)

@@ -53,11 +53,14 @@ class Parameters:
             "delta": (W, L),
         }
         signed = ("rho_dt", "delta")
-        return cls(**{name: cp.Parameter(shape, name=name, nonneg=name not in signed)
-                      for name, shape in shapes.items()})
+        return cls(
+            **{
+                name: cp.Parameter(shape, name=name, nonneg=name not in signed)
+                for name, shape in shapes.items()
+            }
+        )
 
-    def fill(self, site: Site, data: WindowData,
-             served: Flags | None = None) -> None:
+    def fill(self, site: Site, data: WindowData, served: Flags | None = None) -> None:
         """Write a window's data: all values are computed first, then all are written.
 
         With a served set, shape (W, C), demand and self-consumption are those of the served
@@ -111,8 +114,9 @@ class Variables:
     Q_flow: cp.Variable
 
     @classmethod
-    def create(cls, site: Site, W: int, service: Mode = "integer",
-               exclusivity: Mode = "integer") -> Variables:
+    def create(
+        cls, site: Site, W: int, service: Mode = "integer", exclusivity: Mode = "integer"
+    ) -> Variables:
         """Variables of a window, the paper's unless binaries are asked for as something else."""
         C = len(site.customers)
         P = len(site.pv)

@@ -101,15 +101,21 @@ class _Tree:
         drops = sp.coo_array(self.drop)
         lines = np.arange(network.n_lines)
         # Blocks of the derivative by their row and column: Ohm's law is linear in all unknowns.
-        self.constant = np.concatenate([drops.data, drops.data, self.z.real, -self.z.imag,
-                                        self.z.imag, self.z.real])
+        self.constant = np.concatenate(
+            [drops.data, drops.data, self.z.real, -self.z.imag, self.z.imag, self.z.real]
+        )
         blocks: list[tuple[int, int, Any]] = [(0, 0, drops.coords), (1, 1, drops.coords)]
-        blocks += [(row, column, (lines, lines)) for row, column in
-                   ((0, 2), (0, 3), (1, 2), (1, 3), (2, 0), (2, 1), (3, 0), (3, 1))]
-        blocks += [(row, column, self.leaves.coords) for row, column in
-                   ((2, 2), (2, 3), (3, 2), (3, 3))]
-        self.places = (np.concatenate([at[0] + row * (n - 1) for row, _, at in blocks]),
-                       np.concatenate([at[1] + column * (n - 1) for _, column, at in blocks]))
+        blocks += [
+            (row, column, (lines, lines))
+            for row, column in ((0, 2), (0, 3), (1, 2), (1, 3), (2, 0), (2, 1), (3, 0), (3, 1))
+        ]
+        blocks += [
+            (row, column, self.leaves.coords) for row, column in ((2, 2), (2, 3), (3, 2), (3, 3))
+        ]
+        self.places = (
+            np.concatenate([at[0] + row * (n - 1) for row, _, at in blocks]),
+            np.concatenate([at[1] + column * (n - 1) for _, column, at in blocks]),
+        )
 
     def flat(self) -> Floats:
         """The flow without any injection."""
@@ -136,8 +142,9 @@ class _Tree:
         at_bus = self.leaves.coords[0]
         e = v.real[at_bus] * self.leaves.data
         f = v.imag[at_bus] * self.leaves.data
-        values = np.concatenate([self.constant, out.real, out.imag, -out.imag, out.real,
-                                 e, f, f, -e])
+        values = np.concatenate(
+            [self.constant, out.real, out.imag, -out.imag, out.real, e, f, f, -e]
+        )
         size = 4 * len(self.free)
         return sp.csc_array((values, self.places), shape=(size, size))
 
@@ -227,8 +234,7 @@ def _follow(tree: _Tree, point: _Point) -> Followed:
     return tree.read("not found", point, point.share)
 
 
-def _corrected(tree: _Tree, point: _Point, step: float,
-               last: bool) -> tuple[_Point, int] | None:
+def _corrected(tree: _Tree, point: _Point, step: float, last: bool) -> tuple[_Point, int] | None:
     """The point of the curve a step ahead, and the Newton steps it took; None if not found.
 
     The step before the last injections keeps their share at 1, any other its length along the

@@ -102,8 +102,9 @@ class ACResult:
     converged: bool = True
 
     def __post_init__(self) -> None:
-        freeze_fields(self, v_pu=float, p_from_kw=float, q_from_kvar=float, p_to_kw=float,
-                      q_to_kvar=float)
+        freeze_fields(
+            self, v_pu=float, p_from_kw=float, q_from_kvar=float, p_to_kw=float, q_to_kvar=float
+        )
 
 
 class ACPowerFlow:
@@ -188,14 +189,18 @@ class ACPowerFlow:
             raise NoSolutionError(
                 f"the AC power flow has no solution: {self._net_load(p_kw, q_kvar)}, and voltages "
                 f"collapse at {found.share:.1%} of it. The lines cannot carry it: check the units "
-                "of loads and impedances, or serve less.", found.share)
+                "of loads and impedances, or serve less.",
+                found.share,
+            )
         best = _read_followed(self.network, found, p_kw, q_kvar, reference)
         worst = int(np.argmax(found.mismatch_mva))
         missed_kva = float(mw_to_kw(found.mismatch_mva[worst]))
         raise NotFoundError(
             f"the AC power flow was not found: {self._net_load(p_kw, q_kvar)}; the best answer "
             f"misses {missed_kva:.3g} kVA at bus {self.network.buses[worst]}. Nothing shows that "
-            "there is no solution: check the impedances of the lines.", best)
+            "there is no solution: check the impedances of the lines.",
+            best,
+        )
 
     def restart(self) -> None:
         """Forget the last solution: the next solve starts flat."""
@@ -205,21 +210,35 @@ class ACPowerFlow:
         """Injections as an array with one finite value per bus."""
         array = np.asarray(values, dtype=float)
         if array.shape != (self.network.n_buses,):
-            raise InputError(Problem("power flow", "has the wrong shape", "Give one injection for "
-                                     f"each of the {self.network.n_buses} buses.",
-                                     field=name, value=array.shape))
+            raise InputError(
+                Problem(
+                    "power flow",
+                    "has the wrong shape",
+                    f"Give one injection for each of the {self.network.n_buses} buses.",
+                    field=name,
+                    value=array.shape,
+                )
+            )
         wrong = np.flatnonzero(~np.isfinite(array))
         if len(wrong):
-            raise InputError(Problem("power flow", "is not a finite number", "Correct the load, PV "
-                                     f"or battery power at bus {self.network.buses[wrong[0]]}.",
-                                     field=name, value=array[wrong[0]]))
+            raise InputError(
+                Problem(
+                    "power flow",
+                    "is not a finite number",
+                    f"Correct the load, PV or battery power at bus {self.network.buses[wrong[0]]}.",
+                    field=name,
+                    value=array[wrong[0]],
+                )
+            )
         return array
 
     def _net_load(self, p_kw: Floats, q_kvar: Floats) -> str:
         """The load in words."""
         worst = int(np.argmin(p_kw))
-        return (f"net load {-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
-                f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}")
+        return (
+            f"net load {-p_kw.sum():.1f} kW and {0.0 - q_kvar.sum():.1f} kvar, the largest "
+            f"{-p_kw[worst]:.1f} kW at bus {self.network.buses[worst]}"
+        )
 
 
 def reachable_mva(network: Network) -> float:
@@ -249,8 +268,14 @@ def _run(net: pp.pandapowerNet, init: str, tolerance_mva: float = TOLERANCE_MVA)
     # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
     # time. Without numba the outcome does not hang on what else is installed.
     try:
-        pp.runpp(net, init=init, recycle=REUSE if init == "results" else None,
-                 tolerance_mva=tolerance_mva, calculate_voltage_angles=False, numba=False)
+        pp.runpp(
+            net,
+            init=init,
+            recycle=REUSE if init == "results" else None,
+            tolerance_mva=tolerance_mva,
+            calculate_voltage_angles=False,
+            numba=False,
+        )
     except pp.LoadflowNotConverged:
         return False
     return bool(net.converged)
@@ -262,28 +287,36 @@ def _read(net: pp.pandapowerNet) -> ACResult:
     slack = net.res_ext_grid
     return ACResult(
         v_pu=net.res_bus["vm_pu"].to_numpy(),
-        p_from_kw=mw_to_kw(lines["p_from_mw"]), q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
+        p_from_kw=mw_to_kw(lines["p_from_mw"]),
+        q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
         # pandapower counts both ends as flowing into the line.
-        p_to_kw=-mw_to_kw(lines["p_to_mw"]), q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
+        p_to_kw=-mw_to_kw(lines["p_to_mw"]),
+        q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
         losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
         p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
-        q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]))
+        q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]),
+    )
 
 
-def _read_followed(network: Network, found: Followed, p_kw: Floats, q_kvar: Floats,
-                   reference: int) -> ACResult:
+def _read_followed(
+    network: Network, found: Followed, p_kw: Floats, q_kvar: Floats, reference: int
+) -> ACResult:
     """Results of a followed curve in kW."""
     sent = found.v[network.parent] * np.conj(found.i)
     arrived = found.v[1:] * np.conj(found.i)
     # What leaves the reference bus over its lines comes from its source and its own injection.
     source = -found.v[reference] * np.conj((network.incidence @ found.i)[reference])
     return ACResult(
-        v_pu=np.abs(found.v), p_from_kw=mw_to_kw(sent.real), q_from_kvar=mw_to_kw(sent.imag),
-        p_to_kw=mw_to_kw(arrived.real), q_to_kvar=mw_to_kw(arrived.imag),
+        v_pu=np.abs(found.v),
+        p_from_kw=mw_to_kw(sent.real),
+        q_from_kvar=mw_to_kw(sent.imag),
+        p_to_kw=mw_to_kw(arrived.real),
+        q_to_kvar=mw_to_kw(arrived.imag),
         losses_kw=float(mw_to_kw((sent - arrived).real.sum())),
         p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference]),
         q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference]),
-        converged=found.outcome == "solved")
+        converged=found.outcome == "solved",
+    )
 
 
 def shared_power_flow(network: Network) -> ACPowerFlow:
@@ -321,7 +354,14 @@ def _build(network: Network, reference: int) -> pp.pandapowerNet:
     pp.create_ext_grid(net, buses[reference], vm_pu=network.v_slack_pu)
     # The rating only serves pandapower's loading figure, which is not used.
     pp.create_lines_from_parameters(
-        net, from_buses=network.parent, to_buses=np.arange(1, network.n_buses), length_km=1.0,
-        r_ohm_per_km=network.r_ohm, x_ohm_per_km=network.x_ohm, c_nf_per_km=0.0, max_i_ka=1.0)
+        net,
+        from_buses=network.parent,
+        to_buses=np.arange(1, network.n_buses),
+        length_km=1.0,
+        r_ohm_per_km=network.r_ohm,
+        x_ohm_per_km=network.x_ohm,
+        c_nf_per_km=0.0,
+        max_i_ka=1.0,
+    )
     pp.create_loads(net, buses, p_mw=0.0, q_mvar=0.0)
     return net

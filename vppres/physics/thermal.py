@@ -78,8 +78,14 @@ def initial_state(batteries: Batteries, t_ambient_c: float) -> ThermalState:
     return ThermalState(t_cell_c, batteries.eta_charge, batteries.eta_discharge)
 
 
-def advance(batteries: Batteries, scheme: ThermalScheme, state: HasThermalState, power: Power,
-            t_ambient_c: float, dt_h: float) -> ThermalState:
+def advance(
+    batteries: Batteries,
+    scheme: ThermalScheme,
+    state: HasThermalState,
+    power: Power,
+    t_ambient_c: float,
+    dt_h: float,
+) -> ThermalState:
     """State at the end of a step.
 
     Parameters
@@ -110,13 +116,25 @@ def advance(batteries: Batteries, scheme: ThermalScheme, state: HasThermalState,
     if scheme == "off":
         return ThermalState(state.t_cell_c, state.eta_charge, state.eta_discharge)
     if scheme not in _SCHEMES:
-        raise InputError(Problem("options", "is not known",
-                                 f"Use one of: off, {', '.join(_SCHEMES)}.",
-                                 field="thermal", value=scheme))
+        raise InputError(
+            Problem(
+                "options",
+                "is not known",
+                f"Use one of: off, {', '.join(_SCHEMES)}.",
+                field="thermal",
+                value=scheme,
+            )
+        )
     step, joule_unit = _SCHEMES[scheme]
     heat = heat_kw(batteries, power, state, joule_unit)
-    t_cell_c = step(state.t_cell_c, heat, t_ambient_c, batteries.r_theta_c_per_kw,
-                    batteries.c_theta_kwh_per_c, dt_h)
+    t_cell_c = step(
+        state.t_cell_c,
+        heat,
+        t_ambient_c,
+        batteries.r_theta_c_per_kw,
+        batteries.c_theta_kwh_per_c,
+        dt_h,
+    )
     return ThermalState(t_cell_c, *efficiencies(batteries, t_cell_c))
 
 
@@ -129,8 +147,9 @@ def internal_resistance_ohm(batteries: Batteries, t_cell_c: ArrayLike) -> Floats
     return batteries.r_int_ohm * np.maximum(1.0 - batteries.beta_per_c * warming_c, 0.0)
 
 
-def heat_kw(batteries: Batteries, power: Power, state: HasThermalState,
-            joule_unit: JouleUnit = "w") -> Floats:
+def heat_kw(
+    batteries: Batteries, power: Power, state: HasThermalState, joule_unit: JouleUnit = "w"
+) -> Floats:
     """Heat of a battery in kW: conversion losses of both directions and the Joule loss.
 
     ``Q = P_ch (1 - eta_ch) + P_dch (1 / eta_dch - 1) + P_batt² R_int(T) / U_batt²``
@@ -147,15 +166,25 @@ def heat_kw(batteries: Batteries, power: Power, state: HasThermalState,
         ``P² R / U²`` gives watts for a power in watts. ``"kw"`` takes that number as kW, a factor
         1000 too much: a sensitivity, not a model.
     """
-    conversion = (power.charge_kw * (1.0 - state.eta_charge)
-                  + power.discharge_kw * (1.0 / state.eta_discharge - 1.0))
-    joule = joule_loss_kw(power.charge_kw - power.discharge_kw,
-                          internal_resistance_ohm(batteries, state.t_cell_c), batteries.u_batt_v)
+    conversion = power.charge_kw * (1.0 - state.eta_charge) + power.discharge_kw * (
+        1.0 / state.eta_discharge - 1.0
+    )
+    joule = joule_loss_kw(
+        power.charge_kw - power.discharge_kw,
+        internal_resistance_ohm(batteries, state.t_cell_c),
+        batteries.u_batt_v,
+    )
     return conversion + joule * (W_PER_KW if joule_unit == "kw" else 1.0)
 
 
-def step_exact(t_cell_c: ArrayLike, heat: ArrayLike, t_ambient_c: ArrayLike,
-               r_theta_c_per_kw: ArrayLike, c_theta_kwh_per_c: ArrayLike, dt_h: float) -> Floats:
+def step_exact(
+    t_cell_c: ArrayLike,
+    heat: ArrayLike,
+    t_ambient_c: ArrayLike,
+    r_theta_c_per_kw: ArrayLike,
+    c_theta_kwh_per_c: ArrayLike,
+    dt_h: float,
+) -> Floats:
     """Temperature in °C after a step of constant heat (kW) and ambient: the exact solution.
 
     ``T(t + dt) = T(t) + (T_amb + R Q - T(t)) (1 - exp(-dt / (R C)))``, stable for every step.
@@ -168,8 +197,14 @@ def step_exact(t_cell_c: ArrayLike, heat: ArrayLike, t_ambient_c: ArrayLike,
     return np.asarray(t_before_c + (settled_c - t_before_c) * share)
 
 
-def step_euler(t_cell_c: ArrayLike, heat: ArrayLike, t_ambient_c: ArrayLike,
-               r_theta_c_per_kw: ArrayLike, c_theta_kwh_per_c: ArrayLike, dt_h: float) -> Floats:
+def step_euler(
+    t_cell_c: ArrayLike,
+    heat: ArrayLike,
+    t_ambient_c: ArrayLike,
+    r_theta_c_per_kw: ArrayLike,
+    c_theta_kwh_per_c: ArrayLike,
+    dt_h: float,
+) -> Floats:
     """Temperature in °C after an explicit Euler step, the paper's formula.
 
     ``T(t + dt) = T(t) + (Q - (T(t) - T_amb) / R) dt / C``. It overshoots for ``dt > R C`` and is
@@ -181,8 +216,9 @@ def step_euler(t_cell_c: ArrayLike, heat: ArrayLike, t_ambient_c: ArrayLike,
     return np.asarray(t_before_c + rise_c)
 
 
-def efficiencies(batteries: Batteries, t_cell_c: ArrayLike,
-                 eta_floor: float = ETA_FLOOR) -> tuple[Floats, Floats]:
+def efficiencies(
+    batteries: Batteries, t_cell_c: ArrayLike, eta_floor: float = ETA_FLOOR
+) -> tuple[Floats, Floats]:
     """Charging and discharging efficiency at a temperature, ``eta_0 (1 - alpha (T - T_ref)²)``.
 
     Neither falls below ``eta_floor`` times its nominal value.

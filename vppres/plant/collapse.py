@@ -21,8 +21,9 @@ from vppres.plant.plant import BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario
 
 
-def realise(plant: Plant, flow: ACPowerFlow, t: int, decision: Decision,
-            state: BatteryState) -> Settled:
+def realise(
+    plant: Plant, flow: ACPowerFlow, t: int, decision: Decision, state: BatteryState
+) -> Settled:
     """Carry out a decision; where its power flow has no solution, shed tiers from the lowest up.
 
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
@@ -59,12 +60,16 @@ def realise(plant: Plant, flow: ACPowerFlow, t: int, decision: Decision,
 def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: str) -> Settled:
     """A connected step as it came out; whoever was asked for and is not served was shed."""
     asked = np.asarray(decision.dispatch.served[decision.row], dtype=bool)
-    return Settled(realised, ac, np.zeros(len(realised.charge_kw)), asked & ~realised.served,
-                   ac_failed=ac_failed)
+    return Settled(
+        realised,
+        ac,
+        np.zeros(len(realised.charge_kw)),
+        asked & ~realised.served,
+        ac_failed=ac_failed,
+    )
 
 
-def _reduced(scenario: Scenario, t: int,
-             decision: Decision) -> Iterator[tuple[str, Decision]]:
+def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[str, Decision]]:
     """The decision, then without ever more tiers, then without any power at all."""
     yield NOBODY, decision
     served = np.array(decision.dispatch.served[decision.row], dtype=bool)
@@ -74,8 +79,9 @@ def _reduced(scenario: Scenario, t: int,
     plan = decision.dispatch
     row = decision.row
     still: dict[str, Any] = {
-        name: _with_row(getattr(plan, name), row, 0.0) for name in
-        ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")}
+        name: _with_row(getattr(plan, name), row, 0.0)
+        for name in ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")
+    }
     still["pv_curtailed_kw"] = _with_row(plan.pv_curtailed_kw, row, scenario.pv_kw[t])
     empty = _with_served(decision, served)
     yield "everything", replace(empty, dispatch=replace(empty.dispatch, **still))

@@ -139,8 +139,13 @@ class IslandPlant:
             if abs(found.left_kw) <= self.tolerance_kw and found.excess_kvar <= 0.0:
                 realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
                 gave = np.where(able, set_points.battery_kw - found.powers.battery_kw, 0.0)
-                return Settled(realised, found.ac, gave, planned.served & ~realised.served,
-                               ac_failed=found.not_found)
+                return Settled(
+                    realised,
+                    found.ac,
+                    gave,
+                    planned.served & ~realised.served,
+                    ac_failed=found.not_found,
+                )
             cut = self._cut(t, powers, found)
             if cut is None:
                 break
@@ -177,8 +182,9 @@ class IslandPlant:
             batt_q[reference] += change_kvar
         raise VerificationError("the sharing of the mismatch does not converge")
 
-    def _share(self, powers: Powers, state: BatteryState, able: Flags, batt_q: Floats,
-               deficit_kw: float) -> tuple[Powers, float]:
+    def _share(
+        self, powers: Powers, state: BatteryState, able: Flags, batt_q: Floats, deficit_kw: float
+    ) -> tuple[Powers, float]:
         """A deficit shared among the set, and what the set cannot take of it."""
         b = self.plant.scenario.batteries
         most_charge, most_discharge = self.plant.battery_limits_kw(state)
@@ -187,8 +193,9 @@ class IslandPlant:
         highest = np.minimum(most_charge, disc_kw)
         base_kw = np.clip(powers.battery_kw, lowest, highest)
         room = base_kw - lowest if deficit_kw > 0 else highest - base_kw
-        given = np.copysign(share_out(abs(deficit_kw), np.where(able, room, 0.0), b.s_max_kva),
-                            deficit_kw)
+        given = np.copysign(
+            share_out(abs(deficit_kw), np.where(able, room, 0.0), b.s_max_kva), deficit_kw
+        )
         shared = replace(powers, battery_kw=base_kw - given, batt_q_kvar=batt_q)
         return shared, float(deficit_kw - given.sum())
 
@@ -221,16 +228,27 @@ class IslandPlant:
         served[order[:count]] = False
         # The PV systems of those who are off feed the island with all they have.
         own = np.where(served[self.plant.owner], powers.pv_self_kw, 0.0)
-        return replace(powers, served=served, pv_self_kw=own,
-                       pv_export_kw=powers.pv_export_kw + powers.pv_self_kw - own)
+        return replace(
+            powers,
+            served=served,
+            pv_self_kw=own,
+            pv_export_kw=powers.pv_export_kw + powers.pv_self_kw - own,
+        )
 
     def _dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
         """Nobody is served, nothing generates, nothing flows."""
         net = self.plant.scenario.network
         pv = np.zeros(len(planned.pv_self_kw))
         batteries = np.zeros(len(planned.charge_kw))
-        off = Powers(np.zeros_like(planned.served), pv, pv, self.plant.scenario.pv_kw[t], pv,
-                     batteries, batteries)
+        off = Powers(
+            np.zeros_like(planned.served),
+            pv,
+            pv,
+            self.plant.scenario.pv_kw[t],
+            pv,
+            batteries,
+            batteries,
+        )
         lines = np.zeros(net.n_lines)
         ac = ACResult(np.full(net.n_buses, np.nan), lines, lines, lines, lines, 0.0, 0.0, 0.0)
         return Settled(self.plant.realise(t, off, state), ac, batteries, planned.served, reason)
@@ -267,9 +285,15 @@ def share_out(power_kw: float, room_kw: Floats, rating: Floats) -> Floats:
 
 
 def _powers_of(realised: Realised) -> Powers:
-    return Powers(realised.served, realised.pv_self_kw, realised.pv_export_kw,
-                  realised.pv_curtailed_kw, realised.pv_q_kvar,
-                  realised.charge_kw - realised.discharge_kw, realised.batt_q_kvar)
+    return Powers(
+        realised.served,
+        realised.pv_self_kw,
+        realised.pv_export_kw,
+        realised.pv_curtailed_kw,
+        realised.pv_q_kvar,
+        realised.charge_kw - realised.discharge_kw,
+        realised.batt_q_kvar,
+    )
 
 
 def _part(powers_kw: Floats, need_kw: float) -> Floats:
@@ -282,6 +306,9 @@ def _curtail(powers: Powers, surplus_kw: float) -> Powers:
     exports = powers.pv_export_kw if powers.pv_export_kw.sum() > 0 else powers.pv_self_kw
     off = _part(exports, surplus_kw)
     from_export = off if exports is powers.pv_export_kw else np.zeros_like(off)
-    return replace(powers, pv_export_kw=powers.pv_export_kw - from_export,
-                   pv_self_kw=powers.pv_self_kw - (off - from_export),
-                   pv_curtailed_kw=powers.pv_curtailed_kw + off)
+    return replace(
+        powers,
+        pv_export_kw=powers.pv_export_kw - from_export,
+        pv_self_kw=powers.pv_self_kw - (off - from_export),
+        pv_curtailed_kw=powers.pv_curtailed_kw + off,
+    )

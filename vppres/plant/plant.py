@@ -82,12 +82,17 @@ class Plant:
         How demand behaves after a restoration; nothing else of them matters here.
     """
 
-    def __init__(self, scenario: Scenario, thermal: ThermalScheme = "off",
-                 rules: SwitchingRules | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        thermal: ThermalScheme = "off",
+        rules: SwitchingRules | None = None,
+    ) -> None:
         self.scenario = scenario
         self.thermal = thermal
-        self.cold_load = ColdLoad(rules or SwitchingRules(), scenario.grid.dt_h,
-                                   len(scenario.customers))
+        self.cold_load = ColdLoad(
+            rules or SwitchingRules(), scenario.grid.dt_h, len(scenario.customers)
+        )
         index = scenario.network.bus_index
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
@@ -97,17 +102,25 @@ class Plant:
         """State before the first step."""
         b = self.scenario.batteries
         thermal = initial_state(b, float(self.scenario.temperature_c[0]))
-        return BatteryState(b.soc_initial, thermal.eta_charge, thermal.eta_discharge,
-                            thermal.t_cell_c)
+        return BatteryState(
+            b.soc_initial, thermal.eta_charge, thermal.eta_discharge, thermal.t_cell_c
+        )
 
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
         self.cold_load.advance(realised.served)
         power = Power(realised.charge_kw, realised.discharge_kw)
-        thermal = advance(self.scenario.batteries, self.thermal, state, power,
-                          float(self.scenario.temperature_c[t]), self.scenario.grid.dt_h)
-        return BatteryState(realised.soc_end, thermal.eta_charge, thermal.eta_discharge,
-                            thermal.t_cell_c)
+        thermal = advance(
+            self.scenario.batteries,
+            self.thermal,
+            state,
+            power,
+            float(self.scenario.temperature_c[t]),
+            self.scenario.grid.dt_h,
+        )
+        return BatteryState(
+            realised.soc_end, thermal.eta_charge, thermal.eta_discharge, thermal.t_cell_c
+        )
 
     def apply(self, t: int, decision: Decision, state: BatteryState) -> Realised:
         """Carry out a decision at step ``t``."""
@@ -121,9 +134,11 @@ class Plant:
         b = self.scenario.batteries
         pv_q = _limit_q(plan.pv_q_kvar[row], own + export, pv.s_max_kva)
         batt_q = _limit_q(plan.batt_q_kvar[row], charge - discharge, b.s_max_kva)
-        clipped = max(np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
-                      np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
-                      np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0))
+        clipped = max(
+            np.abs(charge - plan.charge_kw[row]).max(initial=0.0),
+            np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
+            np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0),
+        )
         powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
         return self.realise(t, powers, state, float(clipped))
 
@@ -131,26 +146,42 @@ class Plant:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
         return np.asarray(self.scenario.load_kw[t] * self.cold_load.factors(served))
 
-    def realise(self, t: int, powers: Powers, state: BatteryState,
-                clipped_kw: float = 0.0) -> Realised:
+    def realise(
+        self, t: int, powers: Powers, state: BatteryState, clipped_kw: float = 0.0
+    ) -> Realised:
         """What powers that are within all limits do to the buses and the batteries."""
         b = self.scenario.batteries
         load_kw = self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)
         discharge = np.maximum(-powers.battery_kw, 0.0)
         stored = state.eta_charge * charge - discharge / state.eta_discharge
-        p, q = self._injections(load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw,
-                                powers.battery_kw)
+        p, q = self._injections(
+            load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw, powers.battery_kw
+        )
         np.add.at(q, self._customer_bus[self.owner], powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
-        soc_end = np.clip(state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min,
-                          b.soc_max)
-        return Realised(powers.served, powers.pv_self_kw, powers.pv_export_kw,
-                        powers.pv_curtailed_kw, powers.pv_q_kvar, charge, discharge,
-                        powers.batt_q_kvar, soc_end, p, q, clipped_kw, load_kw)
+        soc_end = np.clip(
+            state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min, b.soc_max
+        )
+        return Realised(
+            powers.served,
+            powers.pv_self_kw,
+            powers.pv_export_kw,
+            powers.pv_curtailed_kw,
+            powers.pv_q_kvar,
+            charge,
+            discharge,
+            powers.batt_q_kvar,
+            soc_end,
+            p,
+            q,
+            clipped_kw,
+            load_kw,
+        )
 
-    def _split_pv(self, t: int, demand_kw: Floats,
-                  curtailment_kw: Floats) -> tuple[Floats, Floats, Floats]:
+    def _split_pv(
+        self, t: int, demand_kw: Floats, curtailment_kw: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
         demand = demand_kw[self.owner]
@@ -161,8 +192,9 @@ class Plant:
         curtailed = np.clip(curtailment_kw, forced, np.maximum(available - own, forced))
         return own, np.maximum(available - own - curtailed, 0.0), curtailed
 
-    def _battery_power(self, charge_kw: Floats, discharge_kw: Floats,
-                       state: BatteryState) -> tuple[Floats, Floats]:
+    def _battery_power(
+        self, charge_kw: Floats, discharge_kw: Floats, state: BatteryState
+    ) -> tuple[Floats, Floats]:
         """Set-points as far as power rating and state of charge allow."""
         most_charge, most_discharge = self.battery_limits_kw(state)
         net = charge_kw - discharge_kw
@@ -175,11 +207,14 @@ class Plant:
         room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
         held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
         rating = np.minimum(b.p_max_kw, b.s_max_kva)
-        return (np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
-                np.minimum(rating, held_kwh * state.eta_discharge / dt_h))
+        return (
+            np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
+            np.minimum(rating, held_kwh * state.eta_discharge / dt_h),
+        )
 
-    def _injections(self, demand_kw: Floats, own: Floats, export: Floats,
-                    battery_kw: Floats) -> tuple[Floats, Floats]:
+    def _injections(
+        self, demand_kw: Floats, own: Floats, export: Floats, battery_kw: Floats
+    ) -> tuple[Floats, Floats]:
         """Net injection of every bus: generation less served demand; kvar of the demand only."""
         p = np.zeros(self.scenario.network.n_buses)
         q = np.zeros_like(p)

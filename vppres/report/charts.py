@@ -150,8 +150,7 @@ def _line_row(run: Trajectory) -> Row:
     net = run.scenario.network
     rated = run.scenario.network.has_ratings
     values = np.nan_to_num(line_values(run, rated))
-    lines = [_literal(f"line {net.from_bus[i]} to {net.to_bus[i]}")
-             for i in values.argmax(axis=1)]
+    lines = [_literal(f"line {net.from_bus[i]} to {net.to_bus[i]}") for i in values.argmax(axis=1)]
     name = "largest line loading (%)" if rated else "largest line current (A)"
     return Row(
         "Line<br>loading (%)" if rated else "Line<br>current (A)",

@@ -40,8 +40,12 @@ class DrawingProcesses:
     def __init__(self, count: int = PROCESSES) -> None:
         # With its own session a process does not hear the Ctrl-C that the asking one answers.
         command = [sys.executable, "-m", "vppres.report.drawing"]
-        self._processes = [subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE,
-                                            start_new_session=True) for _ in range(count)]
+        self._processes = [
+            subprocess.Popen(
+                command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+            )
+            for _ in range(count)
+        ]
         self._folder = Path(mkdtemp(prefix="vppres-figures-"))
 
     @classmethod
@@ -53,8 +57,12 @@ class DrawingProcesses:
     def __enter__(self) -> DrawingProcesses:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         for process in self._processes:
             process.kill()
             process.wait()

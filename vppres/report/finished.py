@@ -54,8 +54,11 @@ def read_finished(folder: Path) -> FinishedRun:
     try:
         trajectory = read_run(folder)
     except (ValueError, KeyError) as error:
-        raise InputError(Problem(str(folder), f"cannot be read ({_first_line(error)})",
-                                 "Run the scenario again.")) from error
+        raise InputError(
+            Problem(
+                str(folder), f"cannot be read ({_first_line(error)})", "Run the scenario again."
+            )
+        ) from error
     # What was recorded counts, above all the versions that made the run.
     summary = {**summarise(trajectory), **_read_summary(folder / SUMMARY_FILE)}
     return FinishedRun(folder, trajectory, summary)
@@ -75,8 +78,11 @@ def _read_summary(file: Path) -> dict[str, Any]:
     try:
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError(Problem(str(file), f"is not valid JSON ({_first_line(error)})",
-                                 "Run the scenario again.")) from error
+        raise InputError(
+            Problem(
+                str(file), f"is not valid JSON ({_first_line(error)})", "Run the scenario again."
+            )
+        ) from error
     if not isinstance(summary, dict):
         raise InputError(Problem(str(file), "is not a table of figures", _CURE))
     return summary

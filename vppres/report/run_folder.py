@@ -28,8 +28,13 @@ TEMPLATE = "run_report.html.j2"
 Draw = Callable[[Trajectory, Path], object]
 
 
-def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True, figures: bool = True,
-              draw: Draw | None = None) -> dict[str, Any]:
+def write_run(
+    trajectory: Trajectory,
+    folder: Path,
+    interactive: bool = True,
+    figures: bool = True,
+    draw: Draw | None = None,
+) -> dict[str, Any]:
     """Write a run folder, whole or not at all.
 
     What was computed is written first: where figures or report cannot be made, the folder is kept
@@ -75,8 +80,9 @@ def write_run(trajectory: Trajectory, folder: Path, interactive: bool = True, fi
     return summary
 
 
-def _illustrate(trajectory: Trajectory, summary: Mapping[str, Any], folder: Path,
-                interactive: bool, draw: Draw) -> Exception | None:
+def _illustrate(
+    trajectory: Trajectory, summary: Mapping[str, Any], folder: Path, interactive: bool, draw: Draw
+) -> Exception | None:
     """Figures and report of a run, or why they could not be made; then neither is there."""
     try:
         draw(trajectory, folder / "figures")
@@ -93,14 +99,19 @@ def _without_report(folder: Path, failure: Exception) -> VppresError:
     """What to say of a run folder that has no figures and no report."""
     cure = f"{folder} holds the run; make its report with vppres report {folder}."
     if isinstance(failure, OSError) and is_full(failure):
-        return StorageError(f"{folder}: the disk is full, or a quota is reached: figures and "
-                            f"report were not written. Free some space: {cure}")
-    return ReportError(f"{folder}: figures and report could not be made "
-                       f"({type(failure).__name__}: {failure}). {cure}")
+        return StorageError(
+            f"{folder}: the disk is full, or a quota is reached: figures and "
+            f"report were not written. Free some space: {cure}"
+        )
+    return ReportError(
+        f"{folder}: figures and report could not be made "
+        f"({type(failure).__name__}: {failure}). {cure}"
+    )
 
 
-def render_report(trajectory: Trajectory, summary: Mapping[str, Any], figures: Path,
-                  interactive: bool = True) -> str:
+def render_report(
+    trajectory: Trajectory, summary: Mapping[str, Any], figures: Path, interactive: bool = True
+) -> str:
     """The report as HTML.
 
     Parameters
@@ -116,10 +127,15 @@ def render_report(trajectory: Trajectory, summary: Mapping[str, Any], figures: P
     """
     run = Run(trajectory, summary, figures, interactive)
     made = [make(run) for make in SECTIONS]
-    return page(TEMPLATE, {
-        "title": trajectory.scenario.title, "summary": summary,
-        "sections": [section for section in made if section is not None],
-        "plotly": Markup(_plotly()) if interactive else ""})
+    return page(
+        TEMPLATE,
+        {
+            "title": trajectory.scenario.title,
+            "summary": summary,
+            "sections": [section for section in made if section is not None],
+            "plotly": Markup(_plotly()) if interactive else "",
+        },
+    )
 
 
 def _plotly() -> str:

@@ -35,8 +35,15 @@ class Customers:
     def __post_init__(self) -> None:
         if len(self.shed_steps) == 0:
             object.__setattr__(self, "shed_steps", np.ones(len(self.id), dtype=int))
-        freeze_fields(self, id=object, bus=object, tier=object, weight=float, power_factor=float,
-                      shed_steps=int)
+        freeze_fields(
+            self,
+            id=object,
+            bus=object,
+            tier=object,
+            weight=float,
+            power_factor=float,
+            shed_steps=int,
+        )
 
     def __len__(self) -> int:
         return len(self.id)
@@ -120,10 +127,15 @@ class Batteries:
         sound = (low >= 0.0) & (low < high) & (high <= 1.0)  # other limits have their own check
         outside = np.where(sound, np.maximum(low - given, given - high), 0.0)
         problems = [
-            Problem(f"battery {self.id[i]}", f"must lie between soc_min ({low[i]:g}) and soc_max "
-                    f"({high[i]:g})", "Correct the state of charge at the start or the limits.",
-                    field="soc_initial", value=float(given[i]))
-            for i in np.flatnonzero(~(outside <= SOC_ROUNDING))]
+            Problem(
+                f"battery {self.id[i]}",
+                f"must lie between soc_min ({low[i]:g}) and soc_max ({high[i]:g})",
+                "Correct the state of charge at the start or the limits.",
+                field="soc_initial",
+                value=float(given[i]),
+            )
+            for i in np.flatnonzero(~(outside <= SOC_ROUNDING))
+        ]
         if problems:
             raise InputError(problems)
         clipped = np.where(sound, np.clip(given, low, high), given)
@@ -131,7 +143,8 @@ class Batteries:
         return tuple(
             f"The state of charge of battery {self.id[i]} at the start, {given[i]:.9g}, is a "
             f"rounding error outside its limits: {clipped[i]:g} is used."
-            for i in np.flatnonzero(clipped != given))
+            for i in np.flatnonzero(clipped != given)
+        )
 
     def __len__(self) -> int:
         return len(self.id)

@@ -86,15 +86,22 @@ class Network:
         x = np.asarray(self.x_ohm, float)
         i_max = np.asarray(self.i_max_a, float)
         i_max = i_max if len(i_max) else np.full(len(r), np.inf)
-        problems = (check_radial(ends[0], ends[1], self.slack_bus) + _check_impedance(r, x)
-                    + _check_ratings(i_max, len(r)))
+        problems = (
+            check_radial(ends[0], ends[1], self.slack_bus)
+            + _check_impedance(r, x)
+            + _check_ratings(i_max, len(r))
+        )
         if problems:
             raise InputError(problems)
         order, parent, line_of = _orient(ends[0], ends[1], self.slack_bus)
         values = {
-            "buses": order, "parent": parent,
-            "from_bus": order[parent], "to_bus": order[1:],
-            "r_ohm": r[line_of], "x_ohm": x[line_of], "i_max_a": i_max[line_of],
+            "buses": order,
+            "parent": parent,
+            "from_bus": order[parent],
+            "to_bus": order[1:],
+            "r_ohm": r[line_of],
+            "x_ohm": x[line_of],
+            "i_max_a": i_max[line_of],
         }
         for name, value in values.items():
             object.__setattr__(self, name, freeze(value))
@@ -150,34 +157,58 @@ class Network:
     def place(self, bus: Names) -> sp.csr_array:
         """Matrix of shape (N, len(bus)) that sums items onto their buses."""
         rows = [self.bus_index[b] for b in bus]
-        return sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))),
-                            shape=(self.n_buses, len(rows)))
+        return sp.csr_array(
+            (np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(self.n_buses, len(rows))
+        )
 
 
-def check_radial(from_bus: Names, to_bus: Names,
-                 slack_bus: BusId) -> list[Problem]:
+def check_radial(from_bus: Names, to_bus: Names, slack_bus: BusId) -> list[Problem]:
     """Problems that keep a set of lines from being a tree with the slack bus in it."""
     if len(from_bus) == 0:
         return [Problem("lines", "has no line", "Give at least one line.")]
     names, graph = _graph(from_bus, to_bus)
     if slack_bus not in names:
-        return [Problem("lines", f"no line touches the slack bus {slack_bus}",
-                        "Correct slack_bus or the lines.", field="slack_bus", value=slack_bus)]
+        return [
+            Problem(
+                "lines",
+                f"no line touches the slack bus {slack_bus}",
+                "Correct slack_bus or the lines.",
+                field="slack_bus",
+                value=slack_bus,
+            )
+        ]
     problems = [
-        Problem("lines", "begins and ends at the same bus", "Remove the line or correct an end.",
-                row=i, field="to_bus", value=b)
-        for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)) if a == b
+        Problem(
+            "lines",
+            "begins and ends at the same bus",
+            "Remove the line or correct an end.",
+            row=i,
+            field="to_bus",
+            value=b,
+        )
+        for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True))
+        if a == b
     ]
     count, label = connected_components(graph, directed=False)
     if count > 1:
         lost = [str(b) for b in names if label[names[b]] != label[names[slack_bus]]]
-        problems.append(Problem("lines", "the network is disconnected: no path from the slack bus "
-                                f"to bus {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}",
-                                "Add the missing line or remove these buses."))
+        problems.append(
+            Problem(
+                "lines",
+                "the network is disconnected: no path from the slack bus "
+                f"to bus {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}",
+                "Add the missing line or remove these buses.",
+            )
+        )
     problems += [
-        Problem("lines", f"closes a loop: {_loop_words(loop)}",
-                "The network must be radial: open (remove) one line of the loop.",
-                row=row, field="to_bus", value=to_bus[row])
+        Problem(
+            "lines",
+            f"closes a loop: {_loop_words(loop)}",
+            "The network must be radial: open (remove) one line of the loop.",
+            row=row,
+            field="to_bus",
+            value=to_bus[row],
+        )
         for row, loop in islice(_loops(from_bus, to_bus), MAX_LOOPS)
         if from_bus[row] != to_bus[row]
     ]
@@ -190,8 +221,7 @@ def _loop_words(loop: list[BusId]) -> str:
     return " - ".join(map(str, shown))
 
 
-def find_loops(from_bus: Names,
-               to_bus: Names) -> list[tuple[int, list[BusId]]]:
+def find_loops(from_bus: Names, to_bus: Names) -> list[tuple[int, list[BusId]]]:
     """Lines that close a loop, taken in order, each with the buses of its loop."""
     return list(_loops(from_bus, to_bus))
 
@@ -238,8 +268,7 @@ def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> li
     return path
 
 
-def _graph(from_bus: Names,
-           to_bus: Names) -> tuple[dict[BusId, int], sp.csr_array]:
+def _graph(from_bus: Names, to_bus: Names) -> tuple[dict[BusId, int], sp.csr_array]:
     """Bus numbering by first appearance and the adjacency matrix."""
     ends = (bus for line in zip(from_bus, to_bus, strict=True) for bus in line)
     names = {b: i for i, b in enumerate(dict.fromkeys(ends))}
@@ -248,15 +277,15 @@ def _graph(from_bus: Names,
     return names, sp.csr_array((np.ones(len(rows)), (rows, cols)), shape=(len(names),) * 2)
 
 
-def _orient(from_bus: Names, to_bus: Names, slack_bus: BusId
-            ) -> tuple[Names, Wholes, Wholes]:
+def _orient(from_bus: Names, to_bus: Names, slack_bus: BusId) -> tuple[Names, Wholes, Wholes]:
     """Buses in breadth-first order, parent of each but the first, and the line that feeds it."""
     names, graph = _graph(from_bus, to_bus)
     order, before = breadth_first_order(graph, names[slack_bus], directed=False)
     position = np.empty(len(order), dtype=int)
     position[order] = np.arange(len(order))
-    line_between = {frozenset((a, b)): i
-                    for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True))}
+    line_between = {
+        frozenset((a, b)): i for i, (a, b) in enumerate(zip(from_bus, to_bus, strict=True))
+    }
     labels = np.array(list(names), dtype=object)
     line_of = [line_between[frozenset((labels[before[n]], labels[n]))] for n in order[1:]]
     return labels[order], position[before[order[1:]]], np.array(line_of, dtype=int)
@@ -266,17 +295,39 @@ def _check_impedance(r_ohm: Floats, x_ohm: Floats) -> list[Problem]:
     """Lines without a resistance above zero, or with a negative reactance."""
     bad = [("r_ohm", i, r_ohm[i]) for i in np.flatnonzero(~(r_ohm > 0))]
     bad += [("x_ohm", i, x_ohm[i]) for i in np.flatnonzero(~(x_ohm >= 0))]
-    return [Problem("lines", "must be positive", "Give the series impedance in ohm; join buses "
-                    "that have no impedance between them.", row=int(i), field=name, value=value)
-            for name, i, value in bad]
+    return [
+        Problem(
+            "lines",
+            "must be positive",
+            "Give the series impedance in ohm; join buses that have no impedance between them.",
+            row=int(i),
+            field=name,
+            value=value,
+        )
+        for name, i, value in bad
+    ]
 
 
 def _check_ratings(i_max_a: Floats, n_lines: int) -> list[Problem]:
     """Ratings that are not one positive current for each line."""
     if i_max_a.shape != (n_lines,):
-        return [Problem("lines", f"must have one value for each of the {n_lines} lines", "Give "
-                        "the thermal rating in A, infinite where a line has none.",
-                        field="i_max_a", value=i_max_a.shape)]
-    return [Problem("lines", "must be positive", "Give the thermal rating in A, infinite where a "
-                    "line has none.", row=int(i), field="i_max_a", value=i_max_a[i])
-            for i in np.flatnonzero(~(i_max_a > 0))]
+        return [
+            Problem(
+                "lines",
+                f"must have one value for each of the {n_lines} lines",
+                "Give the thermal rating in A, infinite where a line has none.",
+                field="i_max_a",
+                value=i_max_a.shape,
+            )
+        ]
+    return [
+        Problem(
+            "lines",
+            "must be positive",
+            "Give the thermal rating in A, infinite where a line has none.",
+            row=int(i),
+            field="i_max_a",
+            value=i_max_a[i],
+        )
+        for i in np.flatnonzero(~(i_max_a > 0))
+    ]

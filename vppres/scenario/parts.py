@@ -35,16 +35,29 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         return scenario
     pv_parts = parts[pv.owner(customers)]
     split_customers = replace(
-        customers, id=_part_names(customers.id, parts), weight=_shared(customers.weight, parts),
-        **{name: np.repeat(getattr(customers, name), parts)
-           for name in ("bus", "tier", "power_factor")},
-        shed_steps=np.ones(parts.sum(), dtype=int))
+        customers,
+        id=_part_names(customers.id, parts),
+        weight=_shared(customers.weight, parts),
+        **{
+            name: np.repeat(getattr(customers, name), parts)
+            for name in ("bus", "tier", "power_factor")
+        },
+        shed_steps=np.ones(parts.sum(), dtype=int),
+    )
     split_pv = replace(
-        pv, id=_part_names(pv.id, pv_parts), customer=_part_names(pv.customer, pv_parts),
-        p_max_kw=_shared(pv.p_max_kw, pv_parts), s_max_kva=_shared(pv.s_max_kva, pv_parts))
-    return replace(scenario, customers=split_customers, pv=split_pv,
-                   load_kw=_shared(scenario.load_kw, parts),
-                   pv_kw=_shared(scenario.pv_kw, pv_parts))
+        pv,
+        id=_part_names(pv.id, pv_parts),
+        customer=_part_names(pv.customer, pv_parts),
+        p_max_kw=_shared(pv.p_max_kw, pv_parts),
+        s_max_kva=_shared(pv.s_max_kva, pv_parts),
+    )
+    return replace(
+        scenario,
+        customers=split_customers,
+        pv=split_pv,
+        load_kw=_shared(scenario.load_kw, parts),
+        pv_kw=_shared(scenario.pv_kw, pv_parts),
+    )
 
 
 def parts_record(scenario: Scenario) -> dict[str, Any]:
@@ -56,8 +69,11 @@ def parts_record(scenario: Scenario) -> dict[str, Any]:
     >>> parts_record(read_scenario(find_scenario("uk-heatwave-2022")))
     {}
     """
-    parts = {str(name): int(count) for name, count in
-             zip(scenario.customers.id, scenario.customers.shed_steps, strict=True) if count > 1}
+    parts = {
+        str(name): int(count)
+        for name, count in zip(scenario.customers.id, scenario.customers.shed_steps, strict=True)
+        if count > 1
+    }
     return {"parts": parts} if parts else {}
 
 
@@ -72,8 +88,10 @@ def part_names(customer: str, count: int) -> list[str]:
 
 def _part_names(names: Names, parts: Wholes) -> Names:
     """Names of all parts in order; whoever is all or nothing keeps its name."""
-    split = [[name] if count == 1 else part_names(str(name), int(count))
-             for name, count in zip(names, parts, strict=True)]
+    split = [
+        [name] if count == 1 else part_names(str(name), int(count))
+        for name, count in zip(names, parts, strict=True)
+    ]
     return np.array([name for group in split for name in group], dtype=object)
 
 

@@ -7,8 +7,13 @@ from math import ceil, isfinite
 
 from vppres.core.errors import InputError, Problem
 
-HOURS_OF = {"min_served_h": "hours", "min_unserved_h": "hours", "cold_load_h": "hours",
-            "price_per_action": "weighted customer hours", "move_weight": "kW"}
+HOURS_OF = {
+    "min_served_h": "hours",
+    "min_unserved_h": "hours",
+    "cold_load_h": "hours",
+    "price_per_action": "weighted customer hours",
+    "move_weight": "kW",
+}
 
 
 @dataclass(frozen=True)
@@ -61,16 +66,35 @@ class SwitchingRules:
     move_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        problems = [_problem(name, getattr(self, name), "must be zero or positive",
-                             f"Give {unit}, for example 2.") for name, unit in HOURS_OF.items()
-                    if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0)]
+        problems = [
+            _problem(
+                name,
+                getattr(self, name),
+                "must be zero or positive",
+                f"Give {unit}, for example 2.",
+            )
+            for name, unit in HOURS_OF.items()
+            if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0)
+        ]
         if not (isfinite(self.cold_load_factor) and self.cold_load_factor >= 1):
-            problems.append(_problem("cold_load_factor", self.cold_load_factor,
-                                     "must be at least 1", "Give a factor, for example 1.5."))
+            problems.append(
+                _problem(
+                    "cold_load_factor",
+                    self.cold_load_factor,
+                    "must be at least 1",
+                    "Give a factor, for example 1.5.",
+                )
+            )
         most = self.max_actions_per_customer
         if most is not None and most < 0:
-            problems.append(_problem("max_actions_per_customer", most, "must not be negative",
-                                     "Give a whole number, for example 2."))
+            problems.append(
+                _problem(
+                    "max_actions_per_customer",
+                    most,
+                    "must not be negative",
+                    "Give a whole number, for example 2.",
+                )
+            )
         if problems:
             raise InputError(problems)
 

@@ -94,8 +94,14 @@ class Scenario:
     switching: SwitchingRules = field(default_factory=SwitchingRules)
 
     def __post_init__(self) -> None:
-        freeze_fields(self, load_kw=float, pv_kw=float, price_gbp_per_kwh=float,
-                      temperature_c=float, grid_limit_kw=float)
+        freeze_fields(
+            self,
+            load_kw=float,
+            pv_kw=float,
+            price_gbp_per_kwh=float,
+            temperature_c=float,
+            grid_limit_kw=float,
+        )
 
     @cached_property
     def outage(self) -> Flags:
@@ -116,9 +122,14 @@ class Scenario:
 
     def _repr_html_(self) -> str:
         """What the scenario holds, for a notebook."""
-        return facts_html(f"{self.name}: {self.title}", {
-            "buses": self.network.n_buses, "customers": len(self.customers),
-            "PV systems": f"{len(self.pv)}, {self.pv.p_max_kw.sum():,.0f} kW",
-            "batteries": f"{len(self.batteries)}, {self.batteries.energy_kwh.sum():,.0f} kWh",
-            "steps": f"{self.grid.n_steps} of {self.grid.step_minutes:g} min",
-            "steps without grid": int(self.outage.sum())})
+        return facts_html(
+            f"{self.name}: {self.title}",
+            {
+                "buses": self.network.n_buses,
+                "customers": len(self.customers),
+                "PV systems": f"{len(self.pv)}, {self.pv.p_max_kw.sum():,.0f} kW",
+                "batteries": f"{len(self.batteries)}, {self.batteries.energy_kwh.sum():,.0f} kWh",
+                "steps": f"{self.grid.n_steps} of {self.grid.step_minutes:g} min",
+                "steps without grid": int(self.outage.sum()),
+            },
+        )

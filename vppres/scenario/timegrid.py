@@ -37,15 +37,35 @@ class TimeGrid:
     def __post_init__(self) -> None:
         problems = []
         if self.start.tzinfo is None:
-            problems.append(Problem("time", "has no time zone", "Write it with an offset, "
-                                    "for example 2022-07-19T00:00:00Z.",
-                                    field="start", value=self.start))
+            problems.append(
+                Problem(
+                    "time",
+                    "has no time zone",
+                    "Write it with an offset, for example 2022-07-19T00:00:00Z.",
+                    field="start",
+                    value=self.start,
+                )
+            )
         if not self.step_minutes > 0:
-            problems.append(Problem("time", "must be positive", "Give minutes, for example 60.",
-                                    field="step_minutes", value=self.step_minutes))
+            problems.append(
+                Problem(
+                    "time",
+                    "must be positive",
+                    "Give minutes, for example 60.",
+                    field="step_minutes",
+                    value=self.step_minutes,
+                )
+            )
         if self.n_steps < 1:
-            problems.append(Problem("time", "must be at least 1", "Give the number of steps.",
-                                    field="steps", value=self.n_steps))
+            problems.append(
+                Problem(
+                    "time",
+                    "must be at least 1",
+                    "Give the number of steps.",
+                    field="steps",
+                    value=self.n_steps,
+                )
+            )
         if problems:
             raise InputError(problems)
 
@@ -57,8 +77,12 @@ class TimeGrid:
     @property
     def times(self) -> pd.DatetimeIndex:
         """Beginning of every step, length ``n_steps``."""
-        return pd.date_range(self.start, periods=self.n_steps, name="time",
-                             freq=pd.Timedelta(minutes=self.step_minutes))
+        return pd.date_range(
+            self.start,
+            periods=self.n_steps,
+            name="time",
+            freq=pd.Timedelta(minutes=self.step_minutes),
+        )
 
     @property
     def end(self) -> pd.Timestamp:

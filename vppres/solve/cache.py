@@ -43,8 +43,9 @@ class ModelCache:
         """The problems that are kept, in the order in which they were made."""
         return list(self._problems.values())
 
-    def problem(self, make: Callable[Concatenate[Site, P], M], *args: P.args,
-                **shape: P.kwargs) -> M:
+    def problem(
+        self, make: Callable[Concatenate[Site, P], M], *args: P.args, **shape: P.kwargs
+    ) -> M:
         """The problem that ``make`` makes of the site for a shape, made where it is not there yet.
 
         Parameters

@@ -50,8 +50,9 @@ class Candidate:
     in_network: bool
 
     @classmethod
-    def of(cls, site: Site, data: WindowData, dispatch: Dispatch, slack_gbp: float,
-           in_network: bool) -> Candidate:
+    def of(
+        cls, site: Site, data: WindowData, dispatch: Dispatch, slack_gbp: float, in_network: bool
+    ) -> Candidate:
         """A dispatch whose set costs at most ``slack_gbp`` less than the dispatch does."""
         terms = evaluate(site, data, dispatch)
         value = terms.upper_levels(site.weights)
@@ -71,8 +72,10 @@ class CostRange:
         """All import that can ever be useful, in the steps in which it earns or costs money."""
         price = data.price_gbp_per_kwh
         most_kw = data.grid_p_max_kw(site)
-        return cls(float(np.minimum(price, 0.0) @ most_kw) * site.dt_h,
-                   float(np.maximum(price, 0.0) @ most_kw) * site.dt_h)
+        return cls(
+            float(np.minimum(price, 0.0) @ most_kw) * site.dt_h,
+            float(np.maximum(price, 0.0) @ most_kw) * site.dt_h,
+        )
 
 
 class Certificate:

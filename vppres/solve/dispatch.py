@@ -121,8 +121,14 @@ def cost_form(polygon_sides: int, network: bool) -> Form:
     return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network=network)
 
 
-def solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
-               form: Form, deadline: Deadline) -> Attempt:
+def solve_cost(
+    cache: ModelCache,
+    data: WindowData,
+    served: Flags,
+    spec: SolverSpec,
+    form: Form,
+    deadline: Deadline,
+) -> Attempt:
     """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
     ``form`` says whether the network is part of it, and how its discs are stated for binaries;
@@ -143,8 +149,14 @@ def solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverS
     return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
 
 
-def _solve_cost(cache: ModelCache, data: WindowData, served: Flags, spec: SolverSpec,
-                form: Form, deadline: Deadline) -> Attempt:
+def _solve_cost(
+    cache: ModelCache,
+    data: WindowData,
+    served: Flags,
+    spec: SolverSpec,
+    form: Form,
+    deadline: Deadline,
+) -> Attempt:
     """One solve of a form of the cost level."""
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
@@ -189,8 +201,7 @@ def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floa
 # Tie-breakers.
 
 
-def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch,
-           deadline: Deadline) -> Attempt:
+def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: Deadline) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
     It also decides whether a dispatch that was found without the network can be had in it: reactive
@@ -205,8 +216,13 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch,
     f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
-    model = cache.problem(TieBreakerModel, n_steps=data.n_steps, curtailing=curtailing,
-                          physical=data.physical, moves=data.moves is not None)
+    model = cache.problem(
+        TieBreakerModel,
+        n_steps=data.n_steps,
+        curtailing=curtailing,
+        physical=data.physical,
+        moves=data.moves is not None,
+    )
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
     outcome = run_conic(model.problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
@@ -218,8 +234,9 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch,
     return Attempt(outcome, better if kept else None)
 
 
-def least_reactive(cache: ModelCache, data: WindowData, dispatch: Dispatch,
-                   deadline: Deadline) -> Attempt:
+def least_reactive(
+    cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: Deadline
+) -> Attempt:
     """Least reactive flows and use of inverters for the active power of a dispatch, step by step.
 
     A step without an answer, or for which there is no time, keeps the reactive power that it has.

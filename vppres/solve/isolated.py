@@ -111,7 +111,8 @@ class Worker:
             self._log.close()
             raise SolverLostError(
                 f"The solver's process could not be started: {error}. Solve in the controller's "
-                "own process, RunOptions(isolate=False) or --no-isolate.") from error
+                "own process, RunOptions(isolate=False) or --no-isolate."
+            ) from error
 
     @property
     def alive(self) -> bool:
@@ -175,8 +176,9 @@ class Worker:
         except (EOFError, OSError):
             raise self._dead() from None
         except Exception as error:
-            raise SolverLostError("The solver's process sent what cannot be read: "
-                                  f"{type(error).__name__}: {error}.") from error
+            raise SolverLostError(
+                f"The solver's process sent what cannot be read: {type(error).__name__}: {error}."
+            ) from error
         return reply
 
     def _dead(self) -> SolverLostError:
@@ -238,8 +240,9 @@ def _replay(task: Task) -> Task:
 
 def _late(verb: str, within_s: float) -> SolverLostError:
     """The error of a process that has passed its deadline."""
-    return SolverLostError(f"The solver's process did not {verb} within {within_s:.1f} s and was "
-                           "killed.")
+    return SolverLostError(
+        f"The solver's process did not {verb} within {within_s:.1f} s and was killed."
+    )
 
 
 def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[bytes]:
@@ -251,10 +254,25 @@ def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[by
         raise ValueError("this Python does not know its own executable")
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     bound = "bound" if threading.current_thread() is threading.main_thread() else "free"
-    command = [sys.executable, "-P", "-X", "faulthandler", "-m", "vppres.solve.worker",
-               str(theirs.fileno()), str(os.getpid()), bound]
-    return subprocess.Popen(command, stdin=start, stdout=log, stderr=log,
-                            pass_fds=[theirs.fileno()], env={**os.environ, "PYTHONPATH": path})
+    command = [
+        sys.executable,
+        "-P",
+        "-X",
+        "faulthandler",
+        "-m",
+        "vppres.solve.worker",
+        str(theirs.fileno()),
+        str(os.getpid()),
+        bound,
+    ]
+    return subprocess.Popen(
+        command,
+        stdin=start,
+        stdout=log,
+        stderr=log,
+        pass_fds=[theirs.fileno()],
+        env={**os.environ, "PYTHONPATH": path},
+    )
 
 
 def _signal_name(number: int) -> str:
@@ -426,14 +444,26 @@ class IsolatedSolver(WindowSolver):
         If no process can be started.
     """
 
-    def __init__(self, site: Site, method: str = "decomposed", solver: str = "highs",
-                 limits: SolveLimits | None = None, polygon_sides: int = POLYGON_SIDES,
-                 factory: Callable[..., WindowSolver] = WindowSolver,
-                 workers: Workers | None = None) -> None:
+    def __init__(
+        self,
+        site: Site,
+        method: str = "decomposed",
+        solver: str = "highs",
+        limits: SolveLimits | None = None,
+        polygon_sides: int = POLYGON_SIDES,
+        factory: Callable[..., WindowSolver] = WindowSolver,
+        workers: Workers | None = None,
+    ) -> None:
         if not SUPPORTED:
-            raise InputError(Problem(
-                "options", "is not available on this system", "Leave it out, or use Linux or "
-                "macOS.", field="isolate", value=True))
+            raise InputError(
+                Problem(
+                    "options",
+                    "is not available on this system",
+                    "Leave it out, or use Linux or macOS.",
+                    field="isolate",
+                    value=True,
+                )
+            )
         super().__init__(site, method, solver, limits, polygon_sides)
         self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
         self._workers = workers
@@ -485,8 +515,9 @@ class IsolatedSolver(WindowSolver):
     def _ask(self, method: str, data: WindowData, *args: Any) -> Any:
         """Call a method of the solver in the other process."""
         task = Task(self._setup.key, method, (data, *args), self._setup)
-        reply = self._from().ask(task, _kind(method, data),
-                                 lambda compiled: self.deadline_s(data, compiled))
+        reply = self._from().ask(
+            task, _kind(method, data), lambda compiled: self.deadline_s(data, compiled)
+        )
         if reply.error is not None:
             raise reply.error
         self._compilations = reply.compilations

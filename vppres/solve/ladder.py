@@ -56,12 +56,24 @@ class WindowSolver:
         If method or solver are unknown, or the solver is not installed.
     """
 
-    def __init__(self, site: Site, method: str = "decomposed", solver: str = "highs",
-                 limits: SolveLimits | None = None, polygon_sides: int = POLYGON_SIDES) -> None:
+    def __init__(
+        self,
+        site: Site,
+        method: str = "decomposed",
+        solver: str = "highs",
+        limits: SolveLimits | None = None,
+        polygon_sides: int = POLYGON_SIDES,
+    ) -> None:
         if method not in METHODS:
-            raise InputError(Problem("options", "is not a known method",
-                                     f"Use one of: {', '.join(METHODS)}.", field="method",
-                                     value=method))
+            raise InputError(
+                Problem(
+                    "options",
+                    "is not a known method",
+                    f"Use one of: {', '.join(METHODS)}.",
+                    field="method",
+                    value=method,
+                )
+            )
         self.method = method
         self.limits = limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)

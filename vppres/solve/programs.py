@@ -54,8 +54,12 @@ class Program:
 
     def with_range(self, rows: sp.csc_array, lower: Floats, upper: Floats) -> Program:
         """The program with rows ``lower <= rows @ x <= upper`` more."""
-        return replace(self, rows=sp.csc_array(sp.vstack([self.rows, rows])),
-                       lower=np.append(self.lower, lower), upper=np.append(self.upper, upper))
+        return replace(
+            self,
+            rows=sp.csc_array(sp.vstack([self.rows, rows])),
+            lower=np.append(self.lower, lower),
+            upper=np.append(self.upper, upper),
+        )
 
     def priced(self, prices: Floats) -> tuple[float, Floats]:
         """What the rows are worth at some prices, and what is left of the columns' costs.
@@ -77,8 +81,10 @@ class Program:
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
         if solver.passModel(self._model()) == highspy.HighsStatus.kError:
-            raise NumericalError("HiGHS refuses a problem: its coefficients are not finite or too "
-                                 "large. Check the data for extreme values.")
+            raise NumericalError(
+                "HiGHS refuses a problem: its coefficients are not finite or too "
+                "large. Check the data for extreme values."
+            )
         return solver
 
     def _model(self) -> highspy.HighsModel:
@@ -124,8 +130,13 @@ class ProgramSolution:
         whole = len(solver.getLp().integrality_) > 0
         value = info.objective_function_value
         bound = min(info.mip_dual_bound, value) if whole else value
-        return cls(_status(solver.getModelStatus(), info.primal_solution_status), value, bound,
-                   np.asarray(solution.col_value), np.asarray(solution.row_dual))
+        return cls(
+            _status(solver.getModelStatus(), info.primal_solution_status),
+            value,
+            bound,
+            np.asarray(solution.col_value),
+            np.asarray(solution.row_dual),
+        )
 
     @classmethod
     def of_search(cls, solver: highspy.Highs, patience: Patience) -> ProgramSolution:
@@ -161,20 +172,25 @@ def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
     count = len(data["c"])
     lower = np.full(len(data["b"]), -np.inf)
     lower[:equal] = data["b"][:equal]
-    bounds = [np.full(count, free) if data[name] is None else data[name] for name, free in
-              (("lower_bounds", -np.inf), ("upper_bounds", np.inf))]
+    bounds = [
+        np.full(count, free) if data[name] is None else data[name]
+        for name, free in (("lower_bounds", -np.inf), ("upper_bounds", np.inf))
+    ]
     whole = np.asarray([*data["int_vars_idx"], *data["bool_vars_idx"]], dtype=np.int64)
-    program = Program(data["c"], bounds[0], bounds[1], sp.csc_array(data["A"]), lower,
-                      data["b"], whole)
+    program = Program(
+        data["c"], bounds[0], bounds[1], sp.csc_array(data["A"]), lower, data["b"], whole
+    )
     # Variables without entries are not compiled.
     return program, {v.name(): place[v.id] for v in problem.variables() if v.id in place}
 
 
 def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     """What HiGHS's end is worth."""
-    ends = {highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
-            highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
-            highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED}
+    ends = {
+        highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
+        highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
+        highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
+    }
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER

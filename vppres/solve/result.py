@@ -47,14 +47,22 @@ class Status(enum.StrEnum):
 
 
 _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
-    Status.INFEASIBLE: (InfeasibleError, "has no feasible dispatch. The voltage limits or the "
-                        "PV owners' self-consumption leave nothing; widen the limits or check the "
-                        "PV inverters' ratings"),
+    Status.INFEASIBLE: (
+        InfeasibleError,
+        "has no feasible dispatch. The voltage limits or the "
+        "PV owners' self-consumption leave nothing; widen the limits or check the "
+        "PV inverters' ratings",
+    ),
     Status.UNBOUNDED: (UnboundedError, "is unbounded. A price, weight or limit is not finite"),
-    Status.NUMERICAL: (NumericalError, "made the solver give up for numerical reasons. Try another "
-                       "--solver, or check the data for extreme values"),
-    Status.NO_ANSWER: (LimitError, "was not solved before the time limit. Raise --time-limit, or "
-                       "use --method decomposed"),
+    Status.NUMERICAL: (
+        NumericalError,
+        "made the solver give up for numerical reasons. Try another "
+        "--solver, or check the data for extreme values",
+    ),
+    Status.NO_ANSWER: (
+        LimitError,
+        "was not solved before the time limit. Raise --time-limit, or use --method decomposed",
+    ),
 }
 
 
@@ -101,14 +109,19 @@ class SolveLimits:
 
     def __post_init__(self) -> None:
         problems = []
-        for name, cure in (("gap_rel", "Give a share, for example 1e-4."),
-                           ("gap_abs", "Give weighted customer hours, for example 5e-3."),
-                           ("time_s", "Give seconds, for example 60.")):
+        for name, cure in (
+            ("gap_rel", "Give a share, for example 1e-4."),
+            ("gap_abs", "Give weighted customer hours, for example 5e-3."),
+            ("time_s", "Give seconds, for example 60."),
+        ):
             value = getattr(self, name)
             number = isinstance(value, Real) and not isinstance(value, bool)
             if not (number and 0.0 < value < np.inf):
-                problems.append(Problem("limits", "must be a finite number above 0", cure,
-                                        field=name, value=value))
+                problems.append(
+                    Problem(
+                        "limits", "must be a finite number above 0", cure, field=name, value=value
+                    )
+                )
         if problems:
             raise InputError(problems)
 

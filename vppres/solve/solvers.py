@@ -86,8 +86,11 @@ def _scip_ended(problem: cp.Problem) -> Status:
     model = _stats(problem)["model"]
     if model.getNSols() == 0:
         return Status.NO_ANSWER
-    return {"gaplimit": Status.OPTIMAL, "optimal": Status.OPTIMAL,
-            "timelimit": Status.TIME_LIMIT}.get(model.getStatus(), Status.INACCURATE)
+    return {
+        "gaplimit": Status.OPTIMAL,
+        "optimal": Status.OPTIMAL,
+        "timelimit": Status.TIME_LIMIT,
+    }.get(model.getStatus(), Status.INACCURATE)
 
 
 def _gurobi_slack(problem: cp.Problem) -> float:
@@ -112,26 +115,60 @@ def _ended_with_values(problem: cp.Problem) -> Status:
     return Status.TIME_LIMIT if problem.variables()[0].value is not None else Status.NO_ANSWER
 
 
-SOLVERS: dict[str, SolverSpec] = {spec.name: spec for spec in (
-    SolverSpec("highs", cp.HIGHS, False,
-               lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
-               _highs_slack, _highs_ended),
-    SolverSpec("scip", cp.SCIP, True,
-               # At its default tolerance SCIP 10 calls problems infeasible in which a PV system
-               # runs exactly at its inverter's rating.
-               lambda gap, s: {"scip_params": {"limits/gap": 0.0, "limits/absgap": gap,
-                                               "limits/time": s, "numerics/feastol": 1e-7}},
-               _scip_slack, _scip_ended),
-    SolverSpec("gurobi", cp.GUROBI, True,
-               lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s},
-               _gurobi_slack, _ended_with_values),
-    SolverSpec("copt", cp.COPT, True,
-               lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s},
-               _copt_slack, _ended_with_values),
-    SolverSpec("xpress", cp.XPRESS, True,
-               lambda gap, s: {"miprelstop": 0.0, "mipabsstop": gap, "maxtime": int(max(s, 1))},
-               _xpress_slack, _ended_with_values),
-)}
+SOLVERS: dict[str, SolverSpec] = {
+    spec.name: spec
+    for spec in (
+        SolverSpec(
+            "highs",
+            cp.HIGHS,
+            False,
+            lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
+            _highs_slack,
+            _highs_ended,
+        ),
+        SolverSpec(
+            "scip",
+            cp.SCIP,
+            True,
+            # At its default tolerance SCIP 10 calls problems infeasible in which a PV system
+            # runs exactly at its inverter's rating.
+            lambda gap, s: {
+                "scip_params": {
+                    "limits/gap": 0.0,
+                    "limits/absgap": gap,
+                    "limits/time": s,
+                    "numerics/feastol": 1e-7,
+                }
+            },
+            _scip_slack,
+            _scip_ended,
+        ),
+        SolverSpec(
+            "gurobi",
+            cp.GUROBI,
+            True,
+            lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s},
+            _gurobi_slack,
+            _ended_with_values,
+        ),
+        SolverSpec(
+            "copt",
+            cp.COPT,
+            True,
+            lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s},
+            _copt_slack,
+            _ended_with_values,
+        ),
+        SolverSpec(
+            "xpress",
+            cp.XPRESS,
+            True,
+            lambda gap, s: {"miprelstop": 0.0, "mipabsstop": gap, "maxtime": int(max(s, 1))},
+            _xpress_slack,
+            _ended_with_values,
+        ),
+    )
+}
 
 
 def find_solver(name: str) -> SolverSpec:
@@ -150,16 +187,31 @@ def find_solver(name: str) -> SolverSpec:
     spec = SOLVERS.get(name)
     ready = ", ".join(s.name for s in SOLVERS.values() if s.installed)
     if spec is None:
-        raise InputError(Problem("options", f"is not a known solver ({', '.join(SOLVERS)})",
-                                 f"Installed here: {ready}.", field="solver", value=name))
+        raise InputError(
+            Problem(
+                "options",
+                f"is not a known solver ({', '.join(SOLVERS)})",
+                f"Installed here: {ready}.",
+                field="solver",
+                value=name,
+            )
+        )
     if not spec.installed:
-        raise InputError(Problem("options", "is not installed", f"Install it, or use one of: "
-                                 f"{ready}.", field="solver", value=name))
+        raise InputError(
+            Problem(
+                "options",
+                "is not installed",
+                f"Install it, or use one of: {ready}.",
+                field="solver",
+                value=name,
+            )
+        )
     return spec
 
 
-def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
-        scale: float = 1.0) -> Outcome:
+def run(
+    problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float, scale: float = 1.0
+) -> Outcome:
     """Solve a mixed-integer or linear problem and map its status honestly.
 
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
@@ -168,8 +220,12 @@ def run(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float,
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": mapped below
-            problem.solve(solver=spec.cvxpy_name, warm_start=False, canon_backend=COMPILER,
-                          **spec.options(gap_abs * scale, max(time_s, LEAST_S)))
+            problem.solve(
+                solver=spec.cvxpy_name,
+                warm_start=False,
+                canon_backend=COMPILER,
+                **spec.options(gap_abs * scale, max(time_s, LEAST_S)),
+            )
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, watch.spent_s, spec.name)
     elapsed = watch.spent_s
@@ -186,8 +242,11 @@ def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
     """Status of the last solve."""
     if problem.status == cp.OPTIMAL:
         return Status.OPTIMAL
-    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE,
-                          cp.settings.INFEASIBLE_OR_UNBOUNDED):
+    if problem.status in (
+        cp.INFEASIBLE,
+        cp.INFEASIBLE_INACCURATE,
+        cp.settings.INFEASIBLE_OR_UNBOUNDED,
+    ):
         return Status.INFEASIBLE
     if problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
         return Status.UNBOUNDED
@@ -215,10 +274,19 @@ def _interior_points(problem: cp.Problem, time_s: float, refined: bool) -> Statu
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL, warm_start=False, time_limit=max(time_s, LEAST_S),
-                          canon_backend=COMPILER, iterative_refinement_enable=refined)
+            problem.solve(
+                solver=cp.CLARABEL,
+                warm_start=False,
+                time_limit=max(time_s, LEAST_S),
+                canon_backend=COMPILER,
+                iterative_refinement_enable=refined,
+            )
     except cp.SolverError:
         return Status.NUMERICAL
-    return {cp.OPTIMAL: Status.OPTIMAL, cp.OPTIMAL_INACCURATE: Status.INACCURATE,
-            cp.INFEASIBLE: Status.INFEASIBLE, cp.UNBOUNDED: Status.UNBOUNDED,
-            cp.USER_LIMIT: Status.NO_ANSWER}.get(problem.status, Status.NUMERICAL)
+    return {
+        cp.OPTIMAL: Status.OPTIMAL,
+        cp.OPTIMAL_INACCURATE: Status.INACCURATE,
+        cp.INFEASIBLE: Status.INFEASIBLE,
+        cp.UNBOUNDED: Status.UNBOUNDED,
+        cp.USER_LIMIT: Status.NO_ANSWER,
+    }.get(problem.status, Status.NUMERICAL)

@@ -56,8 +56,9 @@ class WindowTask:
     certificate: Certificate
 
     @classmethod
-    def begin(cls, data: WindowData, cache: ModelCache, limits: SolveLimits, spec: SolverSpec,
-              sides: int) -> WindowTask:
+    def begin(
+        cls, data: WindowData, cache: ModelCache, limits: SolveLimits, spec: SolverSpec, sides: int
+    ) -> WindowTask:
         """A window whose time begins now."""
         site = cache.site
         cost = CostRange.of(site, data)
@@ -137,8 +138,15 @@ class WindowTask:
             raise AssertionError("an outcome without answer always raises")
         objective = best.terms.total(self.site.weights)
         return WindowSolution(
-            dispatch=best.dispatch, terms=best.terms, objective=objective, bound=known.bound,
-            status=known.status(objective, late), service_gap=known.service_gap(),
-            cost_gap_gbp=known.cost_gap_gbp(), solve_s=self.deadline.spent_s,
-            solver_s=known.solver_s, stages=tuple(known.stages),
-            loss_kw=self.data.loss_kw if self.data.physical else None)
+            dispatch=best.dispatch,
+            terms=best.terms,
+            objective=objective,
+            bound=known.bound,
+            status=known.status(objective, late),
+            service_gap=known.service_gap(),
+            cost_gap_gbp=known.cost_gap_gbp(),
+            solve_s=self.deadline.spent_s,
+            solver_s=known.solver_s,
+            stages=tuple(known.stages),
+            loss_kw=self.data.loss_kw if self.data.physical else None,
+        )

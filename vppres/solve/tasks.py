@@ -51,8 +51,10 @@ class Setup:
     @cached_property
     def key(self) -> str:
         """Setups of equal content have equal solvers."""
-        return (f"{self.factory!r} {self.site.key} {self.method} {self.solver} {self.limits} "
-                f"{self.polygon_sides}")
+        return (
+            f"{self.factory!r} {self.site.key} {self.method} {self.solver} {self.limits} "
+            f"{self.polygon_sides}"
+        )
 
     def make(self) -> WindowSolver:
         """The solver."""

@@ -31,6 +31,7 @@ def one_at_a_time(solve: Callable[P, R]) -> Callable[P, R]:
     >>> countdown(3)
     0
     """
+
     @wraps(solve)
     def waiting(*args: P.args, **kwargs: P.kwargs) -> R:
         with _turn:

@@ -74,8 +74,7 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     known = task.certificate
     model = window_model(task.cache, task.data, form)
     model.fill(task.data)
-    outcome = run(model.problem, task.spec, gap, task.deadline.left_s,
-                  objective_scale(task.site))
+    outcome = run(model.problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
     known.note(name, outcome)
     inner = form.polygon_sides > 0 and not form.outer
     x = model.v.x_served.value

@@ -20,8 +20,10 @@ from vppres.report.plots import FIGURE_TEXTS, FIGURES, RUN_STYLES
 COMPARISON_FILE = "comparison.html"
 TEMPLATE = "comparison.html.j2"
 MAX_RUNS = len(RUN_STYLES)
-_TIMES = (("solve_s.total", "Time for all decisions", "s", ".2f"),
-          ("solve_s.max", "Longest decision", "s", ".3f"))
+_TIMES = (
+    ("solve_s.total", "Time for all decisions", "s", ".2f"),
+    ("solve_s.max", "Longest decision", "s", ".3f"),
+)
 
 Runs = Mapping[str, FinishedRun]
 
@@ -50,14 +52,17 @@ class ComparedFigure:
     def differences(self) -> tuple[float | None, ...]:
         """Each run's value minus that of the first run."""
         first = self.values[0]
-        return tuple(None if first is None or value is None else value - first
-                     for value in self.values)
+        return tuple(
+            None if first is None or value is None else value - first for value in self.values
+        )
 
     @property
     def texts(self) -> list[tuple[str, str]]:
         """Value and signed difference of each run as text."""
-        return [(number(value, self.form), number(change, f"+{self.form}"))
-                for value, change in zip(self.values, self.differences, strict=True)]
+        return [
+            (number(value, self.form), number(change, f"+{self.form}"))
+            for value, change in zip(self.values, self.differences, strict=True)
+        ]
 
 
 def read_runs(folders: Sequence[Path]) -> dict[str, FinishedRun]:
@@ -85,21 +90,29 @@ def read_runs(folders: Sequence[Path]) -> dict[str, FinishedRun]:
 
 def compared_figures(runs: Runs) -> list[ComparedFigure]:
     """Key figures, served shares of all tiers and solve times of every run."""
-    tiers = [(f"served_share.{tier}", f"Share served in the outage, {tier}", "", ".4f")
-             for tier in _tiers(runs)]
+    tiers = [
+        (f"served_share.{tier}", f"Share served in the outage, {tier}", "", ".4f")
+        for tier in _tiers(runs)
+    ]
     flat = [flattened(run.summary) for run in runs.values()]
-    rows = [ComparedFigure(key, words, unit, form, tuple(summary.get(key) for summary in flat))
-            for key, words, unit, form in (*KEY_FIGURES, *tiers, *_TIMES)]
+    rows = [
+        ComparedFigure(key, words, unit, form, tuple(summary.get(key) for summary in flat))
+        for key, words, unit, form in (*KEY_FIGURES, *tiers, *_TIMES)
+    ]
     return [row for row in rows if any(value is not None for value in row.values)]
 
 
 def differing_options(runs: Runs) -> list[tuple[str, list[str]]]:
     """Options that are not the same in all runs: name in words, and each run's value."""
-    options = [flattened({**{name: run.summary[name] for name in OPTIONS},
-                          **run.summary["options"]}) for run in runs.values()]
+    options = [
+        flattened({**{name: run.summary[name] for name in OPTIONS}, **run.summary["options"]})
+        for run in runs.values()
+    ]
     names = dict.fromkeys(name for record in options for name in record)
-    rows = [(name.replace("_", " ").replace(".", ", "), [_text(r.get(name)) for r in options])
-            for name in names]
+    rows = [
+        (name.replace("_", " ").replace(".", ", "), [_text(r.get(name)) for r in options])
+        for name in names
+    ]
     return [(words, values) for words, values in rows if len(set(values)) > 1]
 
 
@@ -110,18 +123,30 @@ def differing_customers(runs: Runs) -> list[dict[str, Any]]:
         for row in service_by_customer(run.trajectory).to_dict("records"):
             key = (str(row["id"]), str(row["tier"]))
             hours.setdefault(key, [None] * len(runs))[position] = float(row["unserved_h"])
-    return [{"id": name, "tier": tier, "unserved_h": values}
-            for (name, tier), values in hours.items() if len(set(values)) > 1]
+    return [
+        {"id": name, "tier": tier, "unserved_h": values}
+        for (name, tier), values in hours.items()
+        if len(set(values)) > 1
+    ]
 
 
 def comparison_record(runs: Runs) -> dict[str, Any]:
     """The comparison as JSON can hold it."""
     return {
-        "runs": [{"label": label, "folder": str(run.folder), "summary": dict(run.summary)}
-                 for label, run in runs.items()],
-        "figures": [{"key": row.key, "words": row.words, "unit": row.unit,
-                     "values": list(row.values), "differences": list(row.differences)}
-                    for row in compared_figures(runs)],
+        "runs": [
+            {"label": label, "folder": str(run.folder), "summary": dict(run.summary)}
+            for label, run in runs.items()
+        ],
+        "figures": [
+            {
+                "key": row.key,
+                "words": row.words,
+                "unit": row.unit,
+                "values": list(row.values),
+                "differences": list(row.differences),
+            }
+            for row in compared_figures(runs)
+        ],
         "same_scenario": same_scenario(runs),
     }
 
@@ -130,15 +155,22 @@ def render_comparison(runs: Runs) -> str:
     """The comparison as one HTML page that needs nothing beside it."""
     first = next(iter(runs.values()))
     trajectories = {label: run.trajectory for label, run in runs.items()}
-    return page(TEMPLATE, {
-        "title": first.trajectory.scenario.title, "runs": runs,
-        "figures": compared_figures(runs), "options": differing_options(runs),
-        "customers": differing_customers(runs),
-        "findings": {label: findings(run.trajectory) for label, run in runs.items()},
-        "same_scenario": same_scenario(runs),
-        "images": [(FIGURE_TEXTS[name], embedded(draw(trajectories)))
-                   for name, draw in FIGURES.items()],
-        "number": number})
+    return page(
+        TEMPLATE,
+        {
+            "title": first.trajectory.scenario.title,
+            "runs": runs,
+            "figures": compared_figures(runs),
+            "options": differing_options(runs),
+            "customers": differing_customers(runs),
+            "findings": {label: findings(run.trajectory) for label, run in runs.items()},
+            "same_scenario": same_scenario(runs),
+            "images": [
+                (FIGURE_TEXTS[name], embedded(draw(trajectories))) for name, draw in FIGURES.items()
+            ],
+            "number": number,
+        },
+    )
 
 
 def same_scenario(runs: Runs) -> bool:
@@ -154,8 +186,11 @@ def flattened(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """
     flat: dict[str, Any] = {}
     for name, value in record.items():
-        flat |= (flattened(value, f"{prefix}{name}.") if isinstance(value, Mapping)
-                 else {f"{prefix}{name}": value})
+        flat |= (
+            flattened(value, f"{prefix}{name}.")
+            if isinstance(value, Mapping)
+            else {f"{prefix}{name}": value}
+        )
     return flat
 
 
@@ -164,27 +199,42 @@ def _problems_of(folders: Sequence[Path]) -> list[Problem]:
     if len(folders) < 2:
         return [Problem("compare", "needs two runs or more", "Give another run folder.")]
     if len(folders) > MAX_RUNS:
-        return [Problem("compare", f"can tell {MAX_RUNS} runs apart in a figure, and was given "
-                        f"{len(folders)}", "Leave some out, or compare them in parts.")]
+        return [
+            Problem(
+                "compare",
+                f"can tell {MAX_RUNS} runs apart in a figure, and was given {len(folders)}",
+                "Leave some out, or compare them in parts.",
+            )
+        ]
     count = Counter(folder.resolve() for folder in folders)
-    return [Problem(str(folder), "is given more than once", "Give each run folder once.")
-            for folder in dict.fromkeys(folders) if count.pop(folder.resolve(), 1) > 1]
+    return [
+        Problem(str(folder), "is given more than once", "Give each run folder once.")
+        for folder in dict.fromkeys(folders)
+        if count.pop(folder.resolve(), 1) > 1
+    ]
 
 
 def _problems_of_days(runs: Sequence[FinishedRun]) -> list[Problem]:
     """Runs whose steps are not those of the first run: nothing can be laid over each other."""
     grids = [run.trajectory.scenario.grid for run in runs]
-    return [Problem(str(run.folder),
-                    f"has {grid.n_steps} steps of {grid.step_minutes:g} min from {grid.start}, "
-                    f"{runs[0].folder} has {grids[0].n_steps} of {grids[0].step_minutes:g} min "
-                    f"from {grids[0].start}", "Compare runs of the same day.")
-            for run, grid in zip(runs, grids, strict=True) if grid != grids[0]]
+    return [
+        Problem(
+            str(run.folder),
+            f"has {grid.n_steps} steps of {grid.step_minutes:g} min from {grid.start}, "
+            f"{runs[0].folder} has {grids[0].n_steps} of {grids[0].step_minutes:g} min "
+            f"from {grids[0].start}",
+            "Compare runs of the same day.",
+        )
+        for run, grid in zip(runs, grids, strict=True)
+        if grid != grids[0]
+    ]
 
 
 def _tiers(runs: Runs) -> list[str]:
     """Tiers of all runs, in the order of the first run that has them."""
-    return list(dict.fromkeys(tier for run in runs.values()
-                              for tier in run.trajectory.scenario.tiers))
+    return list(
+        dict.fromkeys(tier for run in runs.values() for tier in run.trajectory.scenario.tiers)
+    )
 
 
 def _text(value: object) -> str:

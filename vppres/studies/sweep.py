@@ -68,8 +68,9 @@ class SweepRow:
 Finish = Callable[[Sequence[SweepRow], Path], None]
 
 
-def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
-             options: RunOptions) -> list[Case]:
+def cases_of(
+    parameter: Parameter, values: Sequence[Value], scenario: Scenario, options: RunOptions
+) -> list[Case]:
     """The runs of a sweep, all of them checked.
 
     Raises
@@ -84,8 +85,13 @@ def cases_of(parameter: Parameter, values: Sequence[Value], scenario: Scenario,
     return cases
 
 
-def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
-              progress: Progress | None = None, finish: Finish | None = None) -> list[SweepRow]:
+def run_cases(
+    cases: Sequence[Case],
+    folder: Path,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+    finish: Finish | None = None,
+) -> list[SweepRow]:
     """Run all cases and write their folders into one, which is whole or absent.
 
     Parameters
@@ -109,8 +115,10 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int | None = None,
     with atomic_folder(folder) as aside:
         outcomes = _outcomes(cases, aside, jobs or int(joblib.cpu_count()), progress)
         outcome_table(outcomes).to_csv(aside / SUMMARY_TABLE, index=False, lineterminator="\n")
-        atomic_write_text(aside / RUN_MARK, json.dumps(
-            outcome_records(outcomes), indent=2, allow_nan=False) + "\n")
+        atomic_write_text(
+            aside / RUN_MARK,
+            json.dumps(outcome_records(outcomes), indent=2, allow_nan=False) + "\n",
+        )
         if finish is not None:
             finish(outcomes, aside)
     return outcomes
@@ -135,8 +143,9 @@ def run_case(position: int, case: Case, folder: Path, parent: int) -> tuple[int,
     """Run one case and write its run folder below ``folder``, in a worker of process ``parent``."""
     _end_with(parent)
     try:
-        summary = write_run(run_day(case.scenario, case.options), folder / case.folder,
-                            interactive=False)  # many reports: leave out 5 MB of scripts each
+        summary = write_run(
+            run_day(case.scenario, case.options), folder / case.folder, interactive=False
+        )  # many reports: leave out 5 MB of scripts each
     except (SolveError, VerificationError, StorageError, ReportError) as error:
         return position, SweepRow(case.value, case.folder, None, str(error))
     return position, SweepRow(case.value, case.folder, summary, None)
@@ -148,15 +157,25 @@ def outcome_table(outcomes: Sequence[SweepRow]) -> pd.DataFrame:
     for outcome in outcomes:
         figures = flattened(outcome.summary or {})
         keys = [key for key in figures if key in _KEYS or key.startswith(_PREFIXES)]
-        rows.append({"value": outcome.value, "folder": outcome.folder, "error": outcome.error,
-                     **{key: figures[key] for key in keys}})
+        rows.append(
+            {
+                "value": outcome.value,
+                "folder": outcome.folder,
+                "error": outcome.error,
+                **{key: figures[key] for key in keys},
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
     """The outcomes as JSON can hold them."""
-    return {"runs": [{"value": o.value, "folder": o.folder, "error": o.error,
-                      "summary": o.summary} for o in outcomes]}
+    return {
+        "runs": [
+            {"value": o.value, "folder": o.folder, "error": o.error, "summary": o.summary}
+            for o in outcomes
+        ]
+    }
 
 
 @cache
@@ -181,16 +200,22 @@ _KEYS = tuple(key for key, *_ in KEY_FIGURES)
 _PREFIXES = ("served_share.", "solve_s.")
 
 
-def _outcomes(cases: Sequence[Case], folder: Path, jobs: int,
-              progress: Progress | None) -> list[SweepRow]:
+def _outcomes(
+    cases: Sequence[Case], folder: Path, jobs: int, progress: Progress | None
+) -> list[SweepRow]:
     found: dict[int, SweepRow] = {}
     # One thread each: solvers and linear algebra would only fight for the cores.
     with joblib.parallel_config("loky", inner_max_num_threads=1):
-        parallel = joblib.Parallel(n_jobs=min(jobs, len(cases)), return_as="generator_unordered",
-                            batch_size=1)
+        parallel = joblib.Parallel(
+            n_jobs=min(jobs, len(cases)), return_as="generator_unordered", batch_size=1
+        )
         # Closing the generator stops the workers, whatever ends the loop.
-        with closing(parallel(joblib.delayed(run_case)(position, case, folder, os.getpid())
-                              for position, case in enumerate(cases))) as finished:
+        with closing(
+            parallel(
+                joblib.delayed(run_case)(position, case, folder, os.getpid())
+                for position, case in enumerate(cases)
+            )
+        ) as finished:
             for position, outcome in finished:
                 found[position] = outcome
                 if progress is not None:

@@ -23,22 +23,33 @@ FIGURE_NAME = "sweep"
 TEMPLATE = "sweep.html.j2"
 
 # Panels beside that of the tiers: column of the table, and its axis.
-_PANELS = (("resilience", "Resilience"), ("cost_gbp", "Cost of import (GBP)"),
-           ("import_kwh", "Imported energy (kWh)"), ("v_min_ac_pu", "Lowest AC voltage (pu)"),
-           ("solve_s.total", "Time for decisions (s)"))
+_PANELS = (
+    ("resilience", "Resilience"),
+    ("cost_gbp", "Cost of import (GBP)"),
+    ("import_kwh", "Imported energy (kWh)"),
+    ("v_min_ac_pu", "Lowest AC voltage (pu)"),
+    ("solve_s.total", "Time for decisions (s)"),
+)
 # Key figures that fit on a page side by side; the table of the folder has all of them.
 _ON_PAGE = ("cost_gbp", "import_kwh", "pv_curtailed_kwh", "v_min_ac_pu", "corrections", "gap_max")
 
 
-def write_sweep_page(parameter: str, scenario: Scenario, outcomes: Sequence[SweepRow],
-                     folder: Path) -> None:
+def write_sweep_page(
+    parameter: str, scenario: Scenario, outcomes: Sequence[SweepRow], folder: Path
+) -> None:
     """Write the page, and the figure as PNG and SVG, into an existing folder."""
     figure = sweep_figure(parameter, outcomes, scenario.tiers)
     save_figure(figure, folder / FIGURE_NAME)
-    text = page(TEMPLATE, {
-        "title": scenario.title, "parameter": parameter, "image": embedded(figure),
-        "columns": [words for _, words, *_ in _columns(scenario)],
-        "rows": [_row(outcome, scenario) for outcome in outcomes]})
+    text = page(
+        TEMPLATE,
+        {
+            "title": scenario.title,
+            "parameter": parameter,
+            "image": embedded(figure),
+            "columns": [words for _, words, *_ in _columns(scenario)],
+            "rows": [_row(outcome, scenario) for outcome in outcomes],
+        },
+    )
     atomic_write_text(folder / PAGE_FILE, text)
 
 
@@ -55,8 +66,15 @@ def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[s
     for position, tier in enumerate(tiers):
         style = TIER_STYLES[position % len(TIER_STYLES)]
         share = 100.0 * _column(table, f"served_share.{tier}")
-        panels[0].plot(x, share, color=style.color, marker=style.marker, label=plain(tier),
-                       linewidth=style.linewidth, linestyle="" if labels else style.linestyle)
+        panels[0].plot(
+            x,
+            share,
+            color=style.color,
+            marker=style.marker,
+            label=plain(tier),
+            linewidth=style.linewidth,
+            linestyle="" if labels else style.linestyle,
+        )
     panels[0].set_ylabel("Served in the outage (%)")
     panels[0].set_ylim(-4.0, 104.0)
     panels[0].legend(frameon=False, fontsize=8)
@@ -95,15 +113,27 @@ def _finish(ax: Axes, x: list[float], labels: list[str]) -> None:
 
 def _columns(scenario: Scenario) -> list[tuple[str, str, str]]:
     """Column of the table, words with the unit, and format."""
-    figures = [(key, f"{words} ({unit})" if unit else words, form)
-               for key, words, unit, form in KEY_FIGURES if key in _ON_PAGE]
-    tiers = [(f"served_share.{tier}", f"Served in the outage, {tier}", ".1%")
-             for tier in scenario.tiers]
-    return [("resilience", "Resilience", ".4f"), *tiers, *figures,
-            ("solve_s.total", "Time for decisions (s)", ".2f")]
+    figures = [
+        (key, f"{words} ({unit})" if unit else words, form)
+        for key, words, unit, form in KEY_FIGURES
+        if key in _ON_PAGE
+    ]
+    tiers = [
+        (f"served_share.{tier}", f"Served in the outage, {tier}", ".1%") for tier in scenario.tiers
+    ]
+    return [
+        ("resilience", "Resilience", ".4f"),
+        *tiers,
+        *figures,
+        ("solve_s.total", "Time for decisions (s)", ".2f"),
+    ]
 
 
 def _row(outcome: SweepRow, scenario: Scenario) -> dict[str, Any]:
     figures = outcome_table([outcome]).iloc[0]
-    return {"value": value_text(outcome.value), "folder": outcome.folder, "error": outcome.error,
-            "texts": [number(figures.get(key), form) for key, _, form in _columns(scenario)]}
+    return {
+        "value": value_text(outcome.value),
+        "folder": outcome.folder,
+        "error": outcome.error,
+        "texts": [number(figures.get(key), form) for key, _, form in _columns(scenario)],
+    }

@@ -68,22 +68,29 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
         change = changes[name]
         return Parameter(name, float, lambda day, options, value: (change(day, value), options))
     known = [*OPTION_OF, *changes]
-    raise InputError(Problem("sweep", "is not a parameter", did_you_mean(
-        name, known, f"Use one of: {', '.join(known)}."), field="--param", value=name))
+    raise InputError(
+        Problem(
+            "sweep",
+            "is not a parameter",
+            did_you_mean(name, known, f"Use one of: {', '.join(known)}."),
+            field="--param",
+            value=name,
+        )
+    )
 
 
 def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
     """What can be changed in a scenario, by name."""
     limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    battery = [f.name for f in fields(Batteries)
-               if f.name not in ("id", "bus", "grid_forming")]
+    battery = [f.name for f in fields(Batteries) if f.name not in ("id", "bus", "grid_forming")]
     return {
         "outage.hours": _with_outage_hours,
         "scale.load": lambda day, factor: replace(day, load_kw=day.load_kw * factor),
         "scale.pv": _with_scaled_pv,
         "scale.batteries": _with_scaled_batteries,
         "scale.price": lambda day, factor: replace(
-            day, price_gbp_per_kwh=day.price_gbp_per_kwh * factor),
+            day, price_gbp_per_kwh=day.price_gbp_per_kwh * factor
+        ),
         **{f"tiers.{tier}": partial(_with_tier_weight, tier) for tier in scenario.tiers},
         **{f"network.{name}": partial(_with_limit, name) for name in limits},
         **{f"objective.{f.name}": partial(_with_weight, f.name) for f in fields(ObjectiveWeights)},
@@ -103,8 +110,13 @@ def chosen_values(parameter: Parameter, values: str | None, range_: str | None) 
         return read_values(parameter, values)
     if range_ is not None and values is None:
         return read_range(parameter, range_)
-    raise InputError(Problem("sweep", "needs either --values or --range",
-                             "Give one of them, for example --values 1,2,3 or --range 0:5:6."))
+    raise InputError(
+        Problem(
+            "sweep",
+            "needs either --values or --range",
+            "Give one of them, for example --values 1,2,3 or --range 0:5:6.",
+        )
+    )
 
 
 def read_values(parameter: Parameter, text: str) -> list[Value]:
@@ -120,13 +132,25 @@ def read_values(parameter: Parameter, text: str) -> list[Value]:
     for part in (part.strip() for part in text.split(",")):
         value = _read(parameter.kind, part)
         if value is None:
-            problems.append(Problem("sweep", f"{part or 'nothing'} is not "
-                                    f"{_KINDS.get(parameter.kind, 'a word')}",
-                                    f"Give values of {parameter.name}, separated by commas.",
-                                    field="--values", value=text))
+            problems.append(
+                Problem(
+                    "sweep",
+                    f"{part or 'nothing'} is not {_KINDS.get(parameter.kind, 'a word')}",
+                    f"Give values of {parameter.name}, separated by commas.",
+                    field="--values",
+                    value=text,
+                )
+            )
         elif value in values:
-            problems.append(Problem("sweep", f"{part} comes twice", "Give each value once.",
-                                    field="--values", value=text))
+            problems.append(
+                Problem(
+                    "sweep",
+                    f"{part} comes twice",
+                    "Give each value once.",
+                    field="--values",
+                    value=text,
+                )
+            )
         else:
             values.append(value)
     if problems:
@@ -146,17 +170,30 @@ def read_range(parameter: Parameter, text: str) -> list[Value]:
     numbers = [_read(float, part) for part in parts[:2]]
     count = _read(int, parts[2]) if len(parts) == 3 else None
     if count is None or None in numbers or not 2 <= int(count) <= _MAX_POINTS:
-        raise InputError(Problem(
-            "sweep", f"is not start:stop:n with n from 2 to {_MAX_POINTS}",
-            "Write for example 0:5:6 for the values 0, 1, 2, 3, 4, 5.", field="--range",
-            value=text))
+        raise InputError(
+            Problem(
+                "sweep",
+                f"is not start:stop:n with n from 2 to {_MAX_POINTS}",
+                "Write for example 0:5:6 for the values 0, 1, 2, 3, 4, 5.",
+                field="--range",
+                value=text,
+            )
+        )
     if parameter.kind is str:
-        raise InputError(Problem("sweep", f"{parameter.name} takes words, not numbers",
-                                 "Use --values.", field="--range", value=text))
+        raise InputError(
+            Problem(
+                "sweep",
+                f"{parameter.name} takes words, not numbers",
+                "Use --values.",
+                field="--range",
+                value=text,
+            )
+        )
     start, stop = (float(number) for number in numbers if number is not None)
     points = np.linspace(start, stop, int(count)).tolist()
-    return read_values(parameter, ",".join(value_text(float(f"{point:.{_DIGITS}g}"))
-                                           for point in points))
+    return read_values(
+        parameter, ",".join(value_text(float(f"{point:.{_DIGITS}g}")) for point in points)
+    )
 
 
 def value_text(value: Value) -> str:
@@ -168,8 +205,9 @@ def value_text(value: Value) -> str:
     return str(value).removesuffix(".0")
 
 
-def changed(parameter: Parameter, value: Value, scenario: Scenario,
-            options: RunOptions) -> tuple[Scenario, RunOptions]:
+def changed(
+    parameter: Parameter, value: Value, scenario: Scenario, options: RunOptions
+) -> tuple[Scenario, RunOptions]:
     """Scenario and options with a value of the parameter, checked like a scenario folder.
 
     Raises
@@ -206,8 +244,9 @@ def _read(kind: type, text: str) -> Value | None:
     return value if np.isfinite(value) else None
 
 
-def _change_option(option: Option, scenario: Scenario, options: RunOptions,
-                   value: Value) -> tuple[Scenario, RunOptions]:
+def _change_option(
+    option: Option, scenario: Scenario, options: RunOptions, value: Value
+) -> tuple[Scenario, RunOptions]:
     """Replace a field of the options, or of a group in them."""
     return scenario, options.having({option.field: value})
 
@@ -216,14 +255,24 @@ def _with_outage_hours(day: Scenario, hours: float) -> Scenario:
     """The only outage, from its beginning, for another time; 0 is none."""
     steps = np.flatnonzero(day.outage)
     if len(steps) == 0 or np.any(np.diff(steps) != 1):
-        raise InputError(Problem("scenario", "has not exactly one outage",
-                                 "Sweep the hours of a scenario with one outage."))
+        raise InputError(
+            Problem(
+                "scenario",
+                "has not exactly one outage",
+                "Sweep the hours of a scenario with one outage.",
+            )
+        )
     n_steps = hours / day.grid.dt_h
     left = day.grid.n_steps - int(steps[0])
     if not (0 <= n_steps <= left and float(n_steps).is_integer()):
-        raise InputError(Problem(
-            "scenario", f"the outage must last from 0 to {left * day.grid.dt_h:g} h in steps of "
-            f"{day.grid.dt_h:g} h", "Give another duration."))
+        raise InputError(
+            Problem(
+                "scenario",
+                f"the outage must last from 0 to {left * day.grid.dt_h:g} h in steps of "
+                f"{day.grid.dt_h:g} h",
+                "Give another duration.",
+            )
+        )
     start = day.grid.times[steps[0]]
     return day.with_outage(start, start + pd.Timedelta(hours=hours))
 
@@ -243,8 +292,12 @@ def _with_scaled_batteries(day: Scenario, factor: float) -> Scenario:
         none = {f.name: getattr(day.batteries, f.name)[:0] for f in fields(Batteries)}
         return replace(day, batteries=Batteries(**none))
     sizes = ("energy_kwh", "p_max_kw", "s_max_kva")
-    return replace(day, batteries=replace(
-        day.batteries, **{name: getattr(day.batteries, name) * factor for name in sizes}))
+    return replace(
+        day,
+        batteries=replace(
+            day.batteries, **{name: getattr(day.batteries, name) * factor for name in sizes}
+        ),
+    )
 
 
 def _with_tier_weight(tier: str, day: Scenario, weight: float) -> Scenario:

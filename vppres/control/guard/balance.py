@@ -33,8 +33,11 @@ class Commanded:
         """The step's row of a decision."""
         plan = decision.dispatch
         row = decision.row
-        return cls(np.asarray(plan.served[row], dtype=bool), plan.pv_curtailed_kw[row],
-                   plan.charge_kw[row] - plan.discharge_kw[row])
+        return cls(
+            np.asarray(plan.served[row], dtype=bool),
+            plan.pv_curtailed_kw[row],
+            plan.charge_kw[row] - plan.discharge_kw[row],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +54,9 @@ def feeder_off(seen: Observation) -> bool:
     return point is None or not np.any(point.p_injection_kw)
 
 
-def mismatch_kw(site: Site, commanded: Commanded, seen: Observation,
-                readings: Readings) -> float | None:
+def mismatch_kw(
+    site: Site, commanded: Commanded, seen: Observation, readings: Readings
+) -> float | None:
     """Import of the step before beyond what readings of that step explain.
 
     Parameters
@@ -88,8 +92,7 @@ def mismatch_kw(site: Site, commanded: Commanded, seen: Observation,
     return found if np.isfinite(found) else None
 
 
-def contradicts(off_kw: float, commanded: Commanded, seen: Observation,
-                readings: Readings) -> bool:
+def contradicts(off_kw: float, commanded: Commanded, seen: Observation, readings: Readings) -> bool:
     """Whether a mismatch is more than meters are off by."""
     served_kw = float(readings.load_kw @ _served(commanded, seen))
     return abs(off_kw) > BALANCE_KW + BALANCE_SHARE * served_kw

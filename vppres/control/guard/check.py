@@ -43,8 +43,12 @@ class Tolerances:
 PAPER = Tolerances()
 
 
-def violations(decision: Decision, state: StepState, within: Tolerances = PAPER,
-               v_limits_pu: tuple[float, float] | None = None) -> list[str]:
+def violations(
+    decision: Decision,
+    state: StepState,
+    within: Tolerances = PAPER,
+    v_limits_pu: tuple[float, float] | None = None,
+) -> list[str]:
     """What is wrong with a decision, each in words; empty if it can be carried out.
 
     Parameters
@@ -64,9 +68,14 @@ def violations(decision: Decision, state: StepState, within: Tolerances = PAPER,
     net = state.site.network
     lowest, highest = v_limits_pu or (net.v_min_pu, net.v_max_pu)
     row = _Row.of(decision)
-    found = (_service(row), _battery_power(row, state, within), _energy(row, state, within),
-             _pv(row, state, within), _balance(row, state, within),
-             _voltage(row, (lowest, highest), within))
+    found = (
+        _service(row),
+        _battery_power(row, state, within),
+        _energy(row, state, within),
+        _pv(row, state, within),
+        _balance(row, state, within),
+        _voltage(row, (lowest, highest), within),
+    )
     return [text for text in found if text]
 
 
@@ -86,19 +95,28 @@ class _Row:
     def of(cls, decision: Decision) -> _Row:
         plan = decision.dispatch
         row = decision.row
-        return cls(np.asarray(plan.served[row], dtype=float), plan.pv_curtailed_kw[row],
-                   plan.pv_q_kvar[row], plan.charge_kw[row], plan.discharge_kw[row],
-                   plan.batt_q_kvar[row], plan.v_pu[row])
+        return cls(
+            np.asarray(plan.served[row], dtype=float),
+            plan.pv_curtailed_kw[row],
+            plan.pv_q_kvar[row],
+            plan.charge_kw[row],
+            plan.discharge_kw[row],
+            plan.batt_q_kvar[row],
+            plan.v_pu[row],
+        )
 
 
 def _shapes(decision: Decision, site: Site) -> list[str]:
     """Arrays of the wrong size or with values that are not numbers."""
-    sizes = {"served": len(site.customers), "v_pu": site.network.n_buses,
-             **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
-             **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"),
-                             len(site.batteries)),
-             **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"),
-                             len(site.pv))}
+    sizes = {
+        "served": len(site.customers),
+        "v_pu": site.network.n_buses,
+        **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
+        **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
+        **dict.fromkeys(
+            ("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"), len(site.pv)
+        ),
+    }
     found = []
     for field in fields(Dispatch):
         values = np.asarray(getattr(decision.dispatch, field.name))
@@ -122,10 +140,16 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     most = np.minimum(b.p_max_kw, b.s_max_kva) * state.online
     slack = within.power_kw + within.power_share * b.s_max_kva
     power = np.maximum(row.charge_kw, row.discharge_kw)
-    beyond = np.max([power - most, -row.charge_kw, -row.discharge_kw,
-                     np.minimum(row.charge_kw, row.discharge_kw),
-                     np.hypot(row.charge_kw - row.discharge_kw, row.batt_q_kvar)
-                     - b.s_max_kva], axis=0)
+    beyond = np.max(
+        [
+            power - most,
+            -row.charge_kw,
+            -row.discharge_kw,
+            np.minimum(row.charge_kw, row.discharge_kw),
+            np.hypot(row.charge_kw - row.discharge_kw, row.batt_q_kvar) - b.s_max_kva,
+        ],
+        axis=0,
+    )
     return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
@@ -135,8 +159,9 @@ def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     stored_kw = cell_kw(row.charge_kw, row.discharge_kw, state.eta_charge, state.eta_discharge)
     end = soc_after(state.soc, stored_kw, b, state.site.dt_h)
     # What was outside before may stay there, but not move further out.
-    beyond = np.maximum(end - np.maximum(b.soc_max, state.soc),
-                        np.minimum(b.soc_min, state.soc) - end)
+    beyond = np.maximum(
+        end - np.maximum(b.soc_max, state.soc), np.minimum(b.soc_min, state.soc) - end
+    )
     return _worst("battery energy", b.id, beyond - within.soc, beyond, "of capacity")
 
 
@@ -176,8 +201,7 @@ def _voltage(row: _Row, limits_pu: tuple[float, float], within: Tolerances) -> s
     return f"voltage: {v[worst]:.4f} pu" if outside[worst] > within.v_pu else ""
 
 
-def _worst(check: str, names: Names, excess: Floats, beyond: Floats,
-           unit: str) -> str:
+def _worst(check: str, names: Names, excess: Floats, beyond: Floats, unit: str) -> str:
     """Text on the item that is furthest beyond its tolerance, empty if none is."""
     if len(excess) == 0 or excess.max() <= 0:
         return ""

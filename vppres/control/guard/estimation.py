@@ -75,8 +75,11 @@ class Estimator:
         now, series_words = self.series.judged(seen, self._expected(seen), self._commanded)
         forecast = seen.forecast
         if series_words:
-            forecast = replace(forecast, load_kw=np.vstack([now.load_kw, forecast.load_kw[1:]]),
-                               pv_kw=np.vstack([now.pv_kw, forecast.pv_kw[1:]]))
+            forecast = replace(
+                forecast,
+                load_kw=np.vstack([now.load_kw, forecast.load_kw[1:]]),
+                pv_kw=np.vstack([now.pv_kw, forecast.pv_kw[1:]]),
+            )
         out = self.site.batteries.id[~online]
         words = [*self._soc_words(), *series_words, *(f"battery {name} is out" for name in out)]
         self._last = replace(seen, forecast=forecast, soc=self._soc.soc)
@@ -91,8 +94,9 @@ class Estimator:
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
         if seen.battery_kw is not None and self._commanded is not None and self._follow(seen):
             rating = self.site.batteries.p_max_kw
-            silent = ((np.abs(self._commanded.battery_kw) > RESPONSE_SHARE * rating)
-                      & (np.abs(seen.battery_kw) < SILENT_SHARE * rating))
+            silent = (np.abs(self._commanded.battery_kw) > RESPONSE_SHARE * rating) & (
+                np.abs(seen.battery_kw) < SILENT_SHARE * rating
+            )
             self._out_until = np.where(silent, seen.t0 + RETRY_STEPS, self._out_until)
         return told & (self._out_until <= seen.t0)
 
@@ -118,16 +122,22 @@ class Estimator:
             measured = np.isfinite(seen.battery_kw)
             power_kw = np.where(measured, seen.battery_kw, power_kw)
         hours = (seen.t0 - self._last.t0) * self.site.dt_h
-        stored_kw = cell_kw(np.maximum(power_kw, 0.0), np.maximum(-power_kw, 0.0),
-                            self._last.eta_charge, self._last.eta_discharge)
+        stored_kw = cell_kw(
+            np.maximum(power_kw, 0.0),
+            np.maximum(-power_kw, 0.0),
+            self._last.eta_charge,
+            self._last.eta_discharge,
+        )
         return soc_after(np.zeros(len(b)), stored_kw, b, hours), measured
 
     def _soc_words(self) -> list[str]:
         """The batteries whose state of charge is reckoned."""
         names = self.site.batteries.id
-        return [f"soc {names[i]} {self._soc.soc[i]:.4f} "
-                f"({'frozen' if self._soc.frozen[i] else 'missing'})"
-                for i in np.flatnonzero(~self._soc.trusted)]
+        return [
+            f"soc {names[i]} {self._soc.soc[i]:.4f} "
+            f"({'frozen' if self._soc.frozen[i] else 'missing'})"
+            for i in np.flatnonzero(~self._soc.trusted)
+        ]
 
     def _expected(self, seen: Observation) -> Readings:
         """What the last forecast said of this step; failing that, the last known values."""

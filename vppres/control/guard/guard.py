@@ -86,8 +86,9 @@ class GuardedController:
         What the last decision took for true.
     """
 
-    def __init__(self, controller_of: ControllerOf, solver_of: SolverOf, site: Site,
-                 options: GuardOptions) -> None:
+    def __init__(
+        self, controller_of: ControllerOf, solver_of: SolverOf, site: Site, options: GuardOptions
+    ) -> None:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
@@ -158,16 +159,16 @@ class GuardedController:
         if key not in self._parts:
             self._parts[key] = self._controller_of(site_with(self.site, known.online))
         decision = self._parts[key].decide(reduced_observation(known.observation, known.online))
-        return replace(decision, dispatch=whole_fleet(decision.dispatch, known.online,
-                                                      known.observation.soc))
+        return replace(
+            decision, dispatch=whole_fleet(decision.dispatch, known.online, known.observation.soc)
+        )
 
     def _keep(self, decision: Decision, t0: int) -> None:
         """Remember a plan that goes beyond its step, for steps that find no other."""
         if decision.row + 1 < decision.dispatch.n_steps:
             self._plan = decision.dispatch, t0 - decision.row
 
-    def _relaxed(self, known: Known, state: StepState,
-                 reason: str) -> tuple[Decision | None, str]:
+    def _relaxed(self, known: Known, state: StepState, reason: str) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online)
@@ -179,8 +180,13 @@ class GuardedController:
                 reason += f"; {name}: {_words(error)}"
                 continue
             dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)
-            decision = Decision(dispatch, 0, solve_info(solution, 0), fallback=name,
-                                fallback_reason=f"{reason}; {words}")
+            decision = Decision(
+                dispatch,
+                0,
+                solve_info(solution, 0),
+                fallback=name,
+                fallback_reason=f"{reason}; {words}",
+            )
             wrong = violations(decision, state, self.options.within, limits_pu)
             if not wrong:
                 return decision, reason
@@ -200,12 +206,20 @@ class GuardedController:
         row = known.observation.t0 - self._plan[1]
         if not 0 <= row < plan.n_steps:
             return None
-        carried = carry(state, np.asarray(plan.served[row], dtype=bool),
-                        plan.charge_kw[row] - plan.discharge_kw[row])
+        carried = carry(
+            state,
+            np.asarray(plan.served[row], dtype=bool),
+            plan.charge_kw[row] - plan.discharge_kw[row],
+        )
         if carried is None or carried.shortage:
             return None
-        decision = Decision(carried.dispatch, 0, SolveInfo(status="previous_plan"),
-                            fallback="previous_plan", fallback_reason=reason)
+        decision = Decision(
+            carried.dispatch,
+            0,
+            SolveInfo(status="previous_plan"),
+            fallback="previous_plan",
+            fallback_reason=reason,
+        )
         net = self.site.network
         wrong = violations(decision, state, self.options.within, (net.v_min_ac_pu, net.v_max_ac_pu))
         return None if wrong else decision
@@ -214,8 +228,9 @@ class GuardedController:
         """Dispatch by rule."""
         carried = rule_dispatch(state, self.options.tiers)
         words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
-        return Decision(carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule",
-                        fallback_reason=words)
+        return Decision(
+            carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
+        )
 
     def _critical_first(self, decision: Decision, known: Known, state: StepState) -> Decision:
         """The step alone, critical customers first, where that serves more of them."""
@@ -232,10 +247,16 @@ class GuardedController:
         possible = self._critical_weight(alone.dispatch.served[0])
         if possible <= served + 1e-9:
             return decision
-        words = [decision.fallback_reason, f"the plan serves {served:g} of the critical weight, "
-                 f"the step alone {possible:g}", alone.fallback_reason]
-        return replace(self._with_critical(decision, alone, state), fallback="critical",
-                       fallback_reason="; ".join(word for word in words if word))
+        words = [
+            decision.fallback_reason,
+            f"the plan serves {served:g} of the critical weight, the step alone {possible:g}",
+            alone.fallback_reason,
+        ]
+        return replace(
+            self._with_critical(decision, alone, state),
+            fallback="critical",
+            fallback_reason="; ".join(word for word in words if word),
+        )
 
     def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
         """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
@@ -263,9 +284,11 @@ class GuardedController:
             solver = self._critical_solver(known.online)
             seen = reduced_observation(known.observation, known.online)
             solution = solver.solve(WindowData.of(seen, solver.site, self.options.centre).first(1))
-            decision = Decision(whole_fleet(solution.dispatch, known.online,
-                                            known.observation.soc),
-                                0, solve_info(solution, 0))
+            decision = Decision(
+                whole_fleet(solution.dispatch, known.online, known.observation.soc),
+                0,
+                solve_info(solution, 0),
+            )
             wrong = violations(decision, state, self.options.within)
             return self._rule(state, "; ".join(wrong)) if wrong else decision
         except Exception as error:
@@ -295,8 +318,9 @@ def critical_site(site: Site, tier: str) -> Site:
     if not first.any():
         return site
     factor = np.ceil(weight[~first].sum() / weight[first].min()) + 1.0
-    return replace(site, customers=replace(
-        site.customers, weight=np.where(first, weight * factor, weight)))
+    return replace(
+        site, customers=replace(site.customers, weight=np.where(first, weight * factor, weight))
+    )
 
 
 def _words(error: Exception) -> str:

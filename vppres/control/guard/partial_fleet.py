@@ -17,8 +17,7 @@ def site_with(site: Site, online: Flags) -> Site:
     """The site with the batteries that are online, shape (B,); itself if all are."""
     if online.all():
         return site
-    left = Batteries(**{f.name: getattr(site.batteries, f.name)[online]
-                        for f in fields(Batteries)})
+    left = Batteries(**{f.name: getattr(site.batteries, f.name)[online] for f in fields(Batteries)})
     return replace(site, batteries=left)
 
 
@@ -26,8 +25,14 @@ def reduced_observation(seen: Observation, online: Flags) -> Observation:
     """The observation of the batteries that are online."""
     if online.all():
         return seen
-    return replace(seen, soc=seen.soc[online], eta_charge=seen.eta_charge[online],
-                   eta_discharge=seen.eta_discharge[online], battery_kw=None, online=None)
+    return replace(
+        seen,
+        soc=seen.soc[online],
+        eta_charge=seen.eta_charge[online],
+        eta_discharge=seen.eta_discharge[online],
+        battery_kw=None,
+        online=None,
+    )
 
 
 def whole_fleet(dispatch: Dispatch, online: Flags, soc: Floats) -> Dispatch:

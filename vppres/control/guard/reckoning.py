@@ -70,14 +70,21 @@ class SocReckoning:
         b = self.site.batteries
         reckoned = np.clip(self.reckoned + stored, b.soc_min, b.soc_max)
         evident = self.evident & measured
-        plausible = (np.isfinite(seen) & (seen >= b.soc_min - SOC_MARGIN)
-                     & (seen <= b.soc_max + SOC_MARGIN))
+        plausible = (
+            np.isfinite(seen) & (seen >= b.soc_min - SOC_MARGIN) & (seen <= b.soc_max + SOC_MARGIN)
+        )
         # A reading just outside would leave a window without any feasible dispatch.
         inside = np.clip(seen, b.soc_min, b.soc_max)
         still = plausible & (seen == self.reading)
         moved = plausible & ~still
         frozen = still & evident & (np.abs(inside - reckoned) > SOC_TOLERANCE)
         trusted = plausible & ~frozen
-        return replace(self, reading=np.where(plausible, seen, self.reading),
-                       reckoned=np.where(moved, inside, reckoned), evident=evident | moved,
-                       soc=np.where(trusted, inside, reckoned), trusted=trusted, frozen=frozen)
+        return replace(
+            self,
+            reading=np.where(plausible, seen, self.reading),
+            reckoned=np.where(moved, inside, reckoned),
+            evident=evident | moved,
+            soc=np.where(trusted, inside, reckoned),
+            trusted=trusted,
+            frozen=frozen,
+        )

@@ -21,8 +21,9 @@ SLACK_MARGIN_PU2 = 1e-4
 """Added to the least slack, which interior points find within their tolerance."""
 
 
-def relaxed_answers(site: Site, data: WindowData,
-                    solver_of: SolverOf) -> Iterator[tuple[str, Callable[[], Answer]]]:
+def relaxed_answers(
+    site: Site, data: WindowData, solver_of: SolverOf
+) -> Iterator[tuple[str, Callable[[], Answer]]]:
     """Fallbacks of an infeasible window by name, each to be called in turn until one answers.
 
     Parameters
@@ -42,8 +43,12 @@ def relaxed_answers(site: Site, data: WindowData,
 def _with_ac_limits(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
     """The window with the limits that the AC voltages must hold in place of the tighter ones."""
     net = site.network
-    return _solved(with_limits(net, min(net.v_min_pu, net.v_min_ac_pu),
-                               max(net.v_max_pu, net.v_max_ac_pu)), site, data, solver_of)
+    return _solved(
+        with_limits(net, min(net.v_min_pu, net.v_min_ac_pu), max(net.v_max_pu, net.v_max_ac_pu)),
+        site,
+        data,
+        solver_of,
+    )
 
 
 def _elastic(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
@@ -64,6 +69,8 @@ def _solved(network: Network, site: Site, data: WindowData, solver_of: SolverOf)
     v = solution.dispatch.v_pu[0, 1:]
     net = site.network
     beyond = max(float((net.v_min_pu - v).max()), float((v - net.v_max_pu).max()), 0.0)
-    words = (f"voltage limits widened to {network.v_min_pu:.3f} .. {network.v_max_pu:.3f} pu, "
-             f"this step {beyond:.4f} pu beyond its own")
+    words = (
+        f"voltage limits widened to {network.v_min_pu:.3f} .. {network.v_max_pu:.3f} pu, "
+        f"this step {beyond:.4f} pu beyond its own"
+    )
     return solution, (network.v_min_pu, network.v_max_pu), words

@@ -45,11 +45,13 @@ class SeriesJudge:
     def __init__(self, site: Site) -> None:
         self.site = site
         self._before: _Step | None = None
-        self._frozen = _Frozen(np.zeros(len(site.customers), dtype=bool),
-                               np.zeros(len(site.pv), dtype=bool))
+        self._frozen = _Frozen(
+            np.zeros(len(site.customers), dtype=bool), np.zeros(len(site.pv), dtype=bool)
+        )
 
-    def judged(self, seen: Observation, expected: Readings,
-               commanded: Commanded | None) -> tuple[Readings, list[str]]:
+    def judged(
+        self, seen: Observation, expected: Readings, commanded: Commanded | None
+    ) -> tuple[Readings, list[str]]:
         """Readings of the step with estimates where they must be, and what was estimated.
 
         Parameters
@@ -66,10 +68,12 @@ class SeriesJudge:
         kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
         self._frozen = frozen
         self._before = now
-        load, load_words = _estimated("load", self.site.customers.id, now.seen.load_kw,
-                                      expected.load_kw, frozen.load, kept)
-        pv, pv_words = _estimated("pv", self.site.pv.id, now.seen.pv_kw, expected.pv_kw,
-                                  frozen.pv, kept)
+        load, load_words = _estimated(
+            "load", self.site.customers.id, now.seen.load_kw, expected.load_kw, frozen.load, kept
+        )
+        pv, pv_words = _estimated(
+            "pv", self.site.pv.id, now.seen.pv_kw, expected.pv_kw, frozen.pv, kept
+        )
         return Readings(load, pv), [*load_words, *pv_words]
 
     def _frozen_now(self, now: _Step, seen: Observation, commanded: Commanded | None) -> _Frozen:
@@ -80,8 +84,9 @@ class SeriesJudge:
         before = self._before
         if before is None:
             return self._frozen
-        still = _Frozen(now.seen.load_kw == before.seen.load_kw,
-                        now.seen.pv_kw == before.seen.pv_kw)
+        still = _Frozen(
+            now.seen.load_kw == before.seen.load_kw, now.seen.pv_kw == before.seen.pv_kw
+        )
         off_kw = self._mismatch(seen, commanded, before.seen)
         if commanded is None or off_kw is None:
             return _Frozen(still.load & self._frozen.load, still.pv & self._frozen.pv)
@@ -89,30 +94,34 @@ class SeriesJudge:
             return still
         return _Frozen(np.zeros_like(still.load), np.zeros_like(still.pv))
 
-    def _forecast_was_nearer(self, seen: Observation, commanded: Commanded | None,
-                             frozen: _Frozen) -> bool:
+    def _forecast_was_nearer(
+        self, seen: Observation, commanded: Commanded | None, frozen: _Frozen
+    ) -> bool:
         """Whether the forecast explains the step before better than the frozen readings do."""
         before = self._before
         assert before is not None  # without a step before nothing is frozen
         by_forecast = Readings(
             np.where(frozen.load, before.expected.load_kw, before.seen.load_kw),
-            np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw))
+            np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw),
+        )
         of_readings = self._mismatch(seen, commanded, before.seen)
         of_forecast = self._mismatch(seen, commanded, by_forecast)
         if of_readings is None or of_forecast is None:
             return True
         return abs(of_forecast) < abs(of_readings)
 
-    def _mismatch(self, seen: Observation, commanded: Commanded | None,
-                  readings: Readings) -> float | None:
+    def _mismatch(
+        self, seen: Observation, commanded: Commanded | None, readings: Readings
+    ) -> float | None:
         """Mismatch of the step before, None where it is not known."""
         if commanded is None or self._before is None or seen.t0 != self._before.t + 1:
             return None
         return mismatch_kw(self.site, commanded, seen, readings)
 
 
-def _estimated(what: str, ids: Names, now: Floats, expected: Floats, frozen: Flags,
-               kept: bool) -> tuple[Floats, list[str]]:
+def _estimated(
+    what: str, ids: Names, now: Floats, expected: Floats, frozen: Flags, kept: bool
+) -> tuple[Floats, list[str]]:
     """Readings with the expected ones in their place where needed, and what to say of it.
 
     Frozen readings that are nearer to the truth than the forecast are kept, but named.
@@ -128,5 +137,7 @@ def _estimated(what: str, ids: Names, now: Floats, expected: Floats, frozen: Fla
     for flags, word in ((missing, "missing"), (frozen, kind)):
         if flags.all():
             return values, [f"{what} of all {len(ids)}, {values.sum():.1f} kW ({word})"]
-    return values, [f"{what} {ids[i]} {values[i]:.2f} kW ({'missing' if missing[i] else kind})"
-                    for i in np.flatnonzero(wrong)]
+    return values, [
+        f"{what} {ids[i]} {values[i]:.2f} kW ({'missing' if missing[i] else kind})"
+        for i in np.flatnonzero(wrong)
+    ]

@@ -41,8 +41,15 @@ class ACPoints:
     converged: Flags
 
     def __post_init__(self) -> None:
-        freeze_fields(self, v_pu=float, p_flow_kw=float, q_flow_kvar=float, loss_kw=float,
-                      loss_kvar=float, converged=bool)
+        freeze_fields(
+            self,
+            v_pu=float,
+            p_flow_kw=float,
+            q_flow_kvar=float,
+            loss_kw=float,
+            loss_kvar=float,
+            converged=bool,
+        )
 
     def where(self, chosen: Flags, other: ACPoints) -> ACPoints:
         """These points with those of ``other`` in the chosen steps, (W,)."""
@@ -86,10 +93,13 @@ class Sweeps:
         if self.reference == 0:
             return net.downstream
         turned = replace(net, slack_bus=net.buses[self.reference])
-        line_at = {frozenset(ends): line
-                   for line, ends in enumerate(zip(net.from_bus, net.to_bus, strict=True))}
-        lines = [line_at[frozenset(ends)]
-                 for ends in zip(turned.from_bus, turned.to_bus, strict=True)]
+        line_at = {
+            frozenset(ends): line
+            for line, ends in enumerate(zip(net.from_bus, net.to_bus, strict=True))
+        }
+        lines = [
+            line_at[frozenset(ends)] for ends in zip(turned.from_bus, turned.to_bus, strict=True)
+        ]
         signs = np.where(turned.to_bus == net.to_bus[lines], 1.0, -1.0)
         columns = [turned.bus_index[bus] for bus in net.buses]
         by_turned = sp.diags_array(signs) @ turned.downstream[:, columns]
@@ -125,8 +135,9 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     load_kvar = load * site.customers.q_per_p
     battery_kw = dispatch.discharge_kw - dispatch.charge_kw
     p_kw = bus_injections(site, {"pv": through, "customers": -load, "batteries": battery_kw})
-    q_kvar = bus_injections(site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar,
-                                   "customers": -load_kvar})
+    q_kvar = bus_injections(
+        site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar, "customers": -load_kvar}
+    )
     return p_kw, q_kvar
 
 
@@ -134,8 +145,11 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
     """The window with losses and voltages as at these points; steps without one keep theirs."""
     old = data.require_physics()
     sound = points.converged[:, None]
-    physics = replace(old, loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
-                      loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar))
+    physics = replace(
+        old,
+        loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
+        loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar),
+    )
     offset = np.where(sound, points.offset_pu2(network), data.delta_pu2)
     return replace(data, physics=physics, delta_pu2=offset)
 
@@ -143,5 +157,8 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
 def lossless(data: WindowData, physics: Physics) -> WindowData:
     """The window with the same island and headroom, without losses, in plain LinDistFlow."""
     none = np.zeros_like(physics.loss_kw)
-    return replace(data, physics=replace(physics, loss_kw=none, loss_kvar=none),
-                   delta_pu2=np.zeros_like(data.delta_pu2))
+    return replace(
+        data,
+        physics=replace(physics, loss_kw=none, loss_kvar=none),
+        delta_pu2=np.zeros_like(data.delta_pu2),
+    )

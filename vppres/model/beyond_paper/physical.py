@@ -55,8 +55,9 @@ class PhysicalParameters:
             "S_room": (W, B),
             "SoC_min": (W, B),
         }
-        return cls(**{name: cp.Parameter(shape, name=name, nonneg=True)
-                      for name, shape in shapes.items()})
+        return cls(
+            **{name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in shapes.items()}
+        )
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""

@@ -35,15 +35,18 @@ class ColdDemand:
         """Variable and parameters of a window of W steps."""
         C = len(site.customers)
         P = len(site.pv)
-        named = {name: cp.Parameter((W, width), name=name, nonneg=True) for name, width in
-                 (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))}
+        named = {
+            name: cp.Parameter((W, width), name=name, nonneg=True)
+            for name, width in (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))
+        }
         return cls(cp.Variable((W, C), name="z_cold", nonneg=True), **named)
 
     def at_buses(self, site: Site) -> AddedDemand:
         """The added demand at the buses."""
         at_bus = site.customer_bus.T
-        return AddedDemand(cp.multiply(self.P_cold, self.z) @ at_bus,
-                           cp.multiply(self.Q_cold, self.z) @ at_bus)
+        return AddedDemand(
+            cp.multiply(self.P_cold, self.z) @ at_bus, cp.multiply(self.Q_cold, self.z) @ at_bus
+        )
 
     def own(self, site: Site) -> cp.Expression:
         """The added self-consumption of each PV system, (W, P)."""
@@ -98,8 +101,9 @@ class SwitchingModel:
         rules = data.switching
         assert rules is not None
         self.x_before.value = rules.served_before.astype(float)
-        self.x_min.value, self.x_max.value = (v.astype(float)
-                                              for v in (rules.served_min, rules.served_max))
+        self.x_min.value, self.x_max.value = (
+            v.astype(float) for v in (rules.served_min, rules.served_max)
+        )
         self.actions_left.value = np.minimum(rules.actions_left, 2.0 * data.n_steps)
         self.price.value = rules.price_per_action
         if self.cold is not None:
@@ -121,14 +125,19 @@ def minimum_times(m: SwitchingModel) -> Named:
     With U = 1 this still says that nobody is switched on without being served.
     """
     W = m.x.shape[0]
-    return {"minimum_served": _band(W, m.steps.served) @ m.on <= m.x,
-            "minimum_unserved": _band(W, m.steps.unserved) @ m.off <= 1 - m.x}
+    return {
+        "minimum_served": _band(W, m.steps.served) @ m.on <= m.x,
+        "minimum_unserved": _band(W, m.steps.unserved) @ m.off <= 1 - m.x,
+    }
 
 
 def past_actions(m: SwitchingModel) -> Named:
     """What the time before the window demands of the service, and the actions that are left."""
-    return {"switching_served_min": m.x >= m.x_min, "switching_served_max": m.x <= m.x_max,
-            "switching_limit": cp.sum(m.on + m.off, axis=0) <= m.actions_left}
+    return {
+        "switching_served_min": m.x >= m.x_min,
+        "switching_served_max": m.x <= m.x_max,
+        "switching_limit": cp.sum(m.on + m.off, axis=0) <= m.actions_left,
+    }
 
 
 def cold_load(m: SwitchingModel) -> Named:
@@ -140,7 +149,7 @@ def cold_load(m: SwitchingModel) -> Named:
     W = m.x.shape[0]
     assert cold is not None
     K = m.steps.cold
-    after = {f"cold_load_after_{k}": cold.z[k:] >= m.on[:W - k] + m.x[k:] - 1 for k in range(K)}
+    after = {f"cold_load_after_{k}": cold.z[k:] >= m.on[: W - k] + m.x[k:] - 1 for k in range(K)}
     return after | {
         "cold_load_before": cold.z >= m.cold_before + m.x - 1,
         "cold_load_served": cold.z <= m.x,

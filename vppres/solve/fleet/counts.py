@@ -82,14 +82,23 @@ class _Layout:
         shares = self.n_steps + 2 + np.arange(len(self.step))
         steps = np.arange(self.n_steps)
         demand = sp.coo_array(
-            (np.concatenate([np.ones(self.n_steps), -load_kw[self.step, self.customer]]),
-             (np.concatenate([steps, self.step]), np.concatenate([steps, shares]))),
-            shape=(self.n_steps, self.size))
+            (
+                np.concatenate([np.ones(self.n_steps), -load_kw[self.step, self.customer]]),
+                (np.concatenate([steps, self.step]), np.concatenate([steps, shares])),
+            ),
+            shape=(self.n_steps, self.size),
+        )
         members = len(self.weight)
         counted = sp.coo_array(
-            (np.concatenate([np.ones(members), np.full(len(shares), -1.0)]),
-             (np.concatenate([np.arange(members), self.count]),
-              np.concatenate([self.counts, shares]))), shape=(members, self.size))
+            (
+                np.concatenate([np.ones(members), np.full(len(shares), -1.0)]),
+                (
+                    np.concatenate([np.arange(members), self.count]),
+                    np.concatenate([self.counts, shares]),
+                ),
+            ),
+            shape=(members, self.size),
+        )
         return sp.csc_array(sp.vstack([demand, counted]))
 
 
@@ -147,12 +156,14 @@ class Counts:
             whole = self._carried(lambda: self._in_blocks(free, solved, search), search)
             found = whole if whole.status.has_answer else self._rounded(found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
-        outcome = Outcome(found.status, anyway - found.value, anyway - found.bound,
-                          watch.spent_s, DIRECT)
+        outcome = Outcome(
+            found.status, anyway - found.value, anyway - found.bound, watch.spent_s, DIRECT
+        )
         return outcome, self._completed(found, free) if found.status.has_answer else None
 
-    def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Flags | None]:
+    def cost(
+        self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
+    ) -> tuple[Outcome, Flags | None]:
         """Least cost in GBP of all sets with so many units.
 
         Parameters
@@ -169,12 +180,14 @@ class Counts:
         """
         watch = Stopwatch()
         free = ~(self.unlimited & everyone)
-        found = self._carried(lambda: self._least(free, units_min, 0.0, integer=False),
-                              self.deadline)
+        found = self._carried(
+            lambda: self._least(free, units_min, 0.0, integer=False), self.deadline
+        )
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
         if found.status == Status.OPTIMAL and not near:
-            whole = self._carried(lambda: self._least(free, units_min, gap_gbp, integer=True),
-                                  self.deadline)
+            whole = self._carried(
+                lambda: self._least(free, units_min, gap_gbp, integer=True), self.deadline
+            )
             if whole.status.has_answer:
                 found = whole
             else:
@@ -203,8 +216,9 @@ class Counts:
         units = int((linear.served[free] * self.units).sum())
         return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
 
-    def _in_blocks(self, free: Flags, solved: dict[tuple[bytes, int], _Found],
-                   deadline: Deadline) -> _Found:
+    def _in_blocks(
+        self, free: Flags, solved: dict[tuple[bytes, int], _Found], deadline: Deadline
+    ) -> _Found:
         """Most service, block by block: steps that no cut joins have nothing to do with another."""
         parts = []
         for block in self._blocks(free):
@@ -216,18 +230,25 @@ class Counts:
             parts.append(solved[key])
         late = any(part.status != Status.OPTIMAL for part in parts)
         return _Found(
-            Status.TIME_LIMIT if late else Status.OPTIMAL, sum(part.value for part in parts),
+            Status.TIME_LIMIT if late else Status.OPTIMAL,
+            sum(part.value for part in parts),
             sum(part.bound for part in parts),
             np.logical_and.reduce([part.served for part in parts]),
-            np.append(np.min([part.point[:-2] for part in parts], axis=0),
-                      np.max([part.point[-2:] for part in parts], axis=0)))
+            np.append(
+                np.min([part.point[:-2] for part in parts], axis=0),
+                np.max([part.point[-2:] for part in parts], axis=0),
+            ),
+        )
 
     def _blocks(self, free: Flags) -> list[Flags]:
         """Flags in which not everyone is served, in groups that share a cut."""
         if not free.any() or any(cut.weights[-2] for cut in self.cuts):
             return [free]  # loss is one quantity of the whole window
-        joined = np.array([cut.weights[:-2] * free != 0.0 for cut in self.cuts]
-                          or np.zeros((0, len(free)), dtype=bool), dtype=int)
+        joined = np.array(
+            [cut.weights[:-2] * free != 0.0 for cut in self.cuts]
+            or np.zeros((0, len(free)), dtype=bool),
+            dtype=int,
+        )
         _, group = connected_components(sp.csr_array(joined.T @ joined), directed=False)
         return [free & (group == number) for number in np.unique(group[free])]
 
@@ -267,8 +288,7 @@ class Counts:
         layout, plain = self.plain[key]
         weights = np.array([-cut.weights for cut in cuts]).reshape(len(cuts), layout.n_steps + 2)
         step, column = np.nonzero(weights)
-        rows = sp.csc_array((weights[step, column], (step, column)),
-                            shape=(len(cuts), layout.size))
+        rows = sp.csc_array((weights[step, column], (step, column)), shape=(len(cuts), layout.size))
         program = plain.with_rows(rows, np.array([-cut.most for cut in cuts]))
         return layout, replace(program, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
 
@@ -278,17 +298,25 @@ class Counts:
         members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
         lower = np.zeros(layout.size)
         upper = np.ones(layout.size)
-        lower[:layout.n_steps] = np.where(free, 0.0, self.demand_kw)
-        upper[:layout.n_steps] = self.demand_kw
+        lower[: layout.n_steps] = np.where(free, 0.0, self.demand_kw)
+        upper[: layout.n_steps] = self.demand_kw
         lower[layout.spent] = self.least_gbp
-        upper[layout.lost:layout.spent + 1] = self.worst
+        upper[layout.lost : layout.spent + 1] = self.worst
         upper[layout.counts] = members
         most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))
-        return layout, Program(np.zeros(layout.size), lower, upper, layout.rows(self.load_kw),
-                               np.zeros(len(most)), most, layout.counts)
+        return layout, Program(
+            np.zeros(layout.size),
+            lower,
+            upper,
+            layout.rows(self.load_kw),
+            np.zeros(len(most)),
+            most,
+            layout.counts,
+        )
 
-    def _solve(self, program: Program, layout: _Layout, gap_abs: float, integer: bool,
-               deadline: Deadline) -> _Found:
+    def _solve(
+        self, program: Program, layout: _Layout, gap_abs: float, integer: bool, deadline: Deadline
+    ) -> _Found:
         """Solve a program once."""
         whole = program if integer else replace(program, integer=np.arange(0))
         answer = ProgramSolution.of(whole.loaded(gap_abs), deadline)
@@ -297,8 +325,9 @@ class Counts:
             counts = answer.x[layout.counts]
             taken = np.round(counts) if integer else np.floor(counts + TOLERANCE)
             self._choose(served, layout, taken.astype(int))
-        return _Found(answer.status, answer.value, answer.bound, served,
-                      answer.x[:layout.n_steps + 2])
+        return _Found(
+            answer.status, answer.value, answer.bound, served, answer.x[: layout.n_steps + 2]
+        )
 
     def _choose(self, served: Flags, layout: _Layout, counts: Wholes) -> None:
         """Leave out all but so many of each weight, those with the smallest demand."""
@@ -331,8 +360,9 @@ class Counts:
         rows = sp.coo_array((np.ones(len(able)), (kind, np.arange(len(able)))))
         load = self.load_kw[t, able]
         each = np.ones(len(able))
-        program = Program(load, 0.0 * each, each, sp.csc_array(rows), counts, counts,
-                          np.arange(len(able)))
+        program = Program(
+            load, 0.0 * each, each, sp.csc_array(rows), counts, counts, np.arange(len(able))
+        )
         enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))
         answer = ProgramSolution.of(enough.loaded(DEMAND_GAP_REL * needed_kw), self.deadline)
         if not answer.status.has_answer:

@@ -42,34 +42,38 @@ class Reach:
         program, first = compiled(model.problem)
         W = model.relaxation.n_steps
         size = len(program.cost)
-        self.places = np.concatenate([first["load"] + np.arange(W), [first["lost"]],
-                                      [first["spent"]]])
+        self.places = np.concatenate(
+            [first["load"] + np.arange(W), [first["lost"]], [first["spent"]]]
+        )
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
         most_lost, dearest_gbp = model.worst()
         # From any cost there can be, one step leads to the dearest, which is carried for certain.
         range_gbp = dearest_gbp - model.least_cost_gbp()
-        direction = np.concatenate([np.asarray(model.p["load_all"].value),
-                                    [most_lost, range_gbp]])
+        direction = np.concatenate([np.asarray(model.p["load_all"].value), [most_lost, range_gbp]])
         self.program = program
         self.largest = float(direction.max() + model.fleet_kw())
         rows = sp.csc_array(
-            (np.concatenate([self.signs, direction]),
-             (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)]))),
-            shape=(W + 2, size + 1))
+            (
+                np.concatenate([self.signs, direction]),
+                (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)])),
+            ),
+            shape=(W + 2, size + 1),
+        )
         # The duals sum to the cost of a step in proportion to the direction: of order one.
-        wider = replace(program, cost=np.append(program.cost, max(direction.max(), 1.0)),
-                        x_lower=np.append(program.x_lower, 0.0),
-                        x_upper=np.append(program.x_upper, np.inf),
-                        rows=sp.csc_array(sp.hstack([program.rows,
-                                                     sp.csc_array((len(program.lower), 1))])))
+        wider = replace(
+            program,
+            cost=np.append(program.cost, max(direction.max(), 1.0)),
+            x_lower=np.append(program.x_lower, 0.0),
+            x_upper=np.append(program.x_upper, np.inf),
+            rows=sp.csc_array(sp.hstack([program.rows, sp.csc_array((len(program.lower), 1))])),
+        )
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
         self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded()
 
     def separate(self, point: Floats, deadline: Deadline) -> tuple[Status, Cut | None]:
         """A cut that a point violates; none if the fleet can carry it."""
         count = len(self.asked)
-        self.solver.changeRowsBounds(count, self.asked, self.signs * point,
-                                     np.full(count, np.inf))
+        self.solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
         answer = ProgramSolution.of(self.solver, deadline)
         if answer.status != Status.OPTIMAL:
             return answer.status, None
@@ -78,7 +82,7 @@ class Reach:
         size = float(np.abs(weights).max())
         if size == 0.0:
             return answer.status, None
-        most = self._most(weights, answer.row_dual[:self.asked[0]])
+        most = self._most(weights, answer.row_dual[: self.asked[0]])
         cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
 

@@ -37,17 +37,25 @@ class DemandModel:
         self.load = cp.Variable(W, name="load", nonneg=True)
         self.lost = cp.Variable(1, name="lost", nonneg=True)
         self.spent = cp.Variable(1, name="spent")
-        self.p = {name: cp.Parameter(W, name=name, nonneg=True) for name in
-                  ("load_all", "net_all", "export_all")}
+        self.p = {
+            name: cp.Parameter(W, name=name, nonneg=True)
+            for name in ("load_all", "net_all", "export_all")
+        }
         unit = relaxation.grid or 1.0
         weights = site.customers.weight * site.dt_h
         self.customer_units = np.round(weights / unit).astype(np.int64)
         kept = {"lumped_grid_limit", "lumped_curtailment_min", *relaxation.energy}
         shared = [c for name, c in relaxation.constraints.items() if name in kept]
         lost = site.weights.lambda_curt * site.dt_h / unit
-        self.problem = cp.Problem(cp.Minimize(0.0), [
-            *shared, *self._power().values(), self.lost >= lost * cp.sum(v["P_curt"]),
-            self.spent >= relaxation.rho_dt @ v["P_grid"]])
+        self.problem = cp.Problem(
+            cp.Minimize(0.0),
+            [
+                *shared,
+                *self._power().values(),
+                self.lost >= lost * cp.sum(v["P_curt"]),
+                self.spent >= relaxation.rho_dt @ v["P_grid"],
+            ],
+        )
         require_dpp(self.problem, f"demand of {W} steps")
 
     def _power(self) -> dict[str, cp.Constraint]:
@@ -60,8 +68,7 @@ class DemandModel:
         room = self.relaxation.room
         loss = room["loss"] if room else 0.0
         return {
-            "demand_balance":
-                v["P_grid"] + P_pv - v["P_curt"] + P_dch == self.load + loss + P_ch,
+            "demand_balance": v["P_grid"] + P_pv - v["P_curt"] + P_dch == self.load + loss + P_ch,
             "demand_circular_charging": P_dch <= self.load + loss,
             "demand_net_of_pv": P_dch <= p["net_all"] + loss,
             "demand_curtailment_max": v["P_curt"] <= p["export_all"] + p["load_all"] - self.load,
@@ -83,7 +90,8 @@ class DemandModel:
         self.p["load_all"].value = (data.load_kw * self.able).sum(axis=1)
         self.p["net_all"].value = ((data.load_kw - own) * self.able).sum(axis=1)
         self.p["export_all"].value = np.maximum(
-            p["P_pv"].value - (own * self.able).sum(axis=1), 0.0)
+            p["P_pv"].value - (own * self.able).sum(axis=1), 0.0
+        )
 
     def worst(self) -> tuple[float, float]:
         """Loss (units) and cost (GBP) that no dispatch exceeds."""
@@ -102,8 +110,11 @@ class DemandModel:
         """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
         p = self.relaxation.p
         b = self.relaxation.site.batteries
-        factor = max(1.0, float(p["eta_hi"].value.max(initial=1.0)),
-                     float(p["inv_hi"].value.max(initial=1.0)))
+        factor = max(
+            1.0,
+            float(p["eta_hi"].value.max(initial=1.0)),
+            float(p["inv_hi"].value.max(initial=1.0)),
+        )
         return float(b.p_max_kw.sum() * factor)
 
 

@@ -47,8 +47,9 @@ class Master(Protocol):
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units to a gap, and a set that has it."""
 
-    def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Flags | None]:
+    def cost(
+        self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
+    ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; a bound is enough within a known cost's gap.
 
         With ``everyone`` nobody is left out where the import has no limit.
@@ -72,8 +73,9 @@ class Binaries:
 
     prefix = "binary_"
 
-    def __init__(self, cache: ModelCache, data: WindowData, spec: SolverSpec,
-                 deadline: Deadline) -> None:
+    def __init__(
+        self, cache: ModelCache, data: WindowData, spec: SolverSpec, deadline: Deadline
+    ) -> None:
         self.cache = cache
         self.data = data
         self.spec = spec
@@ -94,8 +96,9 @@ class Binaries:
         outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
         return outcome, self._set(outcome)
 
-    def cost(self, units_min: float, everyone: bool, known_gbp: float,
-             gap_gbp: float) -> tuple[Outcome, Flags | None]:
+    def cost(
+        self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
+    ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; linear where any gap will do."""
         integer = np.isfinite(gap_gbp)
         model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=False)
@@ -132,17 +135,23 @@ def _counts(task: WindowTask, lumped: bool) -> Master | None:
     return Counts(model, task.data, task.deadline) if model.relaxation.grid else None
 
 
-def relaxation_of(cache: ModelCache, data: WindowData, integer: bool,
-                  lumped: bool) -> AggregateModel:
+def relaxation_of(
+    cache: ModelCache, data: WindowData, integer: bool, lumped: bool
+) -> AggregateModel:
     """The relaxation of the window's length, with a lumped battery or with every battery."""
-    return cache.problem(AggregateModel, n_steps=data.n_steps, integer=integer, lumped=lumped,
-                         physical=data.physical, switching=rule_steps(data))
+    return cache.problem(
+        AggregateModel,
+        n_steps=data.n_steps,
+        integer=integer,
+        lumped=lumped,
+        physical=data.physical,
+        switching=rule_steps(data),
+    )
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
     """What the fleet can carry in a window of that length and mode."""
-    return cache.problem(demand_model, n_steps=data.n_steps, lumped=lumped,
-                         physical=data.physical)
+    return cache.problem(demand_model, n_steps=data.n_steps, lumped=lumped, physical=data.physical)
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

@@ -59,9 +59,15 @@ class AggregateModel:
         Largest number of which every weight is a multiple, 0 if there is none worth using.
     """
 
-    def __init__(self, site: Site, n_steps: int, integer: bool = True,
-                 lumped: bool = True, physical: bool = False,
-                 switching: RuleSteps | None = None) -> None:
+    def __init__(
+        self,
+        site: Site,
+        n_steps: int,
+        integer: bool = True,
+        lumped: bool = True,
+        physical: bool = False,
+        switching: RuleSteps | None = None,
+    ) -> None:
         self.site = site
         self.n_steps = n_steps
         self.lumped = lumped
@@ -102,8 +108,7 @@ class AggregateModel:
             "P_curt": (W,),
             "P_grid": (W,),
         }
-        return {name: cp.Variable(shape, name=name, nonneg=True)
-                for name, shape in shapes.items()}
+        return {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in shapes.items()}
 
     def _parameters(self) -> dict[str, cp.Parameter]:
         """What a window writes: powers in kW, energies in kWh, shares and efficiencies."""
@@ -156,8 +161,9 @@ class AggregateModel:
     def _weighted_problem(self) -> cp.Problem:
         """Service and cost as weighted."""
         total = self._service() - self.site.weights.lambda_grid * self._cost()
-        return cp.Problem(cp.Maximize(objective_scale(self.site) * total),
-                          list(self.constraints.values()))
+        return cp.Problem(
+            cp.Maximize(objective_scale(self.site) * total), list(self.constraints.values())
+        )
 
     def _cost_problem(self) -> cp.Problem:
         """Cost where service is held, in units of the weights' grid: a number near 1."""
@@ -232,10 +238,10 @@ class AggregateModel:
             "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
             "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
             "lumped_drawn_max": v["drawn"] <= cp.multiply(p["inv_hi"], v["P_dch"]),
-            "lumped_first_charge":
-                v["P_ch"][0] + cp.multiply(p["a_per_b"], v["P_dch"][0]) <= p["a"],
-            "lumped_first_discharge":
-                v["P_dch"][0] + cp.multiply(p["b_per_a"], v["P_ch"][0]) <= p["b"],
+            "lumped_first_charge": v["P_ch"][0] + cp.multiply(p["a_per_b"], v["P_dch"][0])
+            <= p["a"],
+            "lumped_first_discharge": v["P_dch"][0] + cp.multiply(p["b_per_a"], v["P_ch"][0])
+            <= p["b"],
         }
 
     def _fleet(self, values: Floats) -> Floats:
@@ -266,8 +272,9 @@ class AggregateModel:
         blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
         x_max = np.where(blocked, 0.0, 1.0)
         unlimited = all_connected & np.isinf(data.grid_limit_kw)
-        connected = (unlimited[:, None] if data.switching is None
-                     else data.switching.connected(unlimited))
+        connected = (
+            unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
+        )
         values = {
             "P_load": data.load_kw,
             "self": limit @ site.pv_customer.T,
@@ -294,8 +301,9 @@ class AggregateModel:
     def whole_price(self, data: WindowData) -> bool:
         """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
         pair = 0.0 if data.switching is None else 2.0 * data.switching.price_per_action
-        return pair == 0.0 or (self.grid > 0 and abs(pair / self.grid
-                                                     - round(pair / self.grid)) < 1e-9)
+        return pair == 0.0 or (
+            self.grid > 0 and abs(pair / self.grid - round(pair / self.grid)) < 1e-9
+        )
 
     def _fill_room(self, data: WindowData) -> None:
         """Write losses, and the batteries' limits less their headroom."""
@@ -305,7 +313,7 @@ class AggregateModel:
         limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
         self.room["loss"].value = data.loss_kw
         for name, value in limits.items():
-            self.room[name].value = (value.sum(axis=1, keepdims=True) if self.lumped else value)
+            self.room[name].value = value.sum(axis=1, keepdims=True) if self.lumped else value
 
     def _first_step(self, data: WindowData) -> dict[str, Floats]:
         """Limits of the first step, where the SoC is known, (G,) each.
@@ -329,10 +337,15 @@ class AggregateModel:
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
         b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
         if self.lumped:
-            a_per_b, b_per_a = (np.atleast_1d(r.min(initial=np.inf) if len(r) else 0.0)
-                                for r in (a_per_b, b_per_a))
-        return {"a": self._fleet(charge), "b": self._fleet(discharge), "a_per_b": a_per_b,
-                "b_per_a": b_per_a}
+            a_per_b, b_per_a = (
+                np.atleast_1d(r.min(initial=np.inf) if len(r) else 0.0) for r in (a_per_b, b_per_a)
+            )
+        return {
+            "a": self._fleet(charge),
+            "b": self._fleet(discharge),
+            "a_per_b": a_per_b,
+            "b_per_a": b_per_a,
+        }
 
 
 def _nonnegative(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, cp.Parameter]:
@@ -351,6 +364,8 @@ def weight_grid(weights: Floats, most: int = 10_000) -> float:
         return 0.0
     common = math.lcm(*(part.denominator for part in parts))
     unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
-    exact = all(abs(float(part) - w) <= 1e-12 for part, w in
-                zip(parts, [w for w in np.unique(weights) if w > 0], strict=True))
+    exact = all(
+        abs(float(part) - w) <= 1e-12
+        for part, w in zip(parts, [w for w in np.unique(weights) if w > 0], strict=True)
+    )
     return float(unit) if exact and max(parts) / unit <= most else 0.0

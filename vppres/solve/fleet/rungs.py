@@ -73,8 +73,9 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     needed = known.least_service_of_better()
     admitted = max(needed, best.service - ADMITTED_UNITS * unit)
     everyone = known.service_bound - admitted < EVERYONE_UNITS * unit
-    outcome, served = master.cost((admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2,
-                                  cost_gap_gbp(best.terms.f2))
+    outcome, served = master.cost(
+        (admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2, cost_gap_gbp(best.terms.f2)
+    )
     known.note(f"{master.prefix}cost_level", outcome)
     if not outcome.status.has_answer:
         return
@@ -86,8 +87,11 @@ def _cost_level(task: WindowTask, master: Master) -> None:
         known.note(f"{master.prefix}least_cost", least)
         bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
     known.bound = max(bound, best.value)
-    if (served is not None and (served != best.dispatch.served).any()
-            and outcome.value < best.terms.f2):
+    if (
+        served is not None
+        and (served != best.dispatch.served).any()
+        and outcome.value < best.terms.f2
+    ):
         keep_dispatch(task, served)
 
 

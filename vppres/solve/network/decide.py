@@ -74,8 +74,9 @@ def worth_asking_tie_breakers(task: WindowTask, master: NetworkMaster, best: Can
     return master.unit * (master.most_units + HALF_UNIT) > best.service
 
 
-def decided_anew(task: WindowTask, master: NetworkMaster | None,
-                 best: Candidate) -> Candidate | None:
+def decided_anew(
+    task: WindowTask, master: NetworkMaster | None, best: Candidate
+) -> Candidate | None:
     """A dispatch where the network forbids the cost of the one at hand, or the set itself.
 
     The master decides who is served; where there is none, the set stays and costs more.
@@ -145,8 +146,10 @@ class InNetwork:
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
         enough = (needed - UNITS_TOLERANCE) / unit
-        for name, least in (("cost_level", self._fleet_cost),
-                            ("network_least_cost", self._network_cost)):
+        for name, least in (
+            ("cost_level", self._fleet_cost),
+            ("network_least_cost", self._network_cost),
+        ):
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             if known.limits.met(known.bound, found.value) or self.task.deadline.passed:

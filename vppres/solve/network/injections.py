@@ -27,22 +27,37 @@ class Rows:
     upper: Floats
 
     @classmethod
-    def of(cls, columns: Wholes, values: Floats, lower: Floats | float, upper: Floats | float,
-           size: int) -> Rows:
+    def of(
+        cls,
+        columns: Wholes,
+        values: Floats,
+        lower: Floats | float,
+        upper: Floats | float,
+        size: int,
+    ) -> Rows:
         """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
         count, width = columns.shape
         matrix = sp.csr_array(
-            (np.broadcast_to(values, columns.shape).astype(float).ravel(),
-             (np.repeat(np.arange(count), width), columns.ravel())), shape=(count, size))
-        return cls(matrix, np.broadcast_to(lower, count).astype(float),
-                   np.broadcast_to(upper, count).astype(float))
+            (
+                np.broadcast_to(values, columns.shape).astype(float).ravel(),
+                (np.repeat(np.arange(count), width), columns.ravel()),
+            ),
+            shape=(count, size),
+        )
+        return cls(
+            matrix,
+            np.broadcast_to(lower, count).astype(float),
+            np.broadcast_to(upper, count).astype(float),
+        )
 
     @classmethod
     def joined(cls, parts: list[Rows]) -> Rows:
         """All rows of several."""
-        return cls(sp.csr_array(sp.vstack([part.matrix for part in parts])),
-                   np.concatenate([part.lower for part in parts]),
-                   np.concatenate([part.upper for part in parts]))
+        return cls(
+            sp.csr_array(sp.vstack([part.matrix for part in parts])),
+            np.concatenate([part.lower for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+        )
 
 
 class Reactance:
@@ -86,8 +101,17 @@ class Injections:
         B = len(site.batteries)
         self.size = 0
         self.at = {}
-        for name, width in {"x": C, "P_ch": B, "P_dch": B, "energy": B, "Q_batt": B, "P_exp": P,
-                            "Q_pv": P, "P_grid": 1, "Q_grid": 1}.items():
+        for name, width in {
+            "x": C,
+            "P_ch": B,
+            "P_dch": B,
+            "energy": B,
+            "Q_batt": B,
+            "P_exp": P,
+            "Q_pv": P,
+            "P_grid": 1,
+            "Q_grid": 1,
+        }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
         self.own_kw = data.self_limit_kw(site)
@@ -101,11 +125,16 @@ class Injections:
         data = self.data
         q_grid = data.grid_q_max_kvar(site)[:, None]
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
-            "x": (0.0, 1.0), "P_ch": (0.0, b.active_max_kw), "P_dch": (0.0, b.active_max_kw),
+            "x": (0.0, 1.0),
+            "P_ch": (0.0, b.active_max_kw),
+            "P_dch": (0.0, b.active_max_kw),
             "energy": (b.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
-            "Q_batt": (-b.s_max_kva, b.s_max_kva), "P_exp": (0.0, data.pv_kw),
+            "Q_batt": (-b.s_max_kva, b.s_max_kva),
+            "P_exp": (0.0, data.pv_kw),
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
-            "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]), "Q_grid": (-q_grid, q_grid)}
+            "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
+            "Q_grid": (-q_grid, q_grid),
+        }
         lower = np.zeros(self.size)
         upper = np.zeros(self.size)
         for name, (low, high) in limits.items():
@@ -119,21 +148,31 @@ class Injections:
         site = self.site
         data = self.data
         active = np.hstack([at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"]])
-        signs = np.hstack([np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
-                           -np.ones((data.n_steps, len(site.batteries))), -self.net_kw])
+        signs = np.hstack(
+            [
+                np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
+                -np.ones((data.n_steps, len(site.batteries))),
+                -self.net_kw,
+            ]
+        )
         reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], at["x"]])
-        kvar = np.hstack([np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
-                          -self.load_kvar])
+        kvar = np.hstack(
+            [np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))), -self.load_kvar]
+        )
         outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
         charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
         owner = np.stack([at["P_exp"], at["x"][:, site.owner]], axis=-1).reshape(-1, 2)
         own = np.column_stack([np.ones(self.own_kw.size), self.own_kw.ravel()])
         room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
-        return Rows.joined([
-            Rows.of(active, signs, 0.0, 0.0, self.size),
-            Rows.of(reactive, kvar, 0.0, 0.0, self.size),
-            Rows.of(outside, charging, 0.0, np.inf, self.size),
-            Rows.of(owner, own, -np.inf, room, self.size), *self._battery_rows()])
+        return Rows.joined(
+            [
+                Rows.of(active, signs, 0.0, 0.0, self.size),
+                Rows.of(reactive, kvar, 0.0, 0.0, self.size),
+                Rows.of(outside, charging, 0.0, np.inf, self.size),
+                Rows.of(owner, own, -np.inf, room, self.size),
+                *self._battery_rows(),
+            ]
+        )
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""
@@ -148,9 +187,11 @@ class Injections:
         steps = np.tile(np.column_stack([gain, -np.ones(len(b))]), (data.n_steps - 1, 1))
         both = np.stack([at["P_ch"], at["P_dch"]], axis=-1).reshape(-1, 2)
         active = np.tile(b.active_max_kw, data.n_steps)
-        return [Rows.of(change[0], gain, held, held, self.size),
-                Rows.of(later, steps, 0.0, 0.0, self.size),
-                Rows.of(both, np.ones(2), -np.inf, active, self.size)]
+        return [
+            Rows.of(change[0], gain, held, held, self.size),
+            Rows.of(later, steps, 0.0, 0.0, self.size),
+            Rows.of(both, np.ones(2), -np.inf, active, self.size),
+        ]
 
     def u_pu2(self, x: Floats) -> Floats:
         """Squared voltages of a solution, (W, N)."""
@@ -163,18 +204,22 @@ class Injections:
         reach = self.reactance
         p, q = (np.zeros((self.data.n_steps, self.site.network.n_buses)) for _ in range(2))
         steps = np.arange(self.data.n_steps)[:, None]
-        for power, bus, kw in ((p, reach.customer, -self.net_kw * x[at["x"]]),
-                               (q, reach.customer, -self.load_kvar * x[at["x"]]),
-                               (p, reach.battery, x[at["P_dch"]] - x[at["P_ch"]]),
-                               (q, reach.battery, x[at["Q_batt"]]),
-                               (p, reach.pv, x[at["P_exp"]]), (q, reach.pv, x[at["Q_pv"]])):
+        for power, bus, kw in (
+            (p, reach.customer, -self.net_kw * x[at["x"]]),
+            (q, reach.customer, -self.load_kvar * x[at["x"]]),
+            (p, reach.battery, x[at["P_dch"]] - x[at["P_ch"]]),
+            (q, reach.battery, x[at["Q_batt"]]),
+            (p, reach.pv, x[at["P_exp"]]),
+            (q, reach.pv, x[at["Q_pv"]]),
+        ):
             np.add.at(power, (steps, bus[None, :]), kw)
         return p, q
 
     def _empty_u(self) -> Floats:
         """Squared voltages without any injection, (W, N)."""
-        return np.asarray(self.site.network.v_slack_pu**2 + self.data.delta_pu2
-                          @ self.reactance.fed)
+        return np.asarray(
+            self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ self.reactance.fed
+        )
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
@@ -188,8 +233,10 @@ class Injections:
             for line, bus in enumerate(net.parent):
                 around[:, bus] = np.maximum(around[:, bus], beyond[:, line + 1])
             worst = (beyond > tolerance_pu2) & (beyond >= around)
-            found += [self._voltage_row(int(t), int(bus), sign)
-                      for t, bus in zip(*np.nonzero(worst), strict=True)]
+            found += [
+                self._voltage_row(int(t), int(bus), sign)
+                for t, bus in zip(*np.nonzero(worst), strict=True)
+            ]
         return found
 
     def _voltage_row(self, t: int, bus: int, sign: float) -> Rows:
@@ -199,16 +246,29 @@ class Injections:
         net = self.site.network
         r = reach.per_kw[bus]
         x = reach.per_kvar[bus]
-        columns = np.concatenate([at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp",
-                                                           "Q_pv")])
-        values = np.concatenate([
-            -r[reach.customer] * self.net_kw[t] - x[reach.customer] * self.load_kvar[t],
-            r[reach.battery], -r[reach.battery], x[reach.battery], r[reach.pv], x[reach.pv]])
+        columns = np.concatenate(
+            [at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
+        )
+        values = np.concatenate(
+            [
+                -r[reach.customer] * self.net_kw[t] - x[reach.customer] * self.load_kvar[t],
+                r[reach.battery],
+                -r[reach.battery],
+                x[reach.battery],
+                r[reach.pv],
+                x[reach.pv],
+            ]
+        )
         limit = net.v_min_pu**2 if sign > 0 else net.v_max_pu**2
         used = np.abs(values) > 0.0
         scale = 1e3 * sign
-        return Rows.of(columns[used][None, :], scale * values[used],
-                       scale * (limit - self._empty_u()[t, bus]), np.inf, self.size)
+        return Rows.of(
+            columns[used][None, :],
+            scale * values[used],
+            scale * (limit - self._empty_u()[t, bus]),
+            np.inf,
+            self.size,
+        )
 
     def disc_rows(self, x: Floats, tolerance: float, inside: float = 0.0) -> list[Rows]:
         """Tangents of the inverters' discs that are exceeded by more than a share of the radius.
@@ -221,21 +281,37 @@ class Injections:
         through = x[at["P_exp"]] + self.own_kw * x[at["x"]][:, site.owner]
         tangents = []
         for p, q, radius, pieces in (
-                (net_kw, at["Q_batt"], site.batteries.s_max_kva,
-                 ((at["P_ch"], 1.0), (at["P_dch"], -1.0))),
-                (through, at["Q_pv"], site.pv.s_max_kva,
-                 ((at["P_exp"], 1.0), (at["x"][:, site.owner], self.own_kw)))):
+            (
+                net_kw,
+                at["Q_batt"],
+                site.batteries.s_max_kva,
+                ((at["P_ch"], 1.0), (at["P_dch"], -1.0)),
+            ),
+            (
+                through,
+                at["Q_pv"],
+                site.pv.s_max_kva,
+                ((at["P_exp"], 1.0), (at["x"][:, site.owner], self.own_kw)),
+            ),
+        ):
             size = np.hypot(p, x[q])
             out = size > radius * (1.0 + tolerance)
             if out.any():
                 cos = p[out] / size[out]
                 sin = x[q][out] / size[out]
                 columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
-                values = np.column_stack([*(cos * np.broadcast_to(f, p.shape)[out]
-                                            for _, f in pieces), sin])
-                tangents.append(Rows.of(columns, values, -np.inf,
-                                        (1.0 - inside) * np.broadcast_to(radius, p.shape)[out],
-                                        self.size))
+                values = np.column_stack(
+                    [*(cos * np.broadcast_to(f, p.shape)[out] for _, f in pieces), sin]
+                )
+                tangents.append(
+                    Rows.of(
+                        columns,
+                        values,
+                        -np.inf,
+                        (1.0 - inside) * np.broadcast_to(radius, p.shape)[out],
+                        self.size,
+                    )
+                )
         return tangents
 
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
@@ -247,11 +323,18 @@ class Injections:
         export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
         p, q = self._injected(x)
         return Dispatch(
-            served=served, pv_self_kw=own, pv_export_kw=export,
-            pv_curtailed_kw=data.pv_kw - own - export, pv_q_kvar=x[at["Q_pv"]],
+            served=served,
+            pv_self_kw=own,
+            pv_export_kw=export,
+            pv_curtailed_kw=data.pv_kw - own - export,
+            pv_q_kvar=x[at["Q_pv"]],
             charge_kw=np.maximum(x[at["P_ch"]], 0.0),
-            discharge_kw=np.maximum(x[at["P_dch"]], 0.0), batt_q_kvar=x[at["Q_batt"]],
+            discharge_kw=np.maximum(x[at["P_dch"]], 0.0),
+            batt_q_kvar=x[at["Q_batt"]],
             soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
-            p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0), q_grid_kvar=x[at["Q_grid"]][:, 0],
-            v_pu=np.sqrt(self.u_pu2(x)), p_flow_kw=lossless_flows(net, p),
-            q_flow_kvar=lossless_flows(net, q))
+            p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0),
+            q_grid_kvar=x[at["Q_grid"]][:, 0],
+            v_pu=np.sqrt(self.u_pu2(x)),
+            p_flow_kw=lossless_flows(net, p),
+            q_flow_kvar=lossless_flows(net, q),
+        )

@@ -62,8 +62,11 @@ MOST_BUSES = 3000
 def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: the paper's mode, no switching rules, weights on a grid."""
     plain = not data.physical and data.switching is None
-    return (plain and site.network.n_buses <= MOST_BUSES
-            and weight_grid(site.customers.weight * site.dt_h) > 0.0)
+    return (
+        plain
+        and site.network.n_buses <= MOST_BUSES
+        and weight_grid(site.customers.weight * site.dt_h) > 0.0
+    )
 
 
 class NetworkMaster:
@@ -81,8 +84,9 @@ class NetworkMaster:
         When everything must be done but for what gets a deadline of its own.
     """
 
-    def __init__(self, site: Site, reactance: Reactance, data: WindowData,
-                 deadline: Deadline) -> None:
+    def __init__(
+        self, site: Site, reactance: Reactance, data: WindowData, deadline: Deadline
+    ) -> None:
         self.deadline = deadline
         self.site = site
         self.data = data
@@ -93,8 +97,15 @@ class NetworkMaster:
         self.found: list[Rows] = []
         lower, upper = self.model.bounds()
         rows = self.model.rows()
-        self.program = Program(np.zeros(self.model.size), lower, upper, rows.matrix.tocsc(),
-                               rows.lower, rows.upper, np.arange(0))
+        self.program = Program(
+            np.zeros(self.model.size),
+            lower,
+            upper,
+            rows.matrix.tocsc(),
+            rows.lower,
+            rows.upper,
+            np.arange(0),
+        )
 
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
@@ -128,12 +139,19 @@ class NetworkMaster:
             status = Status.OPTIMAL
         else:
             status = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
-        outcome = Outcome(status, float(self.units @ known.best), float(known.bound),
-                          watch.spent_s, DIRECT)
+        outcome = Outcome(
+            status, float(self.units @ known.best), float(known.bound), watch.spent_s, DIRECT
+        )
         return outcome, known.best.reshape(x.shape) > 0.5
 
-    def _close(self, solver: highspy.Highs, linear: ProgramSolution, known: _Known,
-               cuts: _ServiceCuts, patience: Patience) -> None:
+    def _close(
+        self,
+        solver: highspy.Highs,
+        linear: ProgramSolution,
+        known: _Known,
+        cuts: _ServiceCuts,
+        patience: Patience,
+    ) -> None:
         """Try sets until the best has as much as the bound, or nothing improves any more."""
         x = self.model.at["x"].ravel()
         few = list(self.found)
@@ -184,8 +202,9 @@ class NetworkMaster:
         found = self._until_carried(self._loaded(self._enough(units_min)), self.deadline)
         return found.outcome(watch.spent_s)
 
-    def cost_level(self, units_min: float, known_gbp: float, gap_gbp: float,
-                   deadline: Deadline) -> tuple[Outcome, Flags | None]:
+    def cost_level(
+        self, units_min: float, known_gbp: float, gap_gbp: float, deadline: Deadline
+    ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units, to a gap or until a deadline.
 
         The search has the limits of the network that are known; whatever it finds is put into all
@@ -227,8 +246,7 @@ class NetworkMaster:
         program.x_upper[x] = served
         return program
 
-    def cheapest(self, served: Flags,
-                 deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+    def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
         Tangents are put well within the discs first, which ends sooner, or else at them.
@@ -249,22 +267,31 @@ class NetworkMaster:
     @property
     def price(self) -> tuple[Wholes, Floats]:
         """Columns of the import and its price for a step, in GBP/kW."""
-        return (self.model.at["P_grid"].ravel(),
-                self.data.price_gbp_per_kwh * self.site.dt_h)
+        return (self.model.at["P_grid"].ravel(), self.data.price_gbp_per_kwh * self.site.dt_h)
 
     def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""
         cost = np.zeros(self.model.size)
         cost[columns] = values
-        return replace(self.program, cost=cost, x_lower=self.program.x_lower.copy(),
-                       x_upper=self.program.x_upper.copy())
+        return replace(
+            self.program,
+            cost=cost,
+            x_lower=self.program.x_lower.copy(),
+            x_upper=self.program.x_upper.copy(),
+        )
 
     def _loaded(self, program: Program) -> highspy.Highs:
         """A solver with the program and the limits that were violated so far."""
         return _limited(program, self.found).loaded()
 
-    def _until_carried(self, solver: highspy.Highs, deadline: Deadline, over: float = DISC,
-                       inside: float = 0.0, worth: float = -np.inf) -> ProgramSolution:
+    def _until_carried(
+        self,
+        solver: highspy.Highs,
+        deadline: Deadline,
+        over: float = DISC,
+        inside: float = 0.0,
+        worth: float = -np.inf,
+    ) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
 
         Or until no more than so many units are served in full. A solver that meets limits only
@@ -274,8 +301,10 @@ class NetworkMaster:
             answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
-            found = [*self.model.voltage_rows(answer.x, VOLTAGE_PU2),
-                     *self.model.disc_rows(answer.x, over, inside)]
+            found = [
+                *self.model.voltage_rows(answer.x, VOLTAGE_PU2),
+                *self.model.disc_rows(answer.x, over, inside),
+            ]
             if not found:
                 return answer
             if deadline.passed:
@@ -342,10 +371,15 @@ class _ServiceCuts:
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
         low = self.first_left < -spare
         high = self.first_left <= spare
-        program = Program(cost, low.astype(float), high.astype(float),
-                          sp.csc_array(self.units - np.array(self.gains)),
-                          np.full(len(self.gains), -np.inf), np.array(self.most_units),
-                          np.arange(len(cost)))
+        program = Program(
+            cost,
+            low.astype(float),
+            high.astype(float),
+            sp.csc_array(self.units - np.array(self.gains)),
+            np.full(len(self.gains), -np.inf),
+            np.array(self.most_units),
+            np.arange(len(cost)),
+        )
         found = ProgramSolution.of(program.loaded(1.0 - 2.0 * NEAR), deadline)
         return replace(found, bound=found.bound - NEAR)
 
@@ -361,5 +395,12 @@ def _limited(program: Program, rows: list[Rows]) -> Program:
 def _add(solver: highspy.Highs, rows: Rows) -> None:
     """Add rows to a solver that keeps its basis."""
     m = rows.matrix
-    solver.addRows(m.shape[0], rows.lower, rows.upper, m.nnz, m.indptr[:-1].astype(np.int32),
-                   m.indices.astype(np.int32), m.data)
+    solver.addRows(
+        m.shape[0],
+        rows.lower,
+        rows.upper,
+        m.nnz,
+        m.indptr[:-1].astype(np.int32),
+        m.indices.astype(np.int32),
+        m.data,
+    )

@@ -54,8 +54,9 @@ class ReactiveModel:
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
         flows = cp.sum_squares(cp.multiply(np.sqrt(site.network.r_ohm), self.Q_flow))
-        used = (cp.sum_squares(cp.multiply(1.0 / site.pv.s_max_kva, self.Q_pv))
-                + cp.sum_squares(cp.multiply(1.0 / site.batteries.s_max_kva, self.Q_batt)))
+        used = cp.sum_squares(cp.multiply(1.0 / site.pv.s_max_kva, self.Q_pv)) + cp.sum_squares(
+            cp.multiply(1.0 / site.batteries.s_max_kva, self.Q_batt)
+        )
         return cp.Minimize(scale * (w.lambda_l * flows + w.lambda_q * used))
 
     def _constraints(self) -> list[cp.Constraint]:
@@ -63,15 +64,22 @@ class ReactiveModel:
         site = self.site
         net = self.site.network
         slack = sp.csr_array(([1.0], ([0], [0])), shape=(net.n_buses, 1))
-        given = (site.pv_bus @ self.Q_pv + site.battery_bus @ self.Q_batt
-                 + slack @ cp.reshape(self.Q_grid, (1,), order="C"))
+        given = (
+            site.pv_bus @ self.Q_pv
+            + site.battery_bus @ self.Q_batt
+            + slack @ cp.reshape(self.Q_grid, (1,), order="C")
+        )
         drop = 2.0 * cp.multiply(net.x_pu2_per_kvar, self.Q_flow)
-        return [given + net.incidence @ self.Q_flow == self.Q_load,
-                self.u[0] == net.v_slack_pu**2,
-                100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
-                self.u >= self.u_min, self.u <= self.u_max,
-                cp.abs(self.Q_pv) <= self.Q_pv_max, cp.abs(self.Q_batt) <= self.Q_batt_max,
-                cp.abs(self.Q_grid) <= self.Q_grid_max]
+        return [
+            given + net.incidence @ self.Q_flow == self.Q_load,
+            self.u[0] == net.v_slack_pu**2,
+            100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
+            self.u >= self.u_min,
+            self.u <= self.u_max,
+            cp.abs(self.Q_pv) <= self.Q_pv_max,
+            cp.abs(self.Q_batt) <= self.Q_batt_max,
+            cp.abs(self.Q_grid) <= self.Q_grid_max,
+        ]
 
     def fill(self, data: WindowData, dispatch: Dispatch, t: int) -> None:
         """Write step ``t`` of a dispatch; a limit that it misses by a tolerance gives way."""
@@ -81,19 +89,29 @@ class ReactiveModel:
         load = data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p
         self.Q_load.value = site.customer_bus @ load
         self.rise.value = data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t]
-        self.Q_pv_max.value = _left(site.pv.s_max_kva, dispatch.pv_self_kw[t]
-                                    + dispatch.pv_export_kw[t], dispatch.pv_q_kvar[t])
-        self.Q_batt_max.value = _left(site.batteries.s_max_kva, dispatch.charge_kw[t]
-                                      - dispatch.discharge_kw[t], dispatch.batt_q_kvar[t])
+        self.Q_pv_max.value = _left(
+            site.pv.s_max_kva,
+            dispatch.pv_self_kw[t] + dispatch.pv_export_kw[t],
+            dispatch.pv_q_kvar[t],
+        )
+        self.Q_batt_max.value = _left(
+            site.batteries.s_max_kva,
+            dispatch.charge_kw[t] - dispatch.discharge_kw[t],
+            dispatch.batt_q_kvar[t],
+        )
         self.Q_grid_max.value = data.grid_q_max_kvar(site)[t]
         self.u_min.value = np.append(u[0], np.minimum(u[1:], net.v_min_pu**2))
         self.u_max.value = np.append(u[0], np.maximum(u[1:], net.v_max_pu**2))
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the solution of the last solve in step ``t``."""
-        changed = {"pv_q_kvar": self.Q_pv.value, "batt_q_kvar": self.Q_batt.value,
-                   "q_grid_kvar": self.Q_grid.value, "q_flow_kvar": self.Q_flow.value,
-                   "v_pu": np.sqrt(self.u.value)}
+        changed = {
+            "pv_q_kvar": self.Q_pv.value,
+            "batt_q_kvar": self.Q_batt.value,
+            "q_grid_kvar": self.Q_grid.value,
+            "q_flow_kvar": self.Q_flow.value,
+            "v_pu": np.sqrt(self.u.value),
+        }
         arrays = {}
         for name, values in changed.items():
             arrays[name] = getattr(dispatch, name).copy()
