@@ -35,7 +35,7 @@ from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
 
 BOUND_TOLERANCE = 1e-6
-RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(50)]
+RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(100)]
 NEGATIVE_PRICES = [(seed, stressed) for stressed in (False, True) for seed in range(0, 36, 3)]
 CONE_WINDOWS = [(seed, True) for seed in range(11, 22)]
 WRONGLY_INFEASIBLE = (10, True)
