@@ -62,19 +62,20 @@ def atomic_folder(target: str | Path) -> Iterator[Path]:
     StorageError
         If the disk is full.
     """
+    given = str(target)
     target = check_target(target)
     remove_leftovers(target.parent)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         aside, descriptor = _locked_folder(target)
     except OSError as error:
-        raise InputError(_unwritable(target, error)) from error
+        raise InputError(_unwritable(given, error)) from error
     try:
         yield aside
         _take_name(aside, target)
     except OSError as error:
         if is_full(error):
-            raise StorageError(full_disk(target, target.exists())) from error
+            raise StorageError(full_disk(given, target.exists())) from error
         raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
@@ -130,20 +131,19 @@ def check_target(target: str | Path) -> Path:
         If the target is a file, a symbolic link to nothing or to something that is not a run, a
         folder that is not empty and not a run folder, or in a place that cannot be written.
     """
+    given = str(target)
     target = Path(target).absolute()
     try:
         target.lstat()
     except FileNotFoundError:
         pass
     except OSError as error:
-        raise InputError(_unwritable(target, error)) from error
+        raise InputError(_unwritable(given, error)) from error
     link = target.is_symlink()
     if link and not target.exists():
         raise InputError(
             Problem(
-                str(target),
-                "is a symbolic link that leads nowhere",
-                "Remove it, or choose another name.",
+                given, "is a symbolic link that leads nowhere", "Remove it, or choose another name."
             )
         )
     real = Path(os.path.realpath(target)) if link else target
@@ -152,14 +152,14 @@ def check_target(target: str | Path) -> Path:
             what = f"links to {real}, which is not" if link else "exists and is not"
             raise InputError(
                 Problem(
-                    str(target),
+                    given,
                     f"{what} a run folder (it has no {RUN_MARK})",
                     "Choose another folder, or remove this one.",
                 )
             )
     elif real.exists():
-        raise InputError(Problem(str(target), "exists and is not a folder", "Choose another name."))
-    _check_place(real)
+        raise InputError(Problem(given, "exists and is not a folder", "Choose another name."))
+    _check_place(given, real)
     return real
 
 
@@ -171,16 +171,15 @@ def check_file(target: str | Path) -> Path:
     InputError
         If the target is a folder, a symbolic link, or in a place that cannot be written.
     """
+    given = str(target)
     target = Path(target).absolute()
     if target.is_symlink():
         raise InputError(
-            Problem(
-                str(target), "is a symbolic link", "Name the file itself, or choose another name."
-            )
+            Problem(given, "is a symbolic link", "Name the file itself, or choose another name.")
         )
     if target.exists() and not target.is_file():
-        raise InputError(Problem(str(target), "exists and is not a file", "Choose another name."))
-    _check_place(target)
+        raise InputError(Problem(given, "exists and is not a file", "Choose another name."))
+    _check_place(given, target)
     return target
 
 
@@ -211,7 +210,7 @@ def is_full(error: OSError) -> bool:
     return error.errno in _FULL
 
 
-def full_disk(target: Path, older: bool) -> str:
+def full_disk(target: str, older: bool) -> str:
     """What to say of a disk that took no more."""
     kept = "what was there before is kept" if older else "nothing was written"
     return (
@@ -220,16 +219,16 @@ def full_disk(target: Path, older: bool) -> str:
     )
 
 
-def _check_place(target: Path) -> None:
+def _check_place(given: str, target: Path) -> None:
     """Whether the nearest folder above the target can be written."""
     place = next(folder for folder in target.parents if folder.exists())
     if not place.is_dir():
         raise InputError(
-            _unwritable(target, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
+            _unwritable(given, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
         )
     if not os.access(place, os.W_OK | os.X_OK):
         raise InputError(
-            _unwritable(target, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+            _unwritable(given, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
         )
 
 
@@ -377,9 +376,9 @@ def _renameat2() -> Any:
     return call
 
 
-def _unwritable(target: Path, error: OSError) -> Problem:
+def _unwritable(given: str, error: OSError) -> Problem:
     return Problem(
-        str(target),
+        given,
         f"cannot be written ({error.strerror})",
         "Choose another folder, or check its permissions.",
     )

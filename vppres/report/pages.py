@@ -63,7 +63,7 @@ def write_page(file: Path, text: str) -> None:
         atomic_write_text(file, text)
     except OSError as error:
         if is_full(error):
-            raise StorageError(full_disk(file, file.exists())) from error
+            raise StorageError(full_disk(str(file), file.exists())) from error
         raise InputError(
             Problem(
                 str(file),

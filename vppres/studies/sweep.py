@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -139,9 +138,8 @@ def folder_name(parameter: str, value: Value) -> str:
     return name if name == text else f"{name}-{sha256(text.encode()).hexdigest()[:8]}"
 
 
-def run_case(position: int, case: Case, folder: Path, parent: int) -> tuple[int, SweepRow]:
-    """Run one case and write its run folder below ``folder``, in a worker of process ``parent``."""
-    _end_with(parent)
+def run_case(position: int, case: Case, folder: Path) -> tuple[int, SweepRow]:
+    """Run one case and write its run folder below ``folder``."""
     try:
         summary = write_run(
             run_day(case.scenario, case.options), folder / case.folder, interactive=False
@@ -178,14 +176,13 @@ def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
     }
 
 
-@cache
 def _end_with(parent: int) -> None:
     """Let this worker die with its parent, which the system does not see to by itself.
 
-    A thread asks: the death signal of Linux comes with the end of the thread that started the
-    worker, and not of its process.
+    It runs when a worker starts, whose parent may be dead by then. A thread asks: the death signal
+    of Linux comes with the end of the thread that started the worker, and not of its process.
     """
-    if os.getppid() != parent:
+    if os.getpid() == parent:
         return  # a single job runs in the process itself
 
     def watch() -> None:
@@ -205,14 +202,16 @@ def _outcomes(
 ) -> list[SweepRow]:
     found: dict[int, SweepRow] = {}
     # One thread each: solvers and linear algebra would only fight for the cores.
-    with joblib.parallel_config("loky", inner_max_num_threads=1):
+    with joblib.parallel_config(
+        "loky", inner_max_num_threads=1, initializer=_end_with, initargs=(os.getpid(),)
+    ):
         parallel = joblib.Parallel(
             n_jobs=min(jobs, len(cases)), return_as="generator_unordered", batch_size=1
         )
         # Closing the generator stops the workers, whatever ends the loop.
         with closing(
             parallel(
-                joblib.delayed(run_case)(position, case, folder, os.getpid())
+                joblib.delayed(run_case)(position, case, folder)
                 for position, case in enumerate(cases)
             )
         ) as finished:
