@@ -167,7 +167,7 @@ def _cell(text: str, draw: random.Random) -> str:
             )
         )
         cells[place] = f" {other!r}" if mark == "=" else repr(other)
-    except ValueError:
+    except (ValueError, OverflowError):  # no number, or an infinite one
         cells[place] = draw.choice(SNIPPETS)
     rows[row] = mark.join(cells)
     return "\n".join(rows)

@@ -362,6 +362,21 @@ def test_atomic_text_is_whole_while_others_clean(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
+def test_sigterm_before_a_command_has_begun() -> None:
+    """Outside of a command's own block typer would end with the status of Ctrl-C."""
+    code = textwrap.dedent("""
+        import os, signal, sys
+        from vppres.cli import commands
+
+        commands._plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
+        sys.argv = ["vppres", "scenarios"]
+        commands.main()
+    """)
+    done = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True)
+    assert done.returncode == 128 + signal.SIGTERM
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_killed_commands_leave_the_old_result_and_no_process(
     tiny_folder: Path, tmp_path: Path

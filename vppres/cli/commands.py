@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import json
 import signal
+import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -57,17 +58,27 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM came: batch systems and service managers end a command with it."""
 
 
-def _terminate(number: int, _frame: object) -> NoReturn:
-    """End like Ctrl-C, so that what is half written goes; once is enough."""
-    signal.signal(number, signal.SIG_IGN)
-    raise Terminated
-
-
 def main() -> None:
     """Entry point of the console script and of ``python -m vppres``."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
-    signal.signal(signal.SIGTERM, _terminate)
-    app(prog_name="vppres")
+    asked: list[int] = []
+
+    def terminate(number: int, _frame: object) -> NoReturn:
+        """End like Ctrl-C, so that what is half written goes; once is enough."""
+        signal.signal(number, signal.SIG_IGN)
+        asked.append(number)
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, terminate)
+    try:
+        app(prog_name="vppres")
+    except Terminated:
+        sys.exit(TERMINATED)
+    except SystemExit as end:
+        # Outside of a command's own block typer takes the exception for Ctrl-C.
+        if asked and end.code == INTERRUPTED:
+            sys.exit(TERMINATED)
+        raise
 
 
 def _print_version(wanted: bool) -> None:
