@@ -706,6 +706,7 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "guard": True,
         "protect_critical": False,
         "reserve": {"soc": 0.5, "notice_h": 0.5},
+        "isolate": None,
     }
 
 

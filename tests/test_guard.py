@@ -450,7 +450,8 @@ OPTIONS = RunOptions(horizon_h=2.0)
 def same_service(one: Day, other: Day) -> bool:
     pairs = zip(one.recorder.records, other.recorder.records, strict=True)
     return all(
-        (a.served == b.served).all() and np.allclose(a.soc_end, b.soc_end, atol=1e-6)
+        (a.customers["served"] == b.customers["served"]).all()
+        and np.allclose(a.batteries["soc_end"], b.batteries["soc_end"], atol=1e-6)
         for a, b in pairs
     )
 

@@ -14,7 +14,7 @@ from vppres.core.units import kva_to_a
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
 from vppres.io.digest import scenario_digest
-from vppres.plant.island import NOBODY
+from vppres.plant.plant import NOBODY
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"

@@ -37,7 +37,7 @@ def check_scenario(scenario: Scenario) -> None:
 
     Examples
     --------
-    >>> from vppres.io import load_scenario
+    >>> from vppres.io.find import load_scenario
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
     problems = folded([*_names(scenario), *_numbers(scenario), *_limits(scenario)])

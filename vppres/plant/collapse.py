@@ -16,8 +16,8 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
-from vppres.plant.island import NOBODY, Settled
-from vppres.plant.plant import BatteryState, Plant, Realised
+from vppres.plant.island import Settled
+from vppres.plant.plant import NOBODY, BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario
 
 

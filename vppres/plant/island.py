@@ -20,7 +20,7 @@ from vppres.physics.powerflow import (
     NoSolutionError,
     NotFoundError,
 )
-from vppres.plant.plant import BatteryState, Plant, Powers, Realised
+from vppres.plant.plant import NOBODY, BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
@@ -34,8 +34,6 @@ CUT_MARGIN_KW = 1e-3
 """What is cut beyond the need, so that the set has something left to settle with."""
 
 _MAX_SHARINGS = 50
-NOBODY = "nobody"
-"""Who was shed where a power flow was not found; the record's word for it."""
 NO_FORMER = "no battery forms the grid"
 NO_ENERGY = "no grid-forming battery has energy left"
 NO_SOLUTION = "the lines cannot carry the power: no AC solution"

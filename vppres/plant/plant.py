@@ -17,6 +17,9 @@ from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
+NOBODY = "nobody"
+"""Who was shed where a power flow was not found; the record's word for it."""
+
 CLIP_TOLERANCE_KW = 1e-3
 """Set-points that the plant had to move by more than this are named in the record."""
 

@@ -9,8 +9,7 @@ import pandas as pd
 
 from vppres.day.metrics import island_figures, line_loading
 from vppres.day.trajectory import Trajectory
-from vppres.plant.island import NOBODY
-from vppres.plant.plant import CLIP_TOLERANCE_KW
+from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 
 LIMIT_TOLERANCE_PU = 1e-6
 PROVEN = "optimal"
