@@ -249,7 +249,7 @@ def refuted(run: Trajectory) -> list[str]:
             for column in columns
             if column in table and not np.isfinite(table[column].to_numpy(float)).all()
         ]
-    solved = run.steps["fallback"].eq("").to_numpy()  # a fallback has no objective
+    solved = run.steps["fallback"].eq("none").to_numpy()  # a fallback has no objective
     if not np.isfinite(run.steps["objective"].to_numpy(float)[solved]).all():
         found.append("steps.objective is not finite")
     batteries = run.scenario.batteries
