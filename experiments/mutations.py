@@ -238,7 +238,7 @@ def refuted(run: Trajectory) -> list[str]:
     net = run.scenario.network
     found = []
     for name, columns in (
-        ("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu", "objective"]),
+        ("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu"]),
         ("buses", ["v_ac_pu"]),
         ("batteries", ["soc_start", "soc_end"]),
         ("pv", ["curtailed_kw"]),
@@ -249,6 +249,9 @@ def refuted(run: Trajectory) -> list[str]:
             for column in columns
             if column in table and not np.isfinite(table[column].to_numpy(float)).all()
         ]
+    solved = run.steps["fallback"].eq("none").to_numpy()  # a fallback has no objective
+    if not np.isfinite(run.steps["objective"].to_numpy(float)[solved]).all():
+        found.append("steps.objective is not finite")
     batteries = run.scenario.batteries
     soc = run.batteries["soc_end"].to_numpy(float).reshape(len(run.steps), -1)
     if (soc < batteries.soc_min - TOLERANCE_SOC).any() or (
