@@ -106,7 +106,8 @@ def test_counts_find_what_binaries_find(
 ) -> None:
     data, cache = day_window(packaged, first, steps, soc), ModelCache(Site.of(packaged))
     counted, _ = Counts(demand_of(cache, data, lumped=False), data, Deadline(TIME_S)).service(0.1)
-    binary, _ = Binaries(cache, data, find_solver("highs"), Deadline(TIME_S)).service(0.1)
+    master = Binaries(cache, data, find_solver("highs"), Deadline(TIME_S), lumped=False)
+    binary, _ = master.service(0.1)
     assert counted.value == pytest.approx(binary.value, abs=1e-4)
     assert counted.bound == binary.bound
 

@@ -28,10 +28,6 @@ from vppres.solve.whole import with_binaries, without_binaries
 
 METHODS = ("decomposed", "monolithic")
 
-NETWORK_RESERVE = 0.2
-"""Share of the time limit that is kept for the network once there is a dispatch without it: another
-rung would prove more of a dispatch that then could not be reported."""
-
 
 class WindowSolver:
     """Solves windows of one site by one method and solver; problems are compiled once.
@@ -150,15 +146,9 @@ def climb(task: WindowTask) -> None:
     if (task.data.grid_limit_kw > 0.0).all():
         everyone_served(task)
     for rung in rungs(task):
-        if task.goes_on and not keeps_the_rest(task):
+        if task.goes_on and not task.search.passed:
             rung(task)
     enter_network(task)
-
-
-def keeps_the_rest(task: WindowTask) -> bool:
-    """Whether what is left of the time is kept for putting a dispatch into the network."""
-    reserve_s = NETWORK_RESERVE * task.limits.time_s
-    return task.certificate.best is not None and task.deadline.left_s < reserve_s
 
 
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:

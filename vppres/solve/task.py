@@ -18,6 +18,10 @@ LARGE = 1500
 """Buses times steps beyond which a window is large: its tie-breakers take seconds to find that
 there is no answer, and the search with all binaries never ends."""
 
+NETWORK_RESERVE = 0.2
+"""Share of the time limit that is kept for the network: a search without it that took all the time
+would find or prove what then could not be reported."""
+
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3
 """What the way to the first answer may take beyond the time limit, all of its steps together:
@@ -96,6 +100,11 @@ class WindowTask:
         return self.data.switching is None or not self.data.switching.broken(served).any()
 
     # Time.
+
+    @cached_property
+    def search(self) -> Deadline:
+        """When the searches without the network end, so that there is time to enter it."""
+        return self.deadline.later(-NETWORK_RESERVE * self.limits.time_s)
 
     @property
     def grace_s(self) -> float:

@@ -57,7 +57,7 @@ class Master(Protocol):
 
 
 class Binaries:
-    """The relaxation with a binary for each customer and step, and with every battery.
+    """The relaxation with a binary for each customer and step.
 
     Parameters
     ----------
@@ -69,18 +69,26 @@ class Binaries:
         Solves it.
     deadline : Deadline
         When service and cost must be done.
+    lumped : bool
+        Whether the fleet is one battery.
     """
 
     prefix = "binary_"
 
     def __init__(
-        self, cache: ModelCache, data: WindowData, spec: SolverSpec, deadline: Deadline
+        self,
+        cache: ModelCache,
+        data: WindowData,
+        spec: SolverSpec,
+        deadline: Deadline,
+        lumped: bool,
     ) -> None:
         self.cache = cache
         self.data = data
         self.spec = spec
         self.deadline = deadline
-        self.model = relaxation_of(cache, data, integer=True, lumped=False)
+        self.lumped = lumped
+        self.model = relaxation_of(cache, data, integer=True, lumped=lumped)
         self.unit = self.model.grid
 
     @property
@@ -101,7 +109,7 @@ class Binaries:
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; linear where any gap will do."""
         integer = np.isfinite(gap_gbp)
-        model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=False)
+        model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=self.lumped)
         model.fill(self.data, all_connected=everyone)
         model.service_min.value = units_min * self.unit
         gap = gap_gbp if integer else 0.0
@@ -118,21 +126,20 @@ def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
 
     Rules join a step to another, so that a step is not free to serve its cheapest customers.
     """
-    if task.data.switching is not None:
-        return [partial(_binaries, task)]
-    return [partial(_counts, task, lumped) for lumped in fleets_of(task.data)]
+    kind = _counts if task.data.switching is None else _binaries
+    return [partial(kind, task, lumped) for lumped in fleets_of(task.data)]
 
 
-def _binaries(task: WindowTask) -> Master | None:
+def _binaries(task: WindowTask, lumped: bool) -> Master | None:
     """The master by binaries, where weights and prices of switching have a grid."""
-    master = Binaries(task.cache, task.data, task.spec, task.deadline)
+    master = Binaries(task.cache, task.data, task.spec, task.search, lumped)
     return master if master.applies else None
 
 
 def _counts(task: WindowTask, lumped: bool) -> Master | None:
     """The master by counts, where weights have a grid."""
     model = demand_of(task.cache, task.data, lumped)
-    return Counts(model, task.data, task.deadline) if model.relaxation.grid else None
+    return Counts(model, task.data, task.search) if model.relaxation.grid else None
 
 
 def relaxation_of(

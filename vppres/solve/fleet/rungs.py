@@ -104,7 +104,7 @@ def all_terms(task: WindowTask) -> None:
     model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
     model.fill(task.data)
     gap = ALL_TERMS_GAP_SHARE * task.gap_to_best
-    outcome = run(model.problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
+    outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
     known.note("aggregate", outcome)
     if outcome.status.has_answer:
         known.bound_by(outcome.bound)
