@@ -124,10 +124,12 @@ class Binaries:
 def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
     """What makes the masters of a window, in the order of trial; they may not apply.
 
-    Rules join a step to another, so that a step is not free to serve its cheapest customers.
+    Rules join a step to another, so that a step is not free to serve its cheapest customers: counts
+    say nothing then. Without rules binaries follow where the set that the counts chose has no
+    dispatch, to the last digit where the search with all terms would stop at the gap.
     """
-    kind = _counts if task.data.switching is None else _binaries
-    return [partial(kind, task, lumped) for lumped in fleets_of(task.data)]
+    kinds = (_counts, _binaries) if task.data.switching is None else (_binaries,)
+    return [partial(kind, task, lumped) for lumped in fleets_of(task.data) for kind in kinds]
 
 
 def _binaries(task: WindowTask, lumped: bool) -> Master | None:
