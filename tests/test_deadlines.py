@@ -83,7 +83,7 @@ def test_patience_ends_with_the_time(now: list[float]) -> None:
 
 
 def test_search_in_the_network_ends_where_nothing_improves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_S", 0.2)
+    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_S", 0.0)
     site = Site.of(packaged())
     data = window_data(instance(NEVER_CLOSED))
     master = NetworkMaster(site, Reactance(site), data, Deadline(600.0))
