@@ -15,7 +15,7 @@ STAMP = $(VENV)/.installed
 # uv installs the lock file in seconds; where it does not run, pip does the same in minutes.
 UV ?= $(shell uv --version >/dev/null 2>&1 && echo uv)
 MAKE_VENV = $(if $(UV),$(UV) venv --quiet --seed --python $(PYTHON),$(PYTHON) -m venv) $(VENV)
-INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
+INSTALL = $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,\
   $(BIN)/python -m pip install --quiet --disable-pip-version-check)
 
 # Tests and studies run in several processes: one thread each.

@@ -48,8 +48,9 @@ def same_reproduction(one: Path, other: Path) -> Iterator[str]:
     The days carry no name that two checkouts share, since the digest of their sources is part of
     it: they are compared as two collections.
     """
-    left = _days(one)
-    right = _days(other)
+    days = [_days(one), _days(other)]
+    known = set.intersection(*({*day["summary"]} for folder in days for day in folder))
+    left, right = (Counter(_text(day, known) for day in folder) for folder in days)
     alike = sum((left & right).values())
     if left != right:
         yield (f"{CACHE}: {alike} of {sum(left.values())} and {sum(right.values())} days are equal")
@@ -57,13 +58,16 @@ def same_reproduction(one: Path, other: Path) -> Iterator[str]:
         yield from (f"{CACHE}: only in the second: {_headline(day)}" for day in right - left)
 
 
-def _days(folder: Path) -> Counter[str]:
-    """The simulated days as text without what tells of effort alone."""
+def _days(folder: Path) -> list[dict[str, Any]]:
+    """The simulated days without what tells of effort alone."""
     files = sorted((folder / CACHE).glob("*.json"))
-    return Counter(
-        json.dumps(_plain(json.loads(file.read_text(encoding="utf-8"))), sort_keys=True)
-        for file in files
-    )
+    return [_plain(json.loads(file.read_text(encoding="utf-8"))) for file in files]
+
+
+def _text(day: Mapping[str, Any], known: set[str]) -> str:
+    """A day as text, with the figures that every day of both folders has."""
+    summary = {name: value for name, value in day["summary"].items() if name in known}
+    return json.dumps({**day, "summary": summary}, sort_keys=True)
 
 
 def _headline(day: str) -> str:
