@@ -19,8 +19,18 @@ import typer
 from experiments.terminal import plain_errors
 from vppres.core.errors import InputError, Problem
 
-EFFORT = {"solve_s", "solver_s", "versions", "input_digest", "digest", "stages", "compilations"}
-"""Names of what differs between two runs of the same code, or tells of effort alone."""
+NOT_COMPARED = {
+    "options",
+    "solve_s",
+    "solver_s",
+    "versions",
+    "input_digest",
+    "digest",
+    "stages",
+    "compilations",
+}
+"""Names of what was asked, of what differs between two runs of the same code, or of effort."""
+MOST_SHOWN = 20
 CACHE = "cache"
 SUMMARY = "summary.json"
 
@@ -82,7 +92,7 @@ def _headline(day: str) -> str:
 def _plain(record: Any) -> Any:
     """A record without what tells of effort alone."""
     if isinstance(record, Mapping):
-        return {name: _plain(item) for name, item in record.items() if name not in EFFORT}
+        return {name: _plain(item) for name, item in record.items() if name not in NOT_COMPARED}
     return record
 
 
@@ -91,7 +101,7 @@ def _tables(name: str, one: pd.DataFrame, other: pd.DataFrame) -> Iterator[str]:
     if len(one) != len(other):
         yield f"{name}: {len(one)} and {len(other)} rows"
         return
-    columns = sorted({str(column) for column in [*one, *other]} - EFFORT)
+    columns = sorted({str(column) for column in [*one, *other]} - NOT_COMPARED)
     for column in columns:
         if column not in one or column not in other:
             yield f"{name}, {column}: is in one folder only"
@@ -130,7 +140,7 @@ def main(
                     "Give two folders of vppres run, or two of make reproduce.",
                 )
             )
-    for line in differences:
+    for line in differences[:MOST_SHOWN]:
         typer.echo(line)
     typer.echo(f"{len(differences)} differences" if differences else "the same to the last bit")
     raise typer.Exit(bool(differences))
