@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -133,7 +133,7 @@ class Controller:
         self._decider = decider
         self._past = _Past.before_the_day(scenario, options)
         self._step_before: tuple[Memory, _Past] | None = None
-        self._turn = Lock()
+        self._turn = threading.Lock()
 
     @classmethod
     def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:

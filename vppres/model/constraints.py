@@ -20,8 +20,8 @@ from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
+# Constraints by the names of their equations.
 Named = dict[str, cp.Constraint]
-"""Constraints by the names of their equations."""
 
 
 @dataclass(frozen=True, eq=False)
