@@ -75,8 +75,13 @@ def main() -> None:
     except Terminated:
         sys.exit(TERMINATED)
     except SystemExit as end:
-        # Outside of a command's own block typer takes the exception for Ctrl-C.
-        if asked and end.code == INTERRUPTED:
+        # Outside of a command's own block typer takes the exception for Ctrl-C; and an import that
+        # is cut off may turn it into an error of its own.
+        if asked and end.code:
+            sys.exit(TERMINATED)
+        raise
+    except Exception:
+        if asked:
             sys.exit(TERMINATED)
         raise
 
