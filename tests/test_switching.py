@@ -160,7 +160,10 @@ def test_actions_of_yesterday_do_not_count() -> None:
 
 def test_a_window_within_a_day_has_one_limit() -> None:
     """Rules without a limit of actions never look at days, so that they compile nothing more."""
-    for rules, days in ((SwitchingRules(min_served_h=1.0), 1), (SwitchingRules(max_actions_per_customer=2), 2)):
+    for rules, days in (
+        (SwitchingRules(min_served_h=1.0), 1),
+        (SwitchingRules(max_actions_per_customer=2), 2),
+    ):
         state = replace(SwitchingState.start(rules, 1.0, 2), step=20)
         assert (state.window(4).steps.days, state.window(5).steps.days) == (1, days)
 

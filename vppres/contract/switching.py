@@ -237,7 +237,7 @@ class SwitchingState:
         """Day of the steps from now on, counted from the present one, (n_steps,)."""
         hours = (self.step + np.arange(n_steps)) * self.dt_h
         day = np.floor(hours / DAY_H + 1e-9).astype(np.int64)
-        return day - day[0]
+        return np.asarray(day - day[0])
 
     def _steps(self, hours: float, n_steps: int) -> int:
         """Steps of a minimum time, at least 1; more than the window has makes no difference."""
