@@ -483,8 +483,8 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
     "computes": (
         "net.m",
-        lambda: b"function mpc = c\nmpc.bus(1) = system('touch canary');\n",
-        "net.m, row 2: calls 'system', which is not evaluated",
+        lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1) = system('touch canary');\n",
+        "net.m, row 3: calls 'system', which is not evaluated",
     ),
     "calls": (
         "net.m",
