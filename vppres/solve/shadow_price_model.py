@@ -19,6 +19,7 @@ from vppres.model import objective as terms
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.forms import SOLVER_ORDER, in_order, with_polygons
+from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides, require_dpp
 from vppres.model.polygons import Polygon
 from vppres.model.problem import paper_constraints
@@ -137,6 +138,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         price_gbp_per_kwh=_rows(data.price_gbp_per_kwh, missing),
         grid_limit_kw=_rows(data.grid_limit_kw, missing),
         delta_pu2=_rows(data.delta_pu2, missing),
+        drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
     )
 
 

@@ -65,8 +65,7 @@ class DemandModel:
         P_ch = cp.sum(v["P_ch"], axis=1)
         P_dch = cp.sum(v["P_dch"], axis=1)
         P_pv = self.relaxation.p["P_pv"]
-        room = self.relaxation.room
-        loss = room["loss"] if room else 0.0
+        loss = self.relaxation.network_kw
         return {
             "demand_balance": v["P_grid"] + P_pv - v["P_curt"] + P_dch == self.load + loss + P_ch,
             "demand_circular_charging": P_dch <= self.load + loss,
