@@ -23,6 +23,7 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.source import Source, SourceDeviation
 
 # Tables that a folder may lack, with the model of their rows.
 _OPTIONAL: dict[str, type[BaseModel]] = {
@@ -294,7 +295,13 @@ def _assemble(
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
+        source=_source(file.source),
     )
+
+
+def _source(section: schema.SourceSection) -> Source:
+    deviation = SourceDeviation(**section.deviation.model_dump())
+    return Source(section.name, section.kind, tuple(section.notes), deviation)
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
 
@@ -74,6 +75,8 @@ class Scenario:
         Largest import; 0 in an outage, infinite without limit.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
+    source : Source
+        Where the feeder comes from; it changes no result.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Scenario:
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
     switching: SwitchingRules = field(default_factory=SwitchingRules)
+    source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
         freeze_fields(
