@@ -13,6 +13,8 @@ import pandas as pd
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 
+_EXPORT = ("export_limit_kw", "export_price_gbp_per_kwh")
+
 
 def scenario_digest(scenario: Scenario) -> str:
     """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
@@ -29,9 +31,14 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, Network):
         return _canonical_network(value)
     if is_dataclass(value):
-        return {f.name: _canonical(getattr(value, f.name)) for f in fields(value)}
+        # A connection that imports only keeps the digest from before there was another.
+        left_out = _EXPORT if isinstance(value, Scenario) and not value.exports else ()
+        names = [f.name for f in fields(value) if f.name not in left_out]
+        return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
         return value.tz_convert("UTC").isoformat()
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return float(value)
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
