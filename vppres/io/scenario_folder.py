@@ -23,6 +23,7 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.source import Source, SourceDeviation
 
 # Tables that a folder may lack, with the model of their rows.
 _OPTIONAL: dict[str, type[BaseModel]] = {
@@ -302,7 +303,13 @@ def _assemble(
         switching=SwitchingRules(**file.switching.model_dump()),
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
+        source=_source(file.source),
     )
+
+
+def _source(section: schema.SourceSection) -> Source:
+    deviation = SourceDeviation(**section.deviation.model_dump())
+    return Source(section.name, section.kind, tuple(section.notes), deviation)
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:

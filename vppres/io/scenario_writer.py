@@ -23,6 +23,8 @@ from vppres.scenario.assets import Batteries, Customers
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.source import Source
+from vppres.scenario.timegrid import UTC, TimeGrid
 
 
 def write_scenario(scenario: Scenario, folder: str | Path) -> None:
@@ -71,11 +73,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
-        "time": {
-            "start": grid.start.to_pydatetime(),
-            "step_minutes": float(grid.step_minutes),
-            "steps": int(grid.n_steps),
-        },
+        "time": _time(grid),
         "network": {
             "slack_bus": _plain(network.slack_bus),
             **{name: float(getattr(network, name)) for name in limits},
@@ -97,11 +95,36 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
         }
+    if scenario.source:
+        document["source"] = _source(scenario.source)
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
         raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
     return document
+
+
+def _time(grid: TimeGrid) -> dict[str, Any]:
+    """The time grid; the zone of the clocks only where it is not UTC."""
+    return {
+        "start": grid.start.to_pydatetime(),
+        "step_minutes": float(grid.step_minutes),
+        "steps": int(grid.n_steps),
+        **({"zone": grid.zone} if grid.zone != UTC else {}),
+    }
+
+
+def _source(source: Source) -> dict[str, Any]:
+    """What is known of the source; TOML has no word for what is not."""
+    deviation = {
+        name: float(value) for name, value in asdict(source.deviation).items() if value is not None
+    }
+    return {
+        "name": source.name,
+        "kind": source.kind,
+        "notes": list(source.notes),
+        **({"deviation": deviation} if deviation else {}),
+    }
 
 
 def _plain(bus: object) -> BusId:

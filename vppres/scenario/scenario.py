@@ -14,6 +14,7 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
 
@@ -84,6 +85,8 @@ class Scenario:
         Import only, 0, where nothing is given. No export in an outage, whatever it says.
     export_price_gbp_per_kwh : array, shape (T,) or ()
         What exported energy earns; 0 where nothing is given, negative where it costs.
+    source : Source
+        Where the feeder comes from; it changes no result.
     """
 
     name: str
@@ -104,6 +107,7 @@ class Scenario:
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
+    source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
         freeze_fields(
