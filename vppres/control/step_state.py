@@ -41,6 +41,8 @@ class StepState:
         Offset of the delta form of LinDistFlow.
     online : array of bool, shape (B,)
         Batteries that can be used.
+    export_limit_kw : float
+        Largest export, 0 in an outage and where the connection imports only.
     drawn : Drawn, optional
         What the network itself draws, one step; None where it draws nothing.
     """
@@ -54,6 +56,7 @@ class StepState:
     eta_discharge: Floats
     offset_pu2: Floats
     online: Flags
+    export_limit_kw: float = 0.0
     drawn: Drawn | None = None
 
     @classmethod
@@ -79,6 +82,7 @@ class StepState:
             seen.eta_discharge,
             delta_offset(site.network, point, centre),
             every if online is None else online,
+            f.export_now_kw,
             drawn_by(site.network, v_pu, f.grid_limit_kw[:1] <= 0.0),
         )
 

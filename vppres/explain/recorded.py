@@ -112,6 +112,7 @@ class Recorded:
             self._eta_charge[t],
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
+            export=f.export,
             drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
         )
 
@@ -153,6 +154,7 @@ class Recorded:
             now.price_gbp_per_kwh,
             now.grid_limit_kw,
             now.temperature_c,
+            now.export,
         )
 
     def _operating_point(self, t: int) -> OperatingPoint | None:

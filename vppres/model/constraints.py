@@ -138,7 +138,7 @@ def active_balance(
         P_load = P_load + added.P
     if p.P_drawn is not None:
         P_load = P_load + p.P_drawn
-    P_grid = _at_slack_bus(site, v.P_grid)
+    P_grid = at_slack_bus(site, v.P_grid)
     inflow = v.P_flow @ site.network.incidence.T
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
 
@@ -154,7 +154,7 @@ def reactive_balance(
         Q_load = Q_load + added.Q
     if p.Q_drawn is not None:
         Q_load = Q_load + p.Q_drawn
-    Q_grid = _at_slack_bus(site, v.Q_grid)
+    Q_grid = at_slack_bus(site, v.Q_grid)
     inflow = v.Q_flow @ site.network.incidence.T
     return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
 
@@ -212,8 +212,8 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1
     return {"delta_lindistflow": factor * u_j == factor * (u_i - drop + p.delta)}
 
 
-def _at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
-    """The grid's supply of each step, (W,), at the first bus and nowhere else, (W, N)."""
+def at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
+    """The grid's power of each step, (W,), at the first bus and nowhere else, (W, N)."""
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
     return cp.reshape(power, (power.size, 1), order="C") @ slack.T
 
