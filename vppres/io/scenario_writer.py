@@ -68,8 +68,9 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
     network = scenario.network
     grid = scenario.grid
-    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    document = {
+    of_network = {f.name for f in fields(network)} - {"slack_bus"}
+    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
         "time": _time(grid),
@@ -88,6 +89,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
+        document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
     if scenario.switching != SwitchingRules():
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
@@ -209,4 +212,8 @@ def _system_frame(scenario: Scenario) -> pd.DataFrame:
     }
     if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
         columns["grid_limit_kw"] = limit_kw
+    if scenario.export_limit_kw.ndim:
+        columns["export_limit_kw"] = scenario.export_limit_kw
+    if scenario.export_price_gbp_per_kwh.any():
+        columns["export_price_gbp_per_kwh"] = scenario.export_price
     return pd.DataFrame(columns)

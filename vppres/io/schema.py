@@ -381,6 +381,21 @@ class SystemSeries(Row):
         description="largest import from the grid (inf, or no such column: no limit)",
         json_schema_extra=KW,
     )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid (inf: no limit; no such column: what scenario.toml "
+        "says); 0 in an outage, whatever it says",
+        json_schema_extra=KW,
+    )
+    export_price_gbp_per_kwh: float = Field(
+        default=0.0,
+        ge=-MAX_PRICE,
+        le=MAX_PRICE,
+        description="what exported energy earns (negative: the feeder pays)",
+        json_schema_extra=GBP_PER_KWH,
+    )
 
 
 class Section(BaseModel):
@@ -453,6 +468,14 @@ class NetworkSection(Section):
         le=2,
         description="highest voltage allowed in the AC power flow",
         json_schema_extra=PU,
+    )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid in all steps; 0 imports only (no such key: what "
+        "system.csv says, or no limit)",
+        json_schema_extra=KW,
     )
 
 
