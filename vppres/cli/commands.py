@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import sys
 import traceback
@@ -320,6 +321,8 @@ def new(
     pv_share_of_buses: cli_new.PVShareOfBuses = 0.8,
     battery_kwh_per_peak_kw: cli_new.BatterySize = 0.625,
     price: cli_new.Price = "time-of-use",
+    export_limit: cli_new.ExportLimit = math.inf,
+    export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
     debug: Debug = False,
 ) -> None:
@@ -344,6 +347,8 @@ def new(
             pv_share_of_buses=pv_share_of_buses,
             battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
             price=price,
+            export_limit_kw=export_limit,
+            export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
         )
         feeder = import_network(network, source, open_branch or ())

@@ -78,6 +78,10 @@ RANGES = {
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
     ),
     "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
+    "export_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
+    "export_price_gbp_per_kwh": Range(
+        -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
+    ),
     # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
     "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
     "eta_discharge": Range(
