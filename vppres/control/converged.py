@@ -190,11 +190,19 @@ class ConvergedPlanner:
     def _remember(self, t0: int, data: WindowData) -> None:
         """Keep what each step was linearised at; the next window starts there."""
         physics = data.require_physics()
+        self._forget(t0)
         for row in range(data.n_steps):
             self._known[t0 + row] = (
                 bool(physics.reference[row] > 0),
                 _Line(data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]),
             )
+
+    def _forget(self, t0: int) -> None:
+        """Drop what is over, but for the last step of each kind: later guesses need no more."""
+        last = {self._known[step][0]: step for step in sorted(self._known) if step < t0}
+        over = [step for step in self._known if step < t0 and step not in last.values()]
+        for step in over:
+            del self._known[step]
 
 
 def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:

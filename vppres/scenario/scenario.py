@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -112,6 +113,34 @@ class Scenario:
     def load_kvar(self) -> Floats:
         """Reactive demand of each customer if served, shape (T, C)."""
         return self.load_kw * self.customers.q_per_p
+
+    @property
+    def series(self) -> dict[str, Floats]:
+        """What changes with the steps, by the names of the fields, (T, ...) each."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: value
+            for name, value in values.items()
+            if isinstance(value, np.ndarray) and value.shape[:1] == (self.grid.n_steps,)
+        }
+
+    def between(self, first: int, last: int) -> Scenario:
+        """The same scenario from step ``first`` on, up to but without step ``last``.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> noon = load_scenario("uk-heatwave-2022").between(12, 14)
+        >>> noon.grid.start.hour, noon.load_kw.shape
+        (12, (2, 32))
+        """
+        grid = replace(
+            self.grid,
+            start=self.grid.start + first * pd.Timedelta(minutes=self.grid.step_minutes),
+            n_steps=last - first,
+        )
+        rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}
+        return replace(self, grid=grid, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
         """The same scenario with one outage over the half-open interval ``[start, end)``."""
