@@ -45,6 +45,7 @@ def make_controller(
         Steps that there may be, where they are not the scenario's.
     """
     grid = grid or scenario.grid
+    options = options.on(scenario)
     site = Site.of(scenario)
     make = IsolatedSolver if options.isolate else WindowSolver
 

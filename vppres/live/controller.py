@@ -161,7 +161,9 @@ class Controller:
         SolverLostError
             If no process to solve in can be started.
         """
-        exact = replace(options or RunOptions(), errors=ForecastErrors(), thermal="off")
+        exact = replace(
+            (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
+        )
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)

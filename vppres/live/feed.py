@@ -17,6 +17,9 @@ from vppres.scenario.timegrid import TimeGrid
 
 WHERE = "feed"
 
+LAST_KNOWN = ("temperature_c", "export_limit_kw", "export_price_gbp_per_kwh")
+"""Series that need not be given: they stay as they are."""
+
 MOST_STEPS = 366 * 1440
 """As many as the longest scenario has: a year of minutes."""
 
@@ -37,6 +40,8 @@ class Feed:
         Largest import, 0 in an outage; no limit if not given.
     temperature_c : Series, optional
         Ambient temperature; the last known one if not given.
+    export_limit_kw, export_price_gbp_per_kwh : Series, optional
+        Largest export and what it earns; the last known ones if not given.
 
     Examples
     --------
@@ -50,6 +55,8 @@ class Feed:
     pv_kw: pd.DataFrame | None = None
     grid_limit_kw: pd.Series | None = None
     temperature_c: pd.Series | None = None
+    export_limit_kw: pd.Series | None = None
+    export_price_gbp_per_kwh: pd.Series | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Feed:
@@ -60,7 +67,7 @@ class Feed:
             price_gbp_per_kwh=pd.Series(scenario.price_gbp_per_kwh, times),
             pv_kw=pd.DataFrame(scenario.pv_kw, times, list(scenario.pv.id)),
             grid_limit_kw=pd.Series(scenario.grid_limit_kw, times),
-            temperature_c=pd.Series(scenario.temperature_c, times),
+            **{name: pd.Series(_rows(scenario, name), times) for name in LAST_KNOWN},
         )
 
     @property
@@ -116,7 +123,7 @@ def extended(
         ) from error
     kept = round((start - scenario.grid.start) / pd.Timedelta(minutes=scenario.grid.step_minutes))
     rows: dict[str, Any] = {
-        name: np.concatenate([getattr(scenario, name)[:kept], new[name]]) for name in new
+        name: np.concatenate([_rows(scenario, name)[:kept], new[name]]) for name in new
     }
     return replace(
         scenario, grid=replace(scenario.grid, n_steps=len(rows["price_gbp_per_kwh"])), **rows
@@ -195,16 +202,15 @@ def _read(scenario: Scenario, feed: Feed, start: pd.Timestamp) -> dict[str, Floa
             feed.grid_limit_kw,
             np.full(n, np.inf) if feed.grid_limit_kw is None else empty,
         ),
-        "temperature_c": door.series(
-            "temperature_c",
-            feed.temperature_c,
-            np.full(n, scenario.temperature_c[-1]) if feed.temperature_c is None else empty,
-        ),
     }
+    for name in LAST_KNOWN:
+        given = getattr(feed, name)
+        last = _rows(scenario, name)[-1]
+        found[name] = door.series(name, given, np.full(n, last) if given is None else empty)
     if not door.problems:
         for name, ids in (("load_kw", customers), ("pv_kw", pv)):
             _complete(door, name, found[name], ids)
-        for name in ("price_gbp_per_kwh", "grid_limit_kw", "temperature_c"):
+        for name in ("price_gbp_per_kwh", "grid_limit_kw", *LAST_KNOWN):
             _complete(door, name, found[name][:, None], None)
     door.finish()
     found["pv_kw"] = np.minimum(found["pv_kw"], scenario.pv.p_max_kw)
@@ -242,6 +248,12 @@ def _complete(door: Door, name: str, values: Floats, ids: Any) -> None:
         door.problem(
             name, "has no value for a step", "Give every step a row.", name, door.grid.times[t]
         )
+
+
+def _rows(scenario: Scenario, name: str) -> Floats:
+    """A series, (T,) or (T, items), also where the scenario has one number for all steps."""
+    values: Floats = getattr(scenario, name)
+    return values if values.ndim else np.broadcast_to(values, scenario.grid.n_steps)
 
 
 def _time(grid: TimeGrid, step: int) -> pd.Timestamp:
