@@ -71,7 +71,6 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
 def _notes_on_elements(net: Any, case: NetCase) -> Iterator[str]:
     for table, words in (
         ("shunt", "Shunts are left out"),
-        ("storage", "Batteries of the source are left out"),
         ("gen", "Generators keep their active power and lose their voltage control"),
     ):
         names = [label(net, table, i) for i in supplied(net, table, case).index]
