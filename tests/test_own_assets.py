@@ -139,3 +139,15 @@ def test_motor_is_a_load() -> None:
     assert feeder.q_load_kvar[feeder.network.bus_index[2]] == pytest.approx(67.5)
     assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu < 1e-6
+
+
+def test_flags_and_controllers_are_named() -> None:
+    def controlled(net: Any) -> None:
+        net.load["controllable"] = [True, False, True]
+        pp.create_load(net, 4, p_mw=0.01)
+        trafo = pp.control.ConstControl(net, "load", "p_mw", element_index=[0])
+        assert trafo.index == 0
+
+    notes = feeder_with(controlled).notes
+    assert "Not controllable in the source, and customers like any other: load 1, load 3." in notes
+    assert "Controllers of the source do not act: ConstControl 0 (load)." in notes

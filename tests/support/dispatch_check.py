@@ -246,6 +246,8 @@ def _switching(state: SwitchingState, d: Dispatch) -> tuple[dict[str, float], Fl
         was_on, since_h, actions = bool(state.served[c]), state.since_h[c], state.actions[c]
         for t in range(d.n_steps):
             on = bool(d.served[t, c])
+            if t > 0 and round((state.step + t) * dt_h, 6) % 24.0 < dt_h - 1e-6:
+                actions = 0.0  # another day has begun
             if on != was_on:
                 late = since_h < (rules.min_served_h if was_on else rules.min_unserved_h) - 1e-9
                 count["min served" if was_on else "min unserved"] += late

@@ -31,31 +31,30 @@ def bus_reader(lines: Table) -> Callable[[str], BusId]:
 
 def check_ids(table: Table) -> list[Problem]:
     """Identifiers that appear twice, or that a series could not use as a column."""
+    reserved = [
+        Problem(
+            table.file,
+            "is reserved for the time column",
+            "Choose another identifier.",
+            row=row,
+            field="id",
+            value=text,
+        )
+        for row, text in table.column("id").items()
+        if text == _RESERVED
+    ]
+    twice = check_once(table, "id", "Give each row its own identifier.")
+    return sorted(twice + reserved, key=lambda problem: problem.row or 0)
+
+
+def check_once(table: Table, field: str, cure: str) -> list[Problem]:
+    """Cells of a column that repeat an earlier one."""
     first: dict[str, int] = {}
     problems = []
-    for row, text in table.column("id").items():
+    for row, text in table.column(field).items():
         if text in first:
-            problems.append(
-                Problem(
-                    table.file,
-                    f"is already used in row {first[text]}",
-                    "Give each row its own identifier.",
-                    row=row,
-                    field="id",
-                    value=text,
-                )
-            )
-        elif text == _RESERVED:
-            problems.append(
-                Problem(
-                    table.file,
-                    "is reserved for the time column",
-                    "Choose another identifier.",
-                    row=row,
-                    field="id",
-                    value=text,
-                )
-            )
+            message = f"is already used in row {first[text]}"
+            problems.append(Problem(table.file, message, cure, row=row, field=field, value=text))
         first.setdefault(text, row)
     return problems
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
-from vppres.scenario.network import Network
+from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import Scenario
 
 
@@ -52,9 +52,24 @@ def _canonical_network(network: Network) -> dict[str, Any]:
     columns = [*ends, network.r_ohm.tolist(), network.x_ohm.tolist()]
     if network.has_ratings:  # folders without ratings keep their digest
         columns.append(network.i_max_a.tolist())
+    columns += [getattr(network, name).tolist() for name in _own_columns(network)]
     lines = zip(*columns, strict=True)
     scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]
     return {
         "lines": sorted((list(line) for line in lines), key=str),
         **{name: _canonical(getattr(network, name)) for name in scalars},
+        **({"buses": _canonical_buses(network)} if network.has_draws else {}),
     }
+
+
+def _own_columns(network: Network) -> list[str]:
+    """Ratios and charging where there are any; folders without them keep their digest."""
+    ratios = ["ratio"] if network.has_ratios else []
+    return ratios + (["b_us", "g_us"] if network.has_charging else [])
+
+
+def _canonical_buses(network: Network) -> list[list[Any]]:
+    """What the buses draw by themselves, sorted."""
+    columns = [getattr(network, name).tolist() for name in BUS_DRAWS]
+    rows = zip(_canonical(network.buses), *columns, strict=True)
+    return sorted((list(row) for row in rows if any(row[1:])), key=str)

@@ -40,7 +40,8 @@ def check_scenario(scenario: Scenario) -> None:
     >>> from vppres.io.find import load_scenario
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
-    problems = folded([*_names(scenario), *_numbers(scenario), *_limits(scenario)])
+    numbers = [*_numbers(scenario), *_power_factors(scenario), *_limits(scenario)]
+    problems = folded([*_names(scenario), *numbers])
     if problems:
         raise InputError(problems)
 
@@ -72,6 +73,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
     """Numbers out of the bounds of the table of attributes."""
     tables: list[tuple[str, object, type[BaseModel]]] = [
         ("lines", scenario.network, schema.LineRow),
+        ("buses", scenario.network, schema.BusRow),
         ("network", scenario.network, schema.NetworkSection),
         ("customers", scenario.customers, schema.CustomerRow),
         ("pv", scenario.pv, schema.PVRow),
@@ -97,6 +99,20 @@ def _limits(scenario: Scenario) -> Iterator[Problem]:
             "Correct one of the limits.",
             field="soc_min",
             value=float(batteries.soc_min[i]),
+        )
+
+
+def _power_factors(scenario: Scenario) -> Iterator[Problem]:
+    """Loads of hardly any active power."""
+    customers = scenario.customers
+    for i in np.flatnonzero(np.abs(customers.power_factor) < schema.MIN_POWER_FACTOR):
+        yield Problem(
+            "customers",
+            f"must be at least {schema.MIN_POWER_FACTOR:g} in size",
+            schema.cure(schema.CustomerRow.model_fields["power_factor"]),
+            row=int(i),
+            field="power_factor",
+            value=float(customers.power_factor[i]),
         )
 
 

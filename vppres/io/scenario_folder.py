@@ -25,7 +25,11 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 
 # Tables that a folder may lack, with the model of their rows.
-_OPTIONAL: dict[str, type[BaseModel]] = {"pv": schema.PVRow, "batteries": schema.BatteryRow}
+_OPTIONAL: dict[str, type[BaseModel]] = {
+    "buses": schema.BusRow,
+    "pv": schema.PVRow,
+    "batteries": schema.BatteryRow,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,7 @@ class _Folder:
 
     settings: Settings
     lines: Table | None
+    buses: Table | None
     customers: Table | None
     pv: Table | None
     batteries: Table | None
@@ -47,6 +52,7 @@ class _Rows:
     """The sound rows of each table, by line of the file."""
 
     lines: dict[int, schema.LineRow]
+    buses: dict[int, schema.BusRow]
     customers: dict[int, schema.CustomerRow]
     pv: dict[int, schema.PVRow]
     batteries: dict[int, schema.BatteryRow]
@@ -108,27 +114,31 @@ def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
 
 def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     lines, line_problems = read_rows(content.lines, schema.LineRow)
+    buses, bus_problems = read_rows(content.buses, schema.BusRow)
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
     return (
-        _Rows(lines, customers, pv, batteries),
-        line_problems + customer_problems + pv_problems + battery_problems,
+        _Rows(lines, buses, customers, pv, batteries),
+        line_problems + bus_problems + customer_problems + pv_problems + battery_problems,
     )
 
 
 def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     """Every check that needs more than one row or more than one file."""
     lines = content.lines
+    buses = content.buses
     customers = content.customers
     pv = content.pv
     batteries = content.batteries
     problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
+    if buses:
+        problems += checks.check_once(buses, "bus", "Give each bus one row.")
     if lines:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
             p
-            for table in (customers, pv, batteries)
+            for table in (buses, customers, pv, batteries)
             if table
             for p in checks.check_buses(table, lines)
         ]
@@ -272,7 +282,7 @@ def _assemble(
         name=file.name,
         title=file.title or file.name,
         grid=grid,
-        network=_network(file.network, rows.lines, read_bus),
+        network=_network(file.network, rows.lines, rows.buses, read_bus),
         customers=_customers(rows.customers, file.tiers, read_bus),
         pv=_pv(rows.pv, read_bus),
         batteries=_batteries(rows.batteries, read_bus),
@@ -296,14 +306,17 @@ def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str,
 def _network(
     section: schema.NetworkSection,
     rows: Mapping[int, schema.LineRow],
+    buses: Mapping[int, schema.BusRow],
     read_bus: Callable[[str], BusId],
 ) -> Network:
     columns = _columns(rows, schema.LineRow)
+    draws = _columns(buses, schema.BusRow)
+    draws["drawing_bus"] = [read_bus(text) for text in draws.pop("bus")]
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]
     columns["i_max_a"] = [np.inf if i_max_a is None else i_max_a for i_max_a in columns["i_max_a"]]
     scalars = {**section.model_dump(), "slack_bus": read_bus(section.slack_bus)}
-    return Network(**columns, **scalars)
+    return Network(**columns, **draws, **scalars)
 
 
 def _customers(
@@ -321,8 +334,7 @@ def _customers(
 
 def _pv(rows: Mapping[int, schema.PVRow], read_bus: Callable[[str], BusId]) -> PVSystems:
     columns = _columns(rows, schema.PVRow)
-    columns["customer"] = [row.customer or "" for row in rows.values()]
-    columns["bus"] = [None if row.bus is None else read_bus(row.bus) for row in rows.values()]
+    columns["bus"] = [read_bus(row.bus) if row.bus else None for row in rows.values()]
     return PVSystems(**columns)
 
 

@@ -20,7 +20,7 @@ from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
-from vppres.scenario.network import BusId
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -128,14 +128,34 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
         "system": _system_frame(scenario),
     }
-    rating_a = frames["lines"].pop("i_max_a")
-    if np.isfinite(rating_a).any():
-        frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
+    rating_a = frames["lines"]["i_max_a"]
+    frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
+    frames["lines"] = _without(frames["lines"], LINE_DEFAULTS | {"i_max_a": np.nan})
+    if network.has_draws:
+        frames["buses"] = _bus_frame(network)
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
     if (customers.shed_steps == 1).all():
         frames["customers"] = frames["customers"].drop(columns="shed_steps")
     return frames
+
+
+def _bus_frame(network: Network) -> pd.DataFrame:
+    """What the buses draw by themselves, without buses and columns of nothing."""
+    columns = {name: getattr(network, name) for name in BUS_DRAWS}
+    frame = pd.DataFrame({"bus": network.buses, **columns})
+    draws = (frame[[*BUS_DRAWS]] != 0).any(axis=1)
+    return _without(frame[draws], dict.fromkeys(BUS_DRAWS, 0.0))
+
+
+def _without(frame: pd.DataFrame, neutral: dict[str, float]) -> pd.DataFrame:
+    """A table without the columns that have their neutral value in every row."""
+    says_nothing = [
+        name
+        for name, value in neutral.items()
+        if (frame[name].isna() if np.isnan(value) else frame[name] == value).all()
+    ]
+    return frame.drop(columns=says_nothing)
 
 
 def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:

@@ -23,8 +23,10 @@ Unit = dict[str, Any]
 
 KW: Unit = {"unit": "kW"}
 KVA: Unit = {"unit": "kVA"}
+KVAR: Unit = {"unit": "kvar"}
 KWH: Unit = {"unit": "kWh"}
 OHM: Unit = {"unit": "ohm"}
+US: Unit = {"unit": "µS"}
 PU: Unit = {"unit": "pu"}
 CELSIUS: Unit = {"unit": "°C"}
 PER_C2: Unit = {"unit": "1/°C²"}
@@ -41,13 +43,17 @@ MAX_TITLE_LENGTH = 300
 # unit or of typing, and the sums and products of the solvers would lose their digits.
 MIN_KW = 1e-3  # 1 W; what is smaller is not there
 MAX_KW = 1e6  # 1 GW, a large power station; energy for an hour of it
+MAX_KVAR = 1e6  # 1 Gvar, a large compensator
 MIN_OHM = 1e-7  # a centimetre of busbar
+MIN_RATIO = 0.1  # no tap changer leaves 30 % of the nominal voltage
+MAX_RATIO = 10.0
+MAX_US = 1e9  # 1 kS shorts any feeder
 MAX_OHM = 1e4  # insulated rather than connected: 10,000 km of overhead line have 3,000 ohm
 MAX_A = 1e6  # generator leads of the largest machines carry 4e4 A
 MIN_KV = 0.05  # extra-low voltage ends here
 MAX_KV = 1200.0  # the highest transmission voltage in service
 MIN_PU = 0.1  # a voltage collapses long before
-MIN_POWER_FACTOR = 0.01  # a load of hardly any active power
+MIN_POWER_FACTOR = 0.01  # a load of hardly any active power; leading ones are negative
 MIN_EFFICIENCY = 0.01
 MAX_PRICE = 1e4  # 500 times the value of lost load, room for other currencies
 MIN_WEIGHT = 1e-6  # the ratio of two customers' weights keeps within the digits of the solvers
@@ -80,6 +86,20 @@ Name = Annotated[str, _sound(MAX_NAME_LENGTH)]
 Title = Annotated[str, _sound(MAX_TITLE_LENGTH)]
 
 
+def _active(power_factor: float) -> float:
+    """A power factor of a load with active power."""
+    if abs(power_factor) < MIN_POWER_FACTOR:
+        raise PydanticCustomError(
+            "flawed_number",
+            "{message}",
+            {
+                "message": f"must be at least {MIN_POWER_FACTOR:g}, or at most "
+                f"-{MIN_POWER_FACTOR:g} where the load feeds reactive power",
+            },
+        )
+    return power_factor
+
+
 class Row(BaseModel):
     """One row of a table; every cell arrives as text."""
 
@@ -94,13 +114,73 @@ class LineRow(Row):
     r_ohm: float = Field(
         ge=MIN_OHM, le=MAX_OHM, description="series resistance", json_schema_extra=OHM
     )
-    x_ohm: float = Field(ge=0, le=MAX_OHM, description="series reactance", json_schema_extra=OHM)
+    x_ohm: float = Field(
+        ge=-MAX_OHM,
+        le=MAX_OHM,
+        description="series reactance (negative: a series capacitor, or a winding of a star)",
+        json_schema_extra=OHM,
+    )
     i_max_a: float | None = Field(
         default=None,
         ge=MIN_KW,
         le=MAX_A,
         description="thermal rating for the report's line loading (empty: none)",
         json_schema_extra={"unit": "A"},
+    )
+    ratio: float = Field(
+        default=1.0,
+        ge=MIN_RATIO,
+        le=MAX_RATIO,
+        description="voltage in pu at from_bus over that at to_bus at no load: an ideal "
+        "transformer at from_bus, with the line's impedance and charging behind it",
+    )
+    b_us: float = Field(
+        default=0.0,
+        ge=-MAX_US,
+        le=MAX_US,
+        description="charging susceptance of the whole line, half at each end",
+        json_schema_extra=US,
+    )
+    g_us: float = Field(
+        default=0.0,
+        ge=-MAX_US,
+        le=MAX_US,
+        description="leakage conductance of the whole line, half at each end",
+        json_schema_extra=US,
+    )
+
+
+class BusRow(Row):
+    """What a bus draws that no customer owns; buses that draw nothing need no row."""
+
+    bus: Name = Field(description="bus of the network")
+    p_shunt_kw: float = Field(
+        default=0.0,
+        ge=-MAX_KW,
+        le=MAX_KW,
+        description="active power that the bus's shunt draws at 1 pu",
+        json_schema_extra=KW,
+    )
+    q_shunt_kvar: float = Field(
+        default=0.0,
+        ge=-MAX_KVAR,
+        le=MAX_KVAR,
+        description="reactive power that the bus's shunt draws at 1 pu (negative: a capacitor)",
+        json_schema_extra=KVAR,
+    )
+    p_fixed_kw: float = Field(
+        default=0.0,
+        ge=-MAX_KW,
+        le=MAX_KW,
+        description="constant active power drawn at the bus",
+        json_schema_extra=KW,
+    )
+    q_fixed_kvar: float = Field(
+        default=0.0,
+        ge=-MAX_KVAR,
+        le=MAX_KVAR,
+        description="constant reactive power drawn at the bus",
+        json_schema_extra=KVAR,
     )
 
 
@@ -110,8 +190,8 @@ class CustomerRow(Row):
     id: Name = Field(description="identifier of the customer")
     bus: Name = Field(description="bus of the customer")
     tier: Name = Field(description="priority tier, one of scenario.toml's tiers")
-    power_factor: float = Field(
-        ge=MIN_POWER_FACTOR, le=1, description="lagging power factor of the load"
+    power_factor: Annotated[float, AfterValidator(_active)] = Field(
+        ge=-1, le=1, description="power factor of the load (negative: leading)"
     )
     weight: float | None = Field(
         default=None,
@@ -132,8 +212,8 @@ class PVRow(Row):
     """A PV system behind a customer's meter, or one that stands alone at a bus."""
 
     id: Name = Field(description="identifier of the PV system")
-    customer: Name | None = Field(
-        default=None,
+    customer: Name = Field(
+        default="",
         description="customer that owns the PV system (empty: it stands alone at its `bus`)",
     )
     p_max_kw: float = Field(
@@ -145,8 +225,8 @@ class PVRow(Row):
     kind: Name = Field(
         default="pv", description="kind of generator: `pv`, `wind` or another word for the report"
     )
-    bus: Name | None = Field(
-        default=None, description="bus of a system that stands alone (empty: that of its customer)"
+    bus: Name = Field(
+        default="", description="bus of a system that stands alone (empty: that of its customer)"
     )
 
 
@@ -453,6 +533,9 @@ class FilesSection(Section):
     """File names inside the folder; the suffix chooses CSV or Parquet."""
 
     lines: Name = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
+    buses: Name = Field(
+        default="buses.csv", pattern=_FILE_NAME, description="file of what buses draw by themselves"
+    )
     customers: Name = Field(
         default="customers.csv", pattern=_FILE_NAME, description="file of the customers"
     )
@@ -504,6 +587,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [switching]": SwitchingSection,
     "scenario.toml, [files]": FilesSection,
     "lines.csv": LineRow,
+    "buses.csv": BusRow,
     "customers.csv": CustomerRow,
     "pv.csv": PVRow,
     "batteries.csv": BatteryRow,

@@ -21,8 +21,9 @@ SOC_ROUNDING = 1e-6
 class Customers:
     """Customers, shape (C,) each.
 
-    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging;
-    ``shed_steps`` are the equal parts that may be switched apart, 1 (all or nothing) if not given.
+    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is negative where
+    the load feeds reactive power (leading); ``shed_steps`` are the equal parts that may be switched
+    apart, 1 (all or nothing) if not given.
     """
 
     id: Names
@@ -50,7 +51,7 @@ class Customers:
 
     @property
     def q_per_p(self) -> Floats:
-        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``."""
+        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``, negative if leading."""
         return np.tan(np.arccos(self.power_factor))
 
 
