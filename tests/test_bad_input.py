@@ -44,7 +44,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "scenario.toml",
         'kind = "mpc"',
         "kind =",
-        ["scenario.toml, row 33: is not valid TOML: Invalid value. Correct this line."],
+        ["scenario.toml, row 34: is not valid TOML: Invalid value. Correct this line."],
     ),
     "unknown section": (
         "scenario.toml",
@@ -797,7 +797,8 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         [
             "system.csv, time: the column is missing. "
             "Give the beginning of the step, ISO 8601 with time zone.",
-            "system.csv, hour: is not a known column. Remove it. Known: time, grid_limit_kw.",
+            "system.csv, hour: is not a known column. Remove it. Known: time, grid_limit_kw, "
+            "export_limit_kw, export_price_gbp_per_kwh.",
         ],
     ),
     "no time column beside the customers": (

@@ -255,3 +255,20 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
             value=cell_text(series.frame[name].iloc[i]),
         ),
     )
+
+
+def check_one_export_limit(file: schema.ScenarioFile | None, system: Table | None) -> list[Problem]:
+    """Whether the export has its limit in one place only."""
+    if file is None or file.network.export_limit_kw is None or system is None:
+        return []
+    if "export_limit_kw" not in system.names:
+        return []
+    return [
+        Problem(
+            "scenario.toml",
+            f"is also a column of {system.file}",
+            "Keep the key for one limit of all steps, or the column for one of each step.",
+            field="network.export_limit_kw",
+            value=file.network.export_limit_kw,
+        )
+    ]

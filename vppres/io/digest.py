@@ -14,12 +14,17 @@ from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import Scenario
 
+_EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
+# What is said of a scenario and changes no result.
+_WITHOUT_EFFECT = {"source", "zone"}
+
 
 def scenario_digest(scenario: Scenario) -> str:
     """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
 
     The file format, the order of the lines and the way a number was written (``60`` or ``60.0``)
-    do not matter; every value, identifier and name does.
+    do not matter; every value, identifier and name does. Where the feeder comes from and the zone
+    of its clocks do not: no result depends on them.
     """
     text = json.dumps(_canonical(scenario), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -32,9 +37,16 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, PVSystems):
         return _canonical_pv(value)
     if is_dataclass(value):
-        return {f.name: _canonical(getattr(value, f.name)) for f in fields(value)}
+        left_out = _WITHOUT_EFFECT
+        # A connection that imports only keeps the digest from before there was another.
+        if isinstance(value, Scenario) and not value.exports:
+            left_out = left_out | _EXPORT
+        names = [f.name for f in fields(value) if f.name not in left_out]
+        return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
         return value.tz_convert("UTC").isoformat()
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return float(value)
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)

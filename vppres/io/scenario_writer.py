@@ -23,6 +23,8 @@ from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.source import Source
+from vppres.scenario.timegrid import UTC, TimeGrid
 
 
 def write_scenario(scenario: Scenario, folder: str | Path) -> None:
@@ -66,15 +68,12 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
     network = scenario.network
     grid = scenario.grid
-    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    document = {
+    of_network = {f.name for f in fields(network)} - {"slack_bus"}
+    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
-        "time": {
-            "start": grid.start.to_pydatetime(),
-            "step_minutes": float(grid.step_minutes),
-            "steps": int(grid.n_steps),
-        },
+        "time": _time(grid),
         "network": {
             "slack_bus": _plain(network.slack_bus),
             **{name: float(getattr(network, name)) for name in limits},
@@ -90,15 +89,42 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
+        document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
     if scenario.switching != SwitchingRules():
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
         }
+    if scenario.source:
+        document["source"] = _source(scenario.source)
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
         raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
     return document
+
+
+def _time(grid: TimeGrid) -> dict[str, Any]:
+    """The time grid; the zone of the clocks only where it is not UTC."""
+    return {
+        "start": grid.start.to_pydatetime(),
+        "step_minutes": float(grid.step_minutes),
+        "steps": int(grid.n_steps),
+        **({"zone": grid.zone} if grid.zone != UTC else {}),
+    }
+
+
+def _source(source: Source) -> dict[str, Any]:
+    """What is known of the source; TOML has no word for what is not."""
+    deviation = {
+        name: float(value) for name, value in asdict(source.deviation).items() if value is not None
+    }
+    return {
+        "name": source.name,
+        "kind": source.kind,
+        "notes": list(source.notes),
+        **({"deviation": deviation} if deviation else {}),
+    }
 
 
 def _plain(bus: object) -> BusId:
@@ -194,4 +220,8 @@ def _system_frame(scenario: Scenario) -> pd.DataFrame:
     }
     if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
         columns["grid_limit_kw"] = limit_kw
+    if scenario.export_limit_kw.ndim:
+        columns["export_limit_kw"] = scenario.export_limit_kw
+    if scenario.export_price_gbp_per_kwh.any():
+        columns["export_price_gbp_per_kwh"] = scenario.export_price
     return pd.DataFrame(columns)

@@ -18,6 +18,8 @@ from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.scenario import ObjectiveWeights
+from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
+from vppres.scenario.timegrid import UTC, is_zone
 
 Unit = dict[str, Any]
 
@@ -84,6 +86,22 @@ def _sound(longest: int) -> AfterValidator:
 
 Name = Annotated[str, _sound(MAX_NAME_LENGTH)]
 Title = Annotated[str, _sound(MAX_TITLE_LENGTH)]
+SourceName = Annotated[str, _sound(MAX_SOURCE_LENGTH)]
+Note = Annotated[str, _sound(MAX_NOTE_LENGTH)]
+
+
+def _known_zone(name: str) -> str:
+    """Refuse what is no time zone."""
+    if not is_zone(name):
+        raise PydanticCustomError(
+            "flawed_name",
+            "{message}",
+            {
+                "message": "is not the name of a time zone",
+                "cure": "Give one such as Europe/London, or leave the key out: UTC.",
+            },
+        )
+    return name
 
 
 def _active(power_factor: float) -> float:
@@ -372,6 +390,21 @@ class SystemSeries(Row):
         description="largest import from the grid (inf, or no such column: no limit)",
         json_schema_extra=KW,
     )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid (inf: no limit; no such column: what scenario.toml "
+        "says); 0 in an outage, whatever it says",
+        json_schema_extra=KW,
+    )
+    export_price_gbp_per_kwh: float = Field(
+        default=0.0,
+        ge=-MAX_PRICE,
+        le=MAX_PRICE,
+        description="what exported energy earns (negative: the feeder pays)",
+        json_schema_extra=GBP_PER_KWH,
+    )
 
 
 class Section(BaseModel):
@@ -388,6 +421,9 @@ class TimeSection(Section):
         ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"}
     )
     steps: int = Field(ge=1, le=MAX_STEPS, description="number of steps")
+    zone: Annotated[Name, AfterValidator(_known_zone)] = Field(
+        default=UTC, description="time zone of the clocks on the feeder, for the report"
+    )
 
 
 class NetworkSection(Section):
@@ -441,6 +477,14 @@ class NetworkSection(Section):
         le=2,
         description="highest voltage allowed in the AC power flow",
         json_schema_extra=PU,
+    )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid in all steps; 0 imports only (no such key: what "
+        "system.csv says, or no limit)",
+        json_schema_extra=KW,
     )
 
 
@@ -529,6 +573,45 @@ else:
     )
 
 
+class DeviationSection(Section):
+    """Largest difference of a bus voltage from the AC power flow of the source."""
+
+    no_load_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="without loads and generators (no such key: not known)",
+        json_schema_extra=PU,
+    )
+    as_given_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="with the loads and generators that the source gives (no such key: not known)",
+        json_schema_extra=PU,
+    )
+    worst_hour_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="in the hour of the series in which the voltages differ most (no such key: not "
+        "known)",
+        json_schema_extra=PU,
+    )
+
+
+class SourceSection(Section):
+    """Where the feeder comes from; it changes no result."""
+
+    name: SourceName = Field(default="", description="name of the network or its file")
+    kind: SourceName = Field(default="", description="which tool's it is")
+    notes: list[Note] = Field(
+        default=[],
+        max_length=MAX_NOTES,
+        description="what was simplified, left out or drawn, one sentence each",
+    )
+    deviation: DeviationSection = Field(
+        default=DeviationSection(), description="table [source.deviation]"
+    )
+
+
 class FilesSection(Section):
     """File names inside the folder; the suffix chooses CSV or Parquet."""
 
@@ -574,6 +657,7 @@ class ScenarioFile(Section):
         default=ControllerSection(), description="table [controller]"
     )
     switching: SwitchingSection = Field(default=SwitchingSection(), description="table [switching]")
+    source: SourceSection = Field(default=SourceSection(), description="table [source]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
 
@@ -585,6 +669,8 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [[outages]]": OutageSection,
     "scenario.toml, [controller]": ControllerSection,
     "scenario.toml, [switching]": SwitchingSection,
+    "scenario.toml, [source]": SourceSection,
+    "scenario.toml, [source.deviation]": DeviationSection,
     "scenario.toml, [files]": FilesSection,
     "lines.csv": LineRow,
     "buses.csv": BusRow,

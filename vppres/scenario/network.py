@@ -170,7 +170,8 @@ class Network:
         wrong = [
             Problem(
                 "buses",
-                f"must have one value for each of the {len(self.drawing_bus)} buses that draw power",
+                f"must have one value for each of the {len(self.drawing_bus)} buses that draw "
+                "power",
                 "Give the power at nominal voltage, or the constant power, of each of them.",
                 field=name,
                 value=len(getattr(self, name)),
