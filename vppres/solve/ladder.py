@@ -18,6 +18,7 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
+from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import all_terms, everyone_served, service_then_cost
 from vppres.solve.network.decide import enter_network
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -150,12 +151,20 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
-    if (task.data.grid_limit_kw > 0.0).all():
+    if worth_everyone(task):
         everyone_served(task)
     for rung in rungs(task):
         if task.goes_on and not task.search.passed:
             rung(task)
     enter_network(task)
+
+
+def worth_everyone(task: WindowTask) -> bool:
+    """Whether to try to serve everyone before any search: connected throughout, or in reach."""
+    data = task.data
+    if (data.grid_limit_kw > 0.0).all():
+        return True
+    return data.switching is None and everyone_in_reach(task.site, data)
 
 
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
