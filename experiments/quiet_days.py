@@ -142,7 +142,7 @@ def run_one(seed: int) -> QuietOutcome:
         if difference(one, other)
     ]
     return QuietOutcome(
-        seed, day.values, day.options.controller, day.options.mode, len(plain), changed, ended
+        seed, day.values, day.options.controller, str(day.options.mode), len(plain), changed, ended
     )
 
 

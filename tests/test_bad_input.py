@@ -44,7 +44,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "scenario.toml",
         'kind = "mpc"',
         "kind =",
-        ["scenario.toml, row 33: is not valid TOML: Invalid value. Correct this line."],
+        ["scenario.toml, row 34: is not valid TOML: Invalid value. Correct this line."],
     ),
     "unknown section": (
         "scenario.toml",
@@ -441,11 +441,24 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "1,2,0,0.2",
         ["lines.csv, row 2, r_ohm = 0: must be at least 1e-07. Give the series resistance in ohm."],
     ),
-    "negative reactance": (
+    "reactance of an insulator": (
         "lines.csv",
         "1,2,0.3,0.2",
-        "1,2,0.3,-0.2",
-        ["lines.csv, row 2, x_ohm = -0.2: must be at least 0. Give the series reactance in ohm."],
+        "1,2,0.3,-2e4",
+        [
+            "lines.csv, row 2, x_ohm = -2e4: must be at least -10000. Give the series reactance "
+            "(negative: a series capacitor, or a winding of a star) in ohm."
+        ],
+    ),
+    "ratio of a voltage level": (
+        "lines.csv",
+        "from_bus,to_bus,r_ohm,x_ohm\n1,2,0.3,0.2\n2,3,0.4,0.3\n2,4,0.5,0.4",
+        "from_bus,to_bus,r_ohm,x_ohm,ratio\n1,2,0.3,0.2,27.5\n2,3,0.4,0.3,\n2,4,0.5,0.4,1",
+        [
+            "lines.csv, row 2, ratio = 27.5: must be at most 10. Give the voltage in pu at "
+            "from_bus over that at to_bus at no load: an ideal transformer at from_bus, with the "
+            "line's impedance and charging behind it."
+        ],
     ),
     "line without end": (
         "lines.csv",
@@ -515,7 +528,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "high,1.1",
         [
             "customers.csv, row 3, power_factor = 1.1: must be at most 1. "
-            "Give the lagging power factor of the load."
+            "Give the power factor of the load (negative: leading)."
         ],
     ),
     "power factor in words": (
@@ -524,7 +537,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "high,good",
         [
             "customers.csv, row 3, power_factor = good: is not a number. "
-            "Give the lagging power factor of the load."
+            "Give the power factor of the load (negative: leading)."
         ],
     ),
     "weight of zero": (
@@ -772,7 +785,8 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         [
             "system.csv, time: the column is missing. "
             "Give the beginning of the step, ISO 8601 with time zone.",
-            "system.csv, hour: is not a known column. Remove it. Known: time, grid_limit_kw.",
+            "system.csv, hour: is not a known column. Remove it. Known: time, grid_limit_kw, "
+            "export_limit_kw, export_price_gbp_per_kwh.",
         ],
     ),
     "no time column beside the customers": (
@@ -870,8 +884,9 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "hospital,2,critical,0.95\nshop,3,high,0.9",
         "hospital,2,critical,0\nclinic,5,high,0.9",
         [
-            "customers.csv, row 2, power_factor = 0: must be at least 0.01. "
-            "Give the lagging power factor of the load.",
+            "customers.csv, row 2, power_factor = 0: must be at least 0.01, or at most -0.01 "
+            "where the load feeds reactive power. "
+            "Give the power factor of the load (negative: leading).",
             "customers.csv, row 3, bus = 5: is not a bus of lines.csv. Correct the bus. "
             "Known: 1, 2, 3, 4.",
             "load_kw.csv, clinic: the column is missing. "
@@ -1030,7 +1045,7 @@ def test_problems_of_one_kind_are_folded(tiny_folder: Path) -> None:
     assert len(found) == 2 * MAX_PROBLEMS_PER_KIND
     assert [m for m in found if " more" in m] == [
         "customers.csv, row 11, power_factor = 2: must be at most 1, and 50 more. "
-        "Give the lagging power factor of the load.",
+        "Give the power factor of the load (negative: leading).",
         "customers.csv, row 15, bus = 13: is not a bus of lines.csv, and 46 more. Did you mean 3?",
     ]
 

@@ -548,8 +548,8 @@ def test_simbench_code_that_does_not_exist() -> None:
         ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
         (
             "a.m",
-            MATPOWER_CASE + "mpc.bus(:, 3) = mpc.bus(:, 3) / 1e3;\n",
-            "a.m: computes mpc.bus in code, which only MATPOWER can run. Load the case in MATPOWER, write "
+            MATPOWER_CASE + "mpc.bus(:, 3) = scaled(mpc.bus(:, 3));\n",
+            "a.m, row 14: calls 'scaled', which is not evaluated. Load the case in MATPOWER, write "
             "it with savecase, and import that file.",
         ),
         (
@@ -594,7 +594,6 @@ def test_unknown_networks(name: str, source: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("module", "extra", "name", "source"),
     [
-        ("matpowercaseframes", "matpower", "pair.m", None),
         ("opendssdirect", "opendss", "mill.dss", None),
         ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
     ],

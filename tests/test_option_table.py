@@ -40,7 +40,7 @@ def leaves(record: dict[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def test_every_field_of_the_options_has_one_row_with_its_default() -> None:
-    rows = [(option.field, option.default) for option in OPTIONS]
+    rows = [(option.field, option.run_default) for option in OPTIONS]
     assert len({option.name for option in OPTIONS}) == len(OPTIONS) == len(dict(rows))
     assert dict(rows) == leaves(asdict(RunOptions()))
 

@@ -28,7 +28,7 @@ from vppres.io import (
     write_scenario,
 )
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-from vppres.scenario.network import Network
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -44,10 +44,11 @@ def assert_equal(a: Scenario, b: Scenario) -> None:
         for f in fields(getattr(a, table)):
             mine, other = (getattr(getattr(s, table), f.name) for s in (a, b))
             np.testing.assert_array_equal(mine, other)
-    for name in ("buses", "from_bus", "to_bus", "r_ohm", "x_ohm"):
+    for name in ("buses", "from_bus", "to_bus", "r_ohm", "x_ohm", *LINE_DEFAULTS, *BUS_DRAWS):
         np.testing.assert_array_equal(getattr(a.network, name), getattr(b.network, name))
     for name in schema.NetworkSection.model_fields:
-        assert getattr(a.network, name) == getattr(b.network, name)
+        owners = (a, b) if name == "export_limit_kw" else (a.network, b.network)
+        assert getattr(owners[0], name) == getattr(owners[1], name)
     for name in ("name", "title", "grid", "tiers", "objective", "controller"):
         assert getattr(a, name) == getattr(b, name)
 
@@ -62,6 +63,50 @@ def test_round_trip(tiny: Scenario, tiny_folder: Path) -> None:
     assert_equal(read, tiny)
     assert scenario_digest(read) == scenario_digest(tiny)
     assert [type(bus) for bus in read.customers.bus] == [int, int, int]
+
+
+def with_transformer(scenario: Scenario) -> Scenario:
+    """A tap, charging, a capacitor, a fixed demand and a leading load."""
+    network = replace(
+        scenario.network,
+        ratio=[1.0, 1.0375, 1.0],
+        b_us=[12.5, 0.0, 3.0],
+        g_us=[0.0, 1.0, 0.0],
+        drawing_bus=[4, 3],
+        p_shunt_kw=[],
+        q_shunt_kvar=[-300.0, 0.0],
+        p_fixed_kw=[0.0, 1.5],
+        q_fixed_kvar=[],
+    )
+    customers = replace(scenario.customers, power_factor=[0.95, -0.9, -1.0])
+    return replace(scenario, network=network, customers=customers)
+
+
+def test_ratios_charging_and_shunts_come_back(tiny: Scenario, tmp_path: Path) -> None:
+    scenario = with_transformer(tiny)
+    read = round_trip(scenario, tmp_path / "other")
+    assert_equal(read, scenario)
+    assert scenario_digest(read) == scenario_digest(scenario) != scenario_digest(tiny)
+    buses = (tmp_path / "other" / "buses.csv").read_text(encoding="utf-8").splitlines()
+    assert buses == ["bus,q_shunt_kvar,p_fixed_kw", "3,0.0,1.5", "4,-300.0,0.0"]
+    assert read.customers.q_per_p[1] == pytest.approx(-np.tan(np.arccos(0.9)))
+
+
+def test_a_network_without_them_has_no_file_and_no_column_of_them(tiny_folder: Path) -> None:
+    assert not (tiny_folder / "buses.csv").exists()
+    header = (tiny_folder / "lines.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "from_bus,to_bus,r_ohm,x_ohm"
+
+
+def test_a_bus_of_the_table_must_be_in_the_network_and_there_once(tiny_folder: Path) -> None:
+    text = "bus,p_fixed_kw,q_shunt_kvar\n3,1.0,\n3,,5\n9,1,1\n"
+    (tiny_folder / "buses.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        read_scenario(tiny_folder)
+    assert [str(problem) for problem in error.value.problems] == [
+        "buses.csv, row 3, bus = 3: is already used in row 2. Give each bus one row.",
+        "buses.csv, row 4, bus = 9: is not a bus of lines.csv. Correct the bus. Known: 1, 2, 3, 4.",
+    ]
 
 
 def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path: Path) -> None:
@@ -448,6 +493,8 @@ def test_every_attribute_is_described_and_physical_ones_have_the_unit_of_their_n
     suffixes = {
         "_kw": "kW",
         "_kva": "kVA",
+        "_kvar": "kvar",
+        "_us": "µS",
         "_kwh": "kWh",
         "_ohm": "ohm",
         "_pu": "pu",

@@ -127,6 +127,48 @@ def test_restored_customer_is_not_dropped_at_once(
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("step", "spent", "expected"),
+    [
+        (0, 0, [True, False, False]),  # one day: off is all that is left
+        (22, 0, [True, False, True]),  # midnight before the last hour: off today, on tomorrow
+        (22, 1, [False, False, True]),  # all of today is spent, and everybody was off
+        (23, 0, [True, False, False]),  # midnight before the middle: both fall into one day
+    ],
+)
+def test_limit_of_actions_holds_for_each_day_of_a_window(
+    method: str, step: int, spent: int, expected: list[bool]
+) -> None:
+    day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
+    rules = SwitchingRules(max_actions_per_customer=1)
+    state = replace(state_of(rules, [spent == 0], [NEVER], [spent]), step=step)
+    answer = solved(day, state, method)
+    assert answer.dispatch.served[:, 0].tolist() == expected
+
+
+def test_actions_of_yesterday_do_not_count() -> None:
+    state = SwitchingState.start(SwitchingRules(max_actions_per_customer=2), 6.0, 1)
+    left = []
+    for served in (False, True, True, True, True, False):
+        left.append(state.window(1).actions_left[0, 0])
+        state = state.advance(np.array([served]))
+    # Steps of six hours: off and on in the first two, midnight after the fourth.
+    assert left == [2.0, 1.0, 0.0, 0.0, 2.0, 2.0]
+    assert state.window(6).day.tolist() == [0, 0, 1, 1, 1, 1]
+    assert state.window(6).actions_left[:, 0].tolist() == [1.0, 2.0]
+
+
+def test_a_window_within_a_day_has_one_limit() -> None:
+    """Rules without a limit of actions never look at days, so that they compile nothing more."""
+    for rules, days in (
+        (SwitchingRules(min_served_h=1.0), 1),
+        (SwitchingRules(max_actions_per_customer=2), 2),
+    ):
+        state = replace(SwitchingState.start(rules, 1.0, 2), step=20)
+        assert (state.window(4).steps.days, state.window(5).steps.days) == (1, days)
+
+
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("price", "actions"), [(0.0, 4), (0.04, 4), (0.06, 2)])
 def test_price_refuses_what_gains_less_than_it_costs(
     method: str, price: float, actions: int

@@ -21,7 +21,7 @@ from vppres.feeders import import_network
 from vppres.feeders.new_options import NewScenarioOptions
 from vppres.feeders.new_scenario import new_scenario
 from vppres.io import write_scenario
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
 
 NAME = "two-outages-cigre-mv"
 TITLE = "Two outages in two days on the CIGRE medium-voltage feeder, in quarter hours"
@@ -78,6 +78,7 @@ def build(seed: int = SEED) -> Scenario:
         day,
         name=NAME,
         title=TITLE,
+        controller=ControllerDefaults(mode="paper"),
         load_kw=np.round(day.load_kw * np.clip(noise, 0.5, 1.5), DIGITS),
         pv_kw=np.round(day.pv_kw * _clear(draw_clouds, times)[:, np.newaxis], DIGITS),
         grid_limit_kw=np.where(back, PARTIAL_KW, day.grid_limit_kw),

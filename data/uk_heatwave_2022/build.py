@@ -84,7 +84,7 @@ def build(
         objective=ObjectiveWeights(
             published.LAMBDA_GRID, published.LAMBDA_CURT, published.LAMBDA_L, published.LAMBDA_Q
         ),
-        controller=ControllerDefaults("mpc", published.HORIZON_H),
+        controller=ControllerDefaults("mpc", published.HORIZON_H, mode="paper"),
     )
 
 

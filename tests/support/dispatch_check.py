@@ -94,7 +94,6 @@ def _signs(d: Dispatch, scale_kw: float) -> dict[str, float]:
         d.pv_curtailed_kw,
         d.charge_kw,
         d.discharge_kw,
-        d.p_grid_kw,
     )
     return {"not negative": _most(*(-part / scale_kw for part in parts))}
 
@@ -139,8 +138,11 @@ def _pv(s: Scenario, data: WindowData, d: Dispatch, items: Items) -> dict[str, f
 
 def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
     dark = data.grid_limit_kw <= 0.0
-    from_outside = d.p_grid_kw + d.pv_export_kw.sum(axis=1)
+    imported_kw, exported_kw = np.maximum(d.p_grid_kw, 0.0), np.maximum(-d.p_grid_kw, 0.0)
+    from_outside = imported_kw + d.pv_export_kw.sum(axis=1)
+    taken_kw = np.zeros(d.n_steps) if data.export is None else data.export.limit_kw * ~dark
     return {
+        "export limit": _most((exported_kw - taken_kw) / scale_kw),
         "grid limit": _most((d.p_grid_kw - data.grid_limit_kw) / scale_kw),
         "no reactive power in the dark": _most(np.abs(d.q_grid_kvar[dark]) / scale_kw),
         "circular charging": _most((d.charge_kw.sum(axis=1) - from_outside) / scale_kw),
@@ -211,7 +213,9 @@ def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
     total = 0.0
     for t in range(d.n_steps):
         service = sum(s.customers.weight[c] for c in range(len(s.customers)) if d.served[t, c])
-        cost_gbp = data.price_gbp_per_kwh[t] * d.p_grid_kw[t] * dt_h
+        exports = data.export is not None and d.p_grid_kw[t] < 0.0
+        price = data.export.price_gbp_per_kwh[t] if exports else data.price_gbp_per_kwh[t]
+        cost_gbp = price * d.p_grid_kw[t] * dt_h
         flows = sum(
             r * (p**2 + q**2)
             for r, p, q in zip(s.network.r_ohm, d.p_flow_kw[t], d.q_flow_kvar[t], strict=True)
@@ -246,6 +250,8 @@ def _switching(state: SwitchingState, d: Dispatch) -> tuple[dict[str, float], Fl
         was_on, since_h, actions = bool(state.served[c]), state.since_h[c], state.actions[c]
         for t in range(d.n_steps):
             on = bool(d.served[t, c])
+            if t > 0 and round((state.step + t) * dt_h, 6) % 24.0 < dt_h - 1e-6:
+                actions = 0.0  # another day has begun
             if on != was_on:
                 late = since_h < (rules.min_served_h if was_on else rules.min_unserved_h) - 1e-9
                 count["min served" if was_on else "min unserved"] += late

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from vppres.contract.export import Export
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 CHECKER_TOLERANCE = 1e-5
@@ -30,6 +31,7 @@ def two_buses(
     return Scenario(
         name="two-buses",
         title="Two buses",
+        controller=ControllerDefaults(mode="paper"),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
         network=Network([1], [2], [r_ohm], [r_ohm], slack_bus=1, base_kv=11.0),
         customers=Customers(
@@ -101,6 +103,7 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
         b.eta_charge,
         b.eta_discharge,
         np.zeros((n_steps, scenario.network.n_lines)),
+        export=Export.of(scenario, steps),
     )
 
 

@@ -29,6 +29,7 @@ from vppres.cli.tables import (
     error_panel,
     figures_table,
     problem_record,
+    remarks_text,
     sweep_table,
     validation_text,
 )
@@ -149,6 +150,8 @@ def run(
             _print_json({"folder": str(folder), "summary": summary})
             return
         Console().print(figures_table(summary, day.title))
+        if told := remarks_text(day, str(options.mode)):
+            typer.echo(told)
         typer.echo(f"Written to {folder}")
 
 

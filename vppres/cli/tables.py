@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from rich.panel import Panel
@@ -11,11 +12,14 @@ from rich.text import Text
 
 from vppres.core.errors import Problem
 from vppres.core.text import visible
+from vppres.scenario.remarks import remarks
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
     from vppres.studies.compare import ComparedFigure
     from vppres.studies.sweep import SweepRow
+
+REMARKS_SHOWN = 20
 
 # Key of the summary, words, format, unit; in the order of the printed table.
 FIGURES = (
@@ -44,6 +48,9 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
+        "mode": day.controller.mode,
+        "source": asdict(day.source),
+        "remarks": remarks(day),
     }
 
 
@@ -75,11 +82,21 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     if content is None:
         count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
         return "\n".join([*map(str, problems), count])
-    return (
+    holds = (
         "{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
         "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid.".format_map(content)
+        "them without grid; islands in {mode} mode.".format_map(content)
     )
+    return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
+
+
+def remarks_text(day: Scenario, mode: str) -> str:
+    """What to know beside the figures of a run, a line each; of very many the first."""
+    words = remarks(day, mode)
+    more = (
+        [f"{len(words) - REMARKS_SHOWN} more in the report."] if len(words) > REMARKS_SHOWN else []
+    )
+    return "\n".join(f"- {remark}" for remark in [*words[:REMARKS_SHOWN], *more])
 
 
 def error_panel(message: str) -> Panel:

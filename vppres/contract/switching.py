@@ -10,11 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.rules import SwitchingRules
 
 UNLIMITED = 1e6
 """Actions left where there is no limit."""
+
+DAY_H = 24.0
+"""The limit of actions holds for every 24 h from the first step on, whatever clocks say."""
 
 
 @dataclass(frozen=True)
@@ -27,16 +30,19 @@ class RuleSteps:
         Minimum times, at least 1, which is no rule.
     cold : int
         Steps of higher demand after a restoration, 0 for none.
+    days : int
+        Days of the window that have a limit of actions of their own; 1 without a limit.
     """
 
     served: int = 1
     unserved: int = 1
     cold: int = 0
+    days: int = 1
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingData:
-    """Rules of one window of W steps and C customers.
+    """Rules of one window of W steps and C customers, in D days.
 
     Parameters
     ----------
@@ -46,14 +52,16 @@ class SwitchingData:
         Who was served in the step before the window.
     served_min, served_max : array of bool, shape (W, C)
         Who must be served, and who may be, because of what happened before the window.
-    actions_left : array, shape (C,)
-        Actions that each customer has left.
+    actions_left : array, shape (D, C)
+        Actions that each customer has left in each day.
     price_per_action : float
         In weighted customer hours.
     cold_factor : float
         Demand after a restoration as a multiple of the usual one.
     cold_before : array of bool, shape (W, C)
         Whose demand would be higher for a restoration before the window, if still served.
+    day : array of int, shape (W,)
+        Day of each step, counted from that of the first.
     """
 
     steps: RuleSteps
@@ -64,6 +72,7 @@ class SwitchingData:
     price_per_action: float
     cold_factor: float
     cold_before: Flags
+    day: Wholes
 
     def part(self, steps: slice) -> SwitchingData:
         """The rules of some of the window's steps."""
@@ -71,7 +80,7 @@ class SwitchingData:
             self,
             **{
                 name: getattr(self, name)[steps]
-                for name in ("served_min", "served_max", "cold_before")
+                for name in ("served_min", "served_max", "cold_before", "day")
             },
         )
 
@@ -88,6 +97,11 @@ class SwitchingData:
         if not dark.any():
             return self
         return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
+
+    @property
+    def in_day(self) -> Flags:
+        """Whether a step is in a day, (D, W)."""
+        return np.asarray(self.day == np.arange(len(self.actions_left))[:, None])
 
     def changes(self, served: Flags) -> tuple[Flags, Flags]:
         """Who is switched on, and who off, at the beginning of each step, (W, C) each."""
@@ -110,7 +124,8 @@ class SwitchingData:
         broken = (self.served_min & ~served) | (served & ~self.served_max)
         broken |= _within(on, self.steps.served) & ~served
         broken |= _within(off, self.steps.unserved) & served
-        beyond = on.sum(axis=0) + off.sum(axis=0) > self.actions_left
+        actions = self.in_day.astype(float) @ (on | off)
+        beyond = (actions > self.actions_left).any(axis=0)
         return np.asarray(broken.any(axis=0) | beyond)
 
     def connected(self, unlimited: Flags) -> Flags:
@@ -143,9 +158,11 @@ class SwitchingState:
     since_h : array, shape (C,)
         Time since the last action in h, infinite where there was none.
     actions : array, shape (C,)
-        Actions so far.
+        Actions so far in the present day.
     duties : bool
         Whether the past demands anything of the service.
+    step : int
+        The step that begins now, counted from the first.
     """
 
     rules: SwitchingRules
@@ -154,6 +171,7 @@ class SwitchingState:
     since_h: Floats
     actions: Floats
     duties: bool = True
+    step: int = 0
 
     @classmethod
     def start(cls, rules: SwitchingRules, dt_h: float, n_customers: int) -> SwitchingState:
@@ -169,11 +187,13 @@ class SwitchingState:
     def advance(self, served: Flags) -> SwitchingState:
         """The state after a step."""
         changed = served != self.served
+        now, later = self._days(2)
         return replace(
             self,
             served=served.copy(),
-            actions=self.actions + changed,
+            actions=self.actions + changed if now == later else np.zeros(len(served)),
             since_h=np.where(changed, 0.0, self.since_h) + self.dt_h,
+            step=self.step + 1,
         )
 
     @property
@@ -187,25 +207,37 @@ class SwitchingState:
         step = np.arange(n_steps)[:, None]
         # A customer restored for good stays served for as long as any window looks.
         served_h = np.inf if rules.stay_restored else rules.min_served_h
+        most = rules.max_actions_per_customer
+        days = self._days(n_steps)
+        n_days = 1 if most is None else int(days[-1]) + 1
         shape = RuleSteps(
             served=n_steps if rules.stay_restored else self._steps(served_h, n_steps),
             unserved=self._steps(rules.min_unserved_h, n_steps),
             cold=self._steps(rules.cold_load_h, n_steps) if rules.cold else 0,
+            days=n_days,
         )
         cold_h = max(rules.cold_load_h, self.dt_h) if rules.cold else 0.0
-        most = rules.max_actions_per_customer
-        left = UNLIMITED if most is None else np.maximum(most - self.actions, 0.0)
+        left = np.full((n_days, len(self.served)), UNLIMITED if most is None else float(most))
+        if most is not None:
+            left[0] = np.maximum(most - self.actions, 0.0)
         data = SwitchingData(
             steps=shape,
             served_before=self.served,
             served_min=self.restored & (step < self._left(served_h)),
             served_max=self.served | (step >= self._left(rules.min_unserved_h)),
-            actions_left=np.broadcast_to(left, self.served.shape).astype(float),
+            actions_left=left,
             price_per_action=rules.price_per_action,
             cold_factor=rules.cold_load_factor,
             cold_before=self.restored & (step < self._left(cold_h)),
+            day=days,
         )
         return data if self.duties else data.without_duties()
+
+    def _days(self, n_steps: int) -> Wholes:
+        """Day of the steps from now on, counted from the present one, (n_steps,)."""
+        hours = (self.step + np.arange(n_steps)) * self.dt_h
+        day = np.floor(hours / DAY_H + 1e-9).astype(np.int64)
+        return np.asarray(day - day[0])
 
     def _steps(self, hours: float, n_steps: int) -> int:
         """Steps of a minimum time, at least 1; more than the window has makes no difference."""

@@ -39,6 +39,7 @@ class _Actual:
     observation: Observation
     window: WindowData
     loss_kw: float = 0.0
+    export_limit_kw: float = 0.0
 
     @property
     def battery_kw(self) -> Floats:
@@ -107,6 +108,7 @@ class FullHorizonController:
             observation,
             now,
             0.0 if self.loss_kw is None else float(self.loss_kw[row]),
+            f.export_now_kw,
         )
         reasons = self.violations(actual)
         if not reasons:
@@ -164,8 +166,8 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     """Grid import feasibility: what the AC power flow imports, net of its losses.
 
     Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
-    it; losses count as far as the plan has paid for them. A surplus that cannot be exported
-    violates as a shortage does.
+    it; losses count as far as the plan has paid for them. A surplus beyond what the grid takes
+    violates as a shortage does, and an import-only connection takes none.
     """
     plan = actual.plan
     t = actual.t
@@ -182,8 +184,9 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     limit = actual.grid_limit_kw
     if needed > limit + BALANCE_TOLERANCE_KW:
         return f"grid import: {needed - limit:.1f} kW above what the grid gives"
-    if needed < -BALANCE_TOLERANCE_KW:
-        return f"grid import: {-needed:.1f} kW surplus that cannot be exported"
+    surplus = -needed - actual.export_limit_kw
+    if surplus > BALANCE_TOLERANCE_KW:
+        return f"grid import: {surplus:.1f} kW surplus that cannot be exported"
     return ""
 
 

@@ -1,9 +1,9 @@
 """Dispatch of one step by rule, without a solver: the answer that is always there.
 
 Who is served is decided by tier, then by weight per kW. PV power comes first, then import, then the
-batteries; a surplus is stored, then curtailed. Active balance, ratings and state of charge always
-hold. The first tier is not let go for reactive power or voltages: what they lack is said instead,
-and nobody else is added who would make it worse.
+batteries; a surplus is exported as far as the grid takes it, then stored, then curtailed. Active
+balance, ratings and state of charge always hold. The first tier is not let go for reactive power or
+voltages: what they lack is said instead, and nobody else is added who would make it worse.
 """
 
 from __future__ import annotations
@@ -173,16 +173,18 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
         return None
     curtailed = _shared(max(-left_kw, 0.0), state.usable_pv_kw - own)
     export = state.usable_pv_kw - own - curtailed
-    battery = _without_circle(battery, float(state.load_kw @ served - own.sum()))
-    grid_kw = max(need_kw + float(battery.sum() + curtailed.sum()), 0.0)
+    grid_kw = need_kw + float(battery.sum() + curtailed.sum())
+    exported_kw = min(max(-grid_kw, 0.0), state.export_limit_kw)
+    battery = _without_circle(battery, float(state.load_kw @ served - own.sum()) + exported_kw)
+    grid_kw = max(need_kw + float(battery.sum() + curtailed.sum()), 0.0 - exported_kw)
     return _with_network(state, served, (own, export), battery, grid_kw)
 
 
 def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats, float]:
     """Battery power that closes the balance, and what it leaves: short if positive, else surplus.
 
-    Import takes what it can first. Then a shortage ends charging before it discharges more, and a
-    surplus ends discharging before it charges more.
+    Import and export take what they can first. Then a shortage ends charging before it discharges
+    more, and a surplus ends discharging before it charges more.
     """
     battery = wanted_kw
     short_kw = need_kw + float(battery.sum()) - state.grid_limit_kw
@@ -190,7 +192,7 @@ def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats,
         step = _shared(max(short_kw, 0.0), battery - lowest)
         battery = battery - step
         short_kw = short_kw - float(step.sum())
-    surplus_kw = -(need_kw + float(battery.sum()))
+    surplus_kw = -(need_kw + float(battery.sum())) - state.export_limit_kw
     for highest in (np.maximum(battery, 0.0), state.charge_max_kw):
         step = _shared(max(surplus_kw, 0.0), highest - battery)
         battery = battery + step

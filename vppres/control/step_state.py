@@ -41,6 +41,8 @@ class StepState:
         Offset of the delta form of LinDistFlow.
     online : array of bool, shape (B,)
         Batteries that can be used.
+    export_limit_kw : float
+        Largest export, 0 in an outage and where the connection imports only.
     """
 
     site: Site
@@ -52,6 +54,7 @@ class StepState:
     eta_discharge: Floats
     offset_pu2: Floats
     online: Flags
+    export_limit_kw: float = 0.0
 
     @classmethod
     def of(
@@ -74,6 +77,7 @@ class StepState:
             seen.eta_discharge,
             delta_offset(site.network, seen.operating_point, centre),
             every if online is None else online,
+            f.export_now_kw,
         )
 
     @property

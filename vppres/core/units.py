@@ -49,6 +49,20 @@ def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> Floats:
     return np.asarray(z_ohm, dtype=float) / (KW_PER_MW * base_kv**2)
 
 
+def us_to_kw_at_1_pu(y_us: ArrayLike, base_kv: float) -> Floats:
+    """Admittance in microsiemens to the power in kW (kvar) that it takes at nominal voltage.
+
+    >>> float(us_to_kw_at_1_pu(100.0, 10.0))
+    10.0
+    """
+    return np.asarray(y_us, dtype=float) * base_kv**2 / W_PER_KW
+
+
+def kw_at_1_pu_to_us(p_kw: ArrayLike, base_kv: float) -> Floats:
+    """Power at nominal voltage in kW (kvar) to the admittance in microsiemens that takes it."""
+    return np.asarray(p_kw, dtype=float) * W_PER_KW / base_kv**2
+
+
 def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike, voltage_v: ArrayLike) -> Floats:
     """Joule loss in kW of a DC power (kW) through a resistance (ohm) at a voltage (V).
 

@@ -38,6 +38,7 @@ def make_controller(
     faults : FaultInjector, optional
         What befalls its solvers.
     """
+    options = options.on(scenario)
     site = Site.of(scenario)
     make = IsolatedSolver if options.isolate else WindowSolver
 

@@ -15,6 +15,7 @@ from vppres.core.errors import InputError
 from vppres.physics.thermal import ThermalScheme
 from vppres.scenario.option_table import OPTIONS, default_of
 from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
 from vppres.solve.result import SolveLimits
 
 PERFECT = "perfect"
@@ -47,8 +48,9 @@ class RunOptions:
         Linearisation centre of the voltages.
     pv_check : {"absorbing", "literal"}
         Reading of the full horizon's PV check.
-    mode : {"paper", "physical"}
-        The paper's island, or one that grid-forming batteries hold, planned with losses.
+    mode : {"paper", "physical"} or None
+        The paper's island, or one that grid-forming batteries hold, planned with losses; None
+        leaves it to the scenario.
     headroom : float
         Physical mode: share of a grid-forming battery's inverter that plans leave free in an
         island.
@@ -83,7 +85,7 @@ class RunOptions:
     polygon_sides: int = default_of("polygon_sides")
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
-    mode: str = default_of("mode")
+    mode: str | None = None
     headroom: float = default_of("headroom")
     passes: int = default_of("passes")
     isolate: bool | None = default_of("isolate")
@@ -130,6 +132,10 @@ class RunOptions:
         for group, inside in groups.items():
             new[group] = replace(getattr(self, group), **inside)
         return replace(self, **new)
+
+    def on(self, scenario: Scenario) -> RunOptions:
+        """The options with the scenario's where they leave it the choice."""
+        return self if self.mode is not None else replace(self, mode=scenario.controller.mode)
 
     def as_record(self) -> dict[str, Any]:
         """The options as JSON can hold them."""

@@ -57,7 +57,7 @@ def run_day(
     SolveError
         If a window has no answer and no guard finds another.
     """
-    options = options or RunOptions()
+    options = (options or RunOptions()).on(scenario)
     check_scenario(scenario)
     parts = parts_record(scenario)
     scenario = split_sheddable(scenario)
@@ -89,7 +89,7 @@ class Day:
         self, scenario: Scenario, options: RunOptions, faults: FaultInjector | None = None
     ) -> None:
         self.scenario = scenario
-        self.options = options
+        self.options = options.on(scenario)
         self.faults = faults
         self.plant = Plant(scenario, options.thermal, options.switching)
         self.switching = (
@@ -144,7 +144,7 @@ class Day:
         done = self.carry_out(t, decision)
         realised = done.realised
         result = done.ac
-        record = _record(self.scenario, t, decision, self.state, done, self.options.mode)
+        record = _record(self.scenario, t, decision, self.state, done, str(self.options.mode))
         self.operating_point = (
             None
             if done.dark

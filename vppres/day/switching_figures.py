@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Wholes
+from vppres.core.arrays import Flags, Wholes
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.parts import part_names
 
@@ -42,9 +42,14 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
 
 def actions_of_customers(trajectory: Trajectory) -> Wholes:
     """Times that each customer was switched off or on, shape (C,)."""
+    return np.asarray(switched(trajectory).sum(axis=0))
+
+
+def switched(trajectory: Trajectory) -> Flags:
+    """Whether each customer was switched off or on at the beginning of each step, (T, C)."""
     served = trajectory.customers["served"].to_numpy(bool).reshape(len(trajectory.steps), -1)
     before = np.vstack([np.ones((1, served.shape[1]), dtype=bool), served[:-1]])
-    return np.asarray((served != before).sum(axis=0))
+    return np.asarray(served != before)
 
 
 def share_of_customers(trajectory: Trajectory) -> dict[str, float | None]:

@@ -109,6 +109,7 @@ class Recorded:
             self._eta_charge[t],
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
+            export=f.export,
         )
 
     def held(self, t: int, n_steps: int) -> Held:
@@ -149,6 +150,7 @@ class Recorded:
             now.price_gbp_per_kwh,
             now.grid_limit_kw,
             now.temperature_c,
+            now.export,
         )
 
     def _operating_point(self, t: int) -> OperatingPoint | None:

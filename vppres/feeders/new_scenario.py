@@ -23,7 +23,8 @@ from vppres.io.editor import add_editor_schema
 from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
 
 DECIMALS = 6
@@ -142,6 +143,7 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
         temperature_c=np.full(grid.n_steps, TEMPERATURE_C),
         grid_limit_kw=_grid_limit(options, grid),
         tiers=tuple(TIER_WEIGHTS),
+        controller=ControllerDefaults(mode="physical"),
     )
 
 
@@ -164,6 +166,7 @@ def write_new_scenario(
     """
     scenario = new_scenario(feeder, options)
     notes = assumptions(feeder, scenario, options)
+    scenario = replace(scenario, source=_source(feeder, notes))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
@@ -199,6 +202,13 @@ def assumptions(
         f"Prices are {options.price}; the temperature is {TEMPERATURE_C:g} °C."
     )
     return words
+
+
+def _source(feeder: ImportedFeeder, notes: list[str]) -> Source:
+    """What the scenario says of where it comes from."""
+    as_given_pu = None if feeder.deviation is None else feeder.deviation.v_max_pu
+    told = [note for note in notes if note != f"{feeder.deviation}."]  # it has a field of its own
+    return Source.of(feeder.name, notes=told, deviation=SourceDeviation(as_given_pu=as_given_pu))
 
 
 def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Problem]:

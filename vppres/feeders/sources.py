@@ -160,22 +160,19 @@ def _pandapower(path: Path) -> _Net:
 
 
 def _matpower(path: Path) -> _Net:
-    """A MATPOWER case; pandapower counts its buses from 0, MATPOWER from 1."""
     from vppres.feeders.matpower import read_m, read_mat
 
     what = "a MATPOWER case of version 2"
-    suffix = path.suffix.lower()
-    if suffix == ".m":
-        _library("matpowercaseframes", "matpower")
-    elif suffix != ".mat":
+    readers = {".m": read_m, ".mat": read_mat}
+    read = readers.get(path.suffix.lower())
+    if read is None:
         raise _unreadable(path, what, "its name ends in neither .m nor .mat")
     try:
-        net = read_m(path) if suffix == ".m" else read_mat(path)
+        return _Net(read(path))
     except InputError:
         raise
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         raise _unreadable(path, what, error) from None
-    return _Net(net, _from_one(net))
 
 
 def _opendss(path: Path) -> _Net:

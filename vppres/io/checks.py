@@ -31,31 +31,30 @@ def bus_reader(lines: Table) -> Callable[[str], BusId]:
 
 def check_ids(table: Table) -> list[Problem]:
     """Identifiers that appear twice, or that a series could not use as a column."""
+    reserved = [
+        Problem(
+            table.file,
+            "is reserved for the time column",
+            "Choose another identifier.",
+            row=row,
+            field="id",
+            value=text,
+        )
+        for row, text in table.column("id").items()
+        if text == _RESERVED
+    ]
+    twice = check_once(table, "id", "Give each row its own identifier.")
+    return sorted(twice + reserved, key=lambda problem: problem.row or 0)
+
+
+def check_once(table: Table, field: str, cure: str) -> list[Problem]:
+    """Cells of a column that repeat an earlier one."""
     first: dict[str, int] = {}
     problems = []
-    for row, text in table.column("id").items():
+    for row, text in table.column(field).items():
         if text in first:
-            problems.append(
-                Problem(
-                    table.file,
-                    f"is already used in row {first[text]}",
-                    "Give each row its own identifier.",
-                    row=row,
-                    field="id",
-                    value=text,
-                )
-            )
-        elif text == _RESERVED:
-            problems.append(
-                Problem(
-                    table.file,
-                    "is reserved for the time column",
-                    "Choose another identifier.",
-                    row=row,
-                    field="id",
-                    value=text,
-                )
-            )
+            message = f"is already used in row {first[text]}"
+            problems.append(Problem(table.file, message, cure, row=row, field=field, value=text))
         first.setdefault(text, row)
     return problems
 
@@ -225,3 +224,20 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
             value=cell_text(series.frame[name].iloc[i]),
         ),
     )
+
+
+def check_one_export_limit(file: schema.ScenarioFile | None, system: Table | None) -> list[Problem]:
+    """Whether the export has its limit in one place only."""
+    if file is None or file.network.export_limit_kw is None or system is None:
+        return []
+    if "export_limit_kw" not in system.names:
+        return []
+    return [
+        Problem(
+            "scenario.toml",
+            f"is also a column of {system.file}",
+            "Keep the key for one limit of all steps, or the column for one of each step.",
+            field="network.export_limit_kw",
+            value=file.network.export_limit_kw,
+        )
+    ]

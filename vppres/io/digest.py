@@ -10,15 +10,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.scenario.network import Network
+from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import Scenario
+
+_EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
+# What is said of a scenario and changes no result.
+_WITHOUT_EFFECT = {"source", "zone"}
 
 
 def scenario_digest(scenario: Scenario) -> str:
     """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
 
     The file format, the order of the lines and the way a number was written (``60`` or ``60.0``)
-    do not matter; every value, identifier and name does.
+    do not matter; every value, identifier and name does. Where the feeder comes from and the zone
+    of its clocks do not: no result depends on them.
     """
     text = json.dumps(_canonical(scenario), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -29,9 +34,16 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, Network):
         return _canonical_network(value)
     if is_dataclass(value):
-        return {f.name: _canonical(getattr(value, f.name)) for f in fields(value)}
+        left_out = _WITHOUT_EFFECT
+        # A connection that imports only keeps the digest from before there was another.
+        if isinstance(value, Scenario) and not value.exports:
+            left_out = left_out | _EXPORT
+        names = [f.name for f in fields(value) if f.name not in left_out]
+        return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
         return value.tz_convert("UTC").isoformat()
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return float(value)
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
@@ -43,9 +55,24 @@ def _canonical_network(network: Network) -> dict[str, Any]:
     columns = [*ends, network.r_ohm.tolist(), network.x_ohm.tolist()]
     if network.has_ratings:  # folders without ratings keep their digest
         columns.append(network.i_max_a.tolist())
+    columns += [getattr(network, name).tolist() for name in _own_columns(network)]
     lines = zip(*columns, strict=True)
     scalars = [f.name for f in fields(network) if f.name.endswith(("_pu", "_kv", "slack_bus"))]
     return {
         "lines": sorted((list(line) for line in lines), key=str),
         **{name: _canonical(getattr(network, name)) for name in scalars},
+        **({"buses": _canonical_buses(network)} if network.has_draws else {}),
     }
+
+
+def _own_columns(network: Network) -> list[str]:
+    """Ratios and charging where there are any; folders without them keep their digest."""
+    ratios = ["ratio"] if network.has_ratios else []
+    return ratios + (["b_us", "g_us"] if network.has_charging else [])
+
+
+def _canonical_buses(network: Network) -> list[list[Any]]:
+    """What the buses draw by themselves, sorted."""
+    columns = [getattr(network, name).tolist() for name in BUS_DRAWS]
+    rows = zip(_canonical(network.buses), *columns, strict=True)
+    return sorted((list(row) for row in rows if any(row[1:])), key=str)

@@ -17,7 +17,7 @@ from vppres.scenario.scenario import Scenario
 
 # Attributes that may have no value (a temperature at the start), or no limit.
 _MAY_BE_NAN = {"t_initial_c"}
-_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw"}
+_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -40,7 +40,8 @@ def check_scenario(scenario: Scenario) -> None:
     >>> from vppres.io.find import load_scenario
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
-    problems = folded([*_names(scenario), *_numbers(scenario), *_limits(scenario)])
+    numbers = [*_numbers(scenario), *_power_factors(scenario), *_limits(scenario)]
+    problems = folded([*_names(scenario), *numbers])
     if problems:
         raise InputError(problems)
 
@@ -72,6 +73,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
     """Numbers out of the bounds of the table of attributes."""
     tables: list[tuple[str, object, type[BaseModel]]] = [
         ("lines", scenario.network, schema.LineRow),
+        ("buses", scenario.network, schema.BusRow),
         ("network", scenario.network, schema.NetworkSection),
         ("customers", scenario.customers, schema.CustomerRow),
         ("pv", scenario.pv, schema.PVRow),
@@ -83,6 +85,8 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
     ]
     for table, owner, model in tables:
         for name, field in model.model_fields.items():
+            if owner is scenario.network and name == "export_limit_kw":
+                continue  # a series of the scenario, whichever file it comes from
             if name in _MAY_BE_INFINITE or any(isinstance(m, (Ge, Le)) for m in field.metadata):
                 yield from _outside(table, name, field, getattr(owner, name))
 
@@ -97,6 +101,20 @@ def _limits(scenario: Scenario) -> Iterator[Problem]:
             "Correct one of the limits.",
             field="soc_min",
             value=float(batteries.soc_min[i]),
+        )
+
+
+def _power_factors(scenario: Scenario) -> Iterator[Problem]:
+    """Loads of hardly any active power."""
+    customers = scenario.customers
+    for i in np.flatnonzero(np.abs(customers.power_factor) < schema.MIN_POWER_FACTOR):
+        yield Problem(
+            "customers",
+            f"must be at least {schema.MIN_POWER_FACTOR:g} in size",
+            schema.cure(schema.CustomerRow.model_fields["power_factor"]),
+            row=int(i),
+            field="power_factor",
+            value=float(customers.power_factor[i]),
         )
 
 

@@ -23,9 +23,14 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.source import Source, SourceDeviation
 
 # Tables that a folder may lack, with the model of their rows.
-_OPTIONAL: dict[str, type[BaseModel]] = {"pv": schema.PVRow, "batteries": schema.BatteryRow}
+_OPTIONAL: dict[str, type[BaseModel]] = {
+    "buses": schema.BusRow,
+    "pv": schema.PVRow,
+    "batteries": schema.BatteryRow,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +39,7 @@ class _Folder:
 
     settings: Settings
     lines: Table | None
+    buses: Table | None
     customers: Table | None
     pv: Table | None
     batteries: Table | None
@@ -47,6 +53,7 @@ class _Rows:
     """The sound rows of each table, by line of the file."""
 
     lines: dict[int, schema.LineRow]
+    buses: dict[int, schema.BusRow]
     customers: dict[int, schema.CustomerRow]
     pv: dict[int, schema.PVRow]
     batteries: dict[int, schema.BatteryRow]
@@ -61,6 +68,8 @@ class _Series:
     price_gbp_per_kwh: Floats
     temperature_c: Floats
     grid_limit_kw: Floats
+    export_limit_kw: Floats
+    export_price_gbp_per_kwh: Floats
 
 
 def read_scenario(folder: str | Path) -> Scenario:
@@ -108,26 +117,33 @@ def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
 
 def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     lines, line_problems = read_rows(content.lines, schema.LineRow)
+    buses, bus_problems = read_rows(content.buses, schema.BusRow)
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
     return (
-        _Rows(lines, customers, pv, batteries),
-        line_problems + customer_problems + pv_problems + battery_problems,
+        _Rows(lines, buses, customers, pv, batteries),
+        line_problems + bus_problems + customer_problems + pv_problems + battery_problems,
     )
 
 
 def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     """Every check that needs more than one row or more than one file."""
     lines = content.lines
+    buses = content.buses
     customers = content.customers
     pv = content.pv
     batteries = content.batteries
     problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
+    if buses:
+        problems += checks.check_once(buses, "bus", "Give each bus one row.")
     if lines:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
-            p for table in (customers, batteries) if table for p in checks.check_buses(table, lines)
+            p
+            for table in (buses, customers, batteries)
+            if table
+            for p in checks.check_buses(table, lines)
         ]
     if customers:
         problems += checks.check_any(customers)
@@ -188,6 +204,7 @@ def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]
     )
     system, system_problems = _read_system(content.system)
     problems = load_problems + pv_problems + system_problems
+    problems += checks.check_one_export_limit(content.settings.file, content.system)
     if content.pv_kw:
         rating_kw = {row.id: row.p_max_kw for row in reversed(rows.pv.values())}
         for name in rating_kw.keys() & pv.keys():
@@ -224,7 +241,7 @@ def _read_columns(
 
 
 def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]:
-    """Price, temperature and grid limit; an absent limit is infinite."""
+    """Prices, temperature and limits; an absent limit is infinite, an absent export worthless."""
     model = schema.SystemSeries.model_fields
     values = {name: np.empty(0) for name in model if name != TIME}
     if table is None:
@@ -236,10 +253,12 @@ def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]
         {name: schema.cure(field) for name, field in model.items()},
     )
     values["grid_limit_kw"] = np.full(len(table.frame), np.inf)
+    values["export_limit_kw"] = np.asarray(np.inf)
+    values["export_price_gbp_per_kwh"] = np.zeros(())
     for name in values:
         if name in table.names:
             values[name], found = read_values(
-                table, name, model[name], infinite=name == "grid_limit_kw"
+                table, name, model[name], infinite=name in ("grid_limit_kw", "export_limit_kw")
             )
             problems += found
     return values, problems
@@ -259,6 +278,7 @@ def _assemble(
     assert file is not None
     assert grid is not None
     limit_kw = series.grid_limit_kw.copy()
+    one_limit_kw = file.network.export_limit_kw
     step = pd.Timedelta(minutes=grid.step_minutes)
     for outage in file.outages:
         begins = round((pd.Timestamp(outage.start) - grid.start) / step)
@@ -268,7 +288,7 @@ def _assemble(
         name=file.name,
         title=file.title or file.name,
         grid=grid,
-        network=_network(file.network, rows.lines, read_bus),
+        network=_network(file.network, rows.lines, rows.buses, read_bus),
         customers=_customers(rows.customers, file.tiers, read_bus),
         pv=PVSystems(**_columns(rows.pv, schema.PVRow)),
         batteries=_batteries(rows.batteries, read_bus),
@@ -281,7 +301,15 @@ def _assemble(
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
+        export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
+        export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
+        source=_source(file.source),
     )
+
+
+def _source(section: schema.SourceSection) -> Source:
+    deviation = SourceDeviation(**section.deviation.model_dump())
+    return Source(section.name, section.kind, tuple(section.notes), deviation)
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:
@@ -292,14 +320,18 @@ def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str,
 def _network(
     section: schema.NetworkSection,
     rows: Mapping[int, schema.LineRow],
+    buses: Mapping[int, schema.BusRow],
     read_bus: Callable[[str], BusId],
 ) -> Network:
     columns = _columns(rows, schema.LineRow)
+    draws = _columns(buses, schema.BusRow)
+    draws["drawing_bus"] = [read_bus(text) for text in draws.pop("bus")]
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]
     columns["i_max_a"] = [np.inf if i_max_a is None else i_max_a for i_max_a in columns["i_max_a"]]
-    scalars = {**section.model_dump(), "slack_bus": read_bus(section.slack_bus)}
-    return Network(**columns, **scalars)
+    scalars = section.model_dump(exclude={"export_limit_kw"})
+    scalars["slack_bus"] = read_bus(section.slack_bus)
+    return Network(**columns, **draws, **scalars)
 
 
 def _customers(

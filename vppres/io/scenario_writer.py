@@ -20,9 +20,11 @@ from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
 from vppres.scenario.assets import Batteries, Customers
-from vppres.scenario.network import BusId
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.source import Source
+from vppres.scenario.timegrid import UTC, TimeGrid
 
 
 def write_scenario(scenario: Scenario, folder: str | Path) -> None:
@@ -66,15 +68,12 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
     network = scenario.network
     grid = scenario.grid
-    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    document = {
+    of_network = {f.name for f in fields(network)} - {"slack_bus"}
+    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
-        "time": {
-            "start": grid.start.to_pydatetime(),
-            "step_minutes": float(grid.step_minutes),
-            "steps": int(grid.n_steps),
-        },
+        "time": _time(grid),
         "network": {
             "slack_bus": _plain(network.slack_bus),
             **{name: float(getattr(network, name)) for name in limits},
@@ -90,15 +89,42 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
+        document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
     if scenario.switching != SwitchingRules():
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
         }
+    if scenario.source:
+        document["source"] = _source(scenario.source)
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
         raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
     return document
+
+
+def _time(grid: TimeGrid) -> dict[str, Any]:
+    """The time grid; the zone of the clocks only where it is not UTC."""
+    return {
+        "start": grid.start.to_pydatetime(),
+        "step_minutes": float(grid.step_minutes),
+        "steps": int(grid.n_steps),
+        **({"zone": grid.zone} if grid.zone != UTC else {}),
+    }
+
+
+def _source(source: Source) -> dict[str, Any]:
+    """What is known of the source; TOML has no word for what is not."""
+    deviation = {
+        name: float(value) for name, value in asdict(source.deviation).items() if value is not None
+    }
+    return {
+        "name": source.name,
+        "kind": source.kind,
+        "notes": list(source.notes),
+        **({"deviation": deviation} if deviation else {}),
+    }
 
 
 def _plain(bus: object) -> BusId:
@@ -128,14 +154,34 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
         "system": _system_frame(scenario),
     }
-    rating_a = frames["lines"].pop("i_max_a")
-    if np.isfinite(rating_a).any():
-        frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
+    rating_a = frames["lines"]["i_max_a"]
+    frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
+    frames["lines"] = _without(frames["lines"], LINE_DEFAULTS | {"i_max_a": np.nan})
+    if network.has_draws:
+        frames["buses"] = _bus_frame(network)
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
     if (customers.shed_steps == 1).all():
         frames["customers"] = frames["customers"].drop(columns="shed_steps")
     return frames
+
+
+def _bus_frame(network: Network) -> pd.DataFrame:
+    """What the buses draw by themselves, without buses and columns of nothing."""
+    columns = {name: getattr(network, name) for name in BUS_DRAWS}
+    frame = pd.DataFrame({"bus": network.buses, **columns})
+    draws = (frame[[*BUS_DRAWS]] != 0).any(axis=1)
+    return _without(frame[draws], dict.fromkeys(BUS_DRAWS, 0.0))
+
+
+def _without(frame: pd.DataFrame, neutral: dict[str, float]) -> pd.DataFrame:
+    """A table without the columns that have their neutral value in every row."""
+    says_nothing = [
+        name
+        for name, value in neutral.items()
+        if (frame[name].isna() if np.isnan(value) else frame[name] == value).all()
+    ]
+    return frame.drop(columns=says_nothing)
 
 
 def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
@@ -166,4 +212,8 @@ def _system_frame(scenario: Scenario) -> pd.DataFrame:
     }
     if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
         columns["grid_limit_kw"] = limit_kw
+    if scenario.export_limit_kw.ndim:
+        columns["export_limit_kw"] = scenario.export_limit_kw
+    if scenario.export_price_gbp_per_kwh.any():
+        columns["export_price_gbp_per_kwh"] = scenario.export_price
     return pd.DataFrame(columns)

@@ -18,13 +18,17 @@ from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.scenario import ObjectiveWeights
+from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
+from vppres.scenario.timegrid import UTC, is_zone
 
 Unit = dict[str, Any]
 
 KW: Unit = {"unit": "kW"}
 KVA: Unit = {"unit": "kVA"}
+KVAR: Unit = {"unit": "kvar"}
 KWH: Unit = {"unit": "kWh"}
 OHM: Unit = {"unit": "ohm"}
+US: Unit = {"unit": "µS"}
 PU: Unit = {"unit": "pu"}
 CELSIUS: Unit = {"unit": "°C"}
 PER_C2: Unit = {"unit": "1/°C²"}
@@ -41,13 +45,17 @@ MAX_TITLE_LENGTH = 300
 # unit or of typing, and the sums and products of the solvers would lose their digits.
 MIN_KW = 1e-3  # 1 W; what is smaller is not there
 MAX_KW = 1e6  # 1 GW, a large power station; energy for an hour of it
+MAX_KVAR = 1e6  # 1 Gvar, a large compensator
 MIN_OHM = 1e-7  # a centimetre of busbar
+MIN_RATIO = 0.1  # no tap changer leaves 30 % of the nominal voltage
+MAX_RATIO = 10.0
+MAX_US = 1e9  # 1 kS shorts any feeder
 MAX_OHM = 1e4  # insulated rather than connected: 10,000 km of overhead line have 3,000 ohm
 MAX_A = 1e6  # generator leads of the largest machines carry 4e4 A
 MIN_KV = 0.05  # extra-low voltage ends here
 MAX_KV = 1200.0  # the highest transmission voltage in service
 MIN_PU = 0.1  # a voltage collapses long before
-MIN_POWER_FACTOR = 0.01  # a load of hardly any active power
+MIN_POWER_FACTOR = 0.01  # a load of hardly any active power; leading ones are negative
 MIN_EFFICIENCY = 0.01
 MAX_PRICE = 1e4  # 500 times the value of lost load, room for other currencies
 MIN_WEIGHT = 1e-6  # the ratio of two customers' weights keeps within the digits of the solvers
@@ -78,6 +86,36 @@ def _sound(longest: int) -> AfterValidator:
 
 Name = Annotated[str, _sound(MAX_NAME_LENGTH)]
 Title = Annotated[str, _sound(MAX_TITLE_LENGTH)]
+SourceName = Annotated[str, _sound(MAX_SOURCE_LENGTH)]
+Note = Annotated[str, _sound(MAX_NOTE_LENGTH)]
+
+
+def _known_zone(name: str) -> str:
+    """Refuse what is no time zone."""
+    if not is_zone(name):
+        raise PydanticCustomError(
+            "flawed_name",
+            "{message}",
+            {
+                "message": "is not the name of a time zone",
+                "cure": "Give one such as Europe/London, or leave the key out: UTC.",
+            },
+        )
+    return name
+
+
+def _active(power_factor: float) -> float:
+    """A power factor of a load with active power."""
+    if abs(power_factor) < MIN_POWER_FACTOR:
+        raise PydanticCustomError(
+            "flawed_number",
+            "{message}",
+            {
+                "message": f"must be at least {MIN_POWER_FACTOR:g}, or at most "
+                f"-{MIN_POWER_FACTOR:g} where the load feeds reactive power",
+            },
+        )
+    return power_factor
 
 
 class Row(BaseModel):
@@ -94,13 +132,73 @@ class LineRow(Row):
     r_ohm: float = Field(
         ge=MIN_OHM, le=MAX_OHM, description="series resistance", json_schema_extra=OHM
     )
-    x_ohm: float = Field(ge=0, le=MAX_OHM, description="series reactance", json_schema_extra=OHM)
+    x_ohm: float = Field(
+        ge=-MAX_OHM,
+        le=MAX_OHM,
+        description="series reactance (negative: a series capacitor, or a winding of a star)",
+        json_schema_extra=OHM,
+    )
     i_max_a: float | None = Field(
         default=None,
         ge=MIN_KW,
         le=MAX_A,
         description="thermal rating for the report's line loading (empty: none)",
         json_schema_extra={"unit": "A"},
+    )
+    ratio: float = Field(
+        default=1.0,
+        ge=MIN_RATIO,
+        le=MAX_RATIO,
+        description="voltage in pu at from_bus over that at to_bus at no load: an ideal "
+        "transformer at from_bus, with the line's impedance and charging behind it",
+    )
+    b_us: float = Field(
+        default=0.0,
+        ge=-MAX_US,
+        le=MAX_US,
+        description="charging susceptance of the whole line, half at each end",
+        json_schema_extra=US,
+    )
+    g_us: float = Field(
+        default=0.0,
+        ge=-MAX_US,
+        le=MAX_US,
+        description="leakage conductance of the whole line, half at each end",
+        json_schema_extra=US,
+    )
+
+
+class BusRow(Row):
+    """What a bus draws that no customer owns; buses that draw nothing need no row."""
+
+    bus: Name = Field(description="bus of the network")
+    p_shunt_kw: float = Field(
+        default=0.0,
+        ge=-MAX_KW,
+        le=MAX_KW,
+        description="active power that the bus's shunt draws at 1 pu",
+        json_schema_extra=KW,
+    )
+    q_shunt_kvar: float = Field(
+        default=0.0,
+        ge=-MAX_KVAR,
+        le=MAX_KVAR,
+        description="reactive power that the bus's shunt draws at 1 pu (negative: a capacitor)",
+        json_schema_extra=KVAR,
+    )
+    p_fixed_kw: float = Field(
+        default=0.0,
+        ge=-MAX_KW,
+        le=MAX_KW,
+        description="constant active power drawn at the bus",
+        json_schema_extra=KW,
+    )
+    q_fixed_kvar: float = Field(
+        default=0.0,
+        ge=-MAX_KVAR,
+        le=MAX_KVAR,
+        description="constant reactive power drawn at the bus",
+        json_schema_extra=KVAR,
     )
 
 
@@ -110,8 +208,8 @@ class CustomerRow(Row):
     id: Name = Field(description="identifier of the customer")
     bus: Name = Field(description="bus of the customer")
     tier: Name = Field(description="priority tier, one of scenario.toml's tiers")
-    power_factor: float = Field(
-        ge=MIN_POWER_FACTOR, le=1, description="lagging power factor of the load"
+    power_factor: Annotated[float, AfterValidator(_active)] = Field(
+        ge=-1, le=1, description="power factor of the load (negative: leading)"
     )
     weight: float | None = Field(
         default=None,
@@ -283,6 +381,21 @@ class SystemSeries(Row):
         description="largest import from the grid (inf, or no such column: no limit)",
         json_schema_extra=KW,
     )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid (inf: no limit; no such column: what scenario.toml "
+        "says); 0 in an outage, whatever it says",
+        json_schema_extra=KW,
+    )
+    export_price_gbp_per_kwh: float = Field(
+        default=0.0,
+        ge=-MAX_PRICE,
+        le=MAX_PRICE,
+        description="what exported energy earns (negative: the feeder pays)",
+        json_schema_extra=GBP_PER_KWH,
+    )
 
 
 class Section(BaseModel):
@@ -299,6 +412,9 @@ class TimeSection(Section):
         ge=1, le=1440, description="length of a step", json_schema_extra={"unit": "min"}
     )
     steps: int = Field(ge=1, le=MAX_STEPS, description="number of steps")
+    zone: Annotated[Name, AfterValidator(_known_zone)] = Field(
+        default=UTC, description="time zone of the clocks on the feeder, for the report"
+    )
 
 
 class NetworkSection(Section):
@@ -352,6 +468,14 @@ class NetworkSection(Section):
         le=2,
         description="highest voltage allowed in the AC power flow",
         json_schema_extra=PU,
+    )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid in all steps; 0 imports only (no such key: what "
+        "system.csv says, or no limit)",
+        json_schema_extra=KW,
     )
 
 
@@ -440,10 +564,52 @@ else:
     )
 
 
+class DeviationSection(Section):
+    """Largest difference of a bus voltage from the AC power flow of the source."""
+
+    no_load_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="without loads and generators (no such key: not known)",
+        json_schema_extra=PU,
+    )
+    as_given_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="with the loads and generators that the source gives (no such key: not known)",
+        json_schema_extra=PU,
+    )
+    worst_hour_pu: float | None = Field(
+        default=None,
+        ge=0,
+        description="in the hour of the series in which the voltages differ most (no such key: not "
+        "known)",
+        json_schema_extra=PU,
+    )
+
+
+class SourceSection(Section):
+    """Where the feeder comes from; it changes no result."""
+
+    name: SourceName = Field(default="", description="name of the network or its file")
+    kind: SourceName = Field(default="", description="which tool's it is")
+    notes: list[Note] = Field(
+        default=[],
+        max_length=MAX_NOTES,
+        description="what was simplified, left out or drawn, one sentence each",
+    )
+    deviation: DeviationSection = Field(
+        default=DeviationSection(), description="table [source.deviation]"
+    )
+
+
 class FilesSection(Section):
     """File names inside the folder; the suffix chooses CSV or Parquet."""
 
     lines: Name = Field(default="lines.csv", pattern=_FILE_NAME, description="file of the lines")
+    buses: Name = Field(
+        default="buses.csv", pattern=_FILE_NAME, description="file of what buses draw by themselves"
+    )
     customers: Name = Field(
         default="customers.csv", pattern=_FILE_NAME, description="file of the customers"
     )
@@ -482,6 +648,7 @@ class ScenarioFile(Section):
         default=ControllerSection(), description="table [controller]"
     )
     switching: SwitchingSection = Field(default=SwitchingSection(), description="table [switching]")
+    source: SourceSection = Field(default=SourceSection(), description="table [source]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
 
@@ -493,8 +660,11 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [[outages]]": OutageSection,
     "scenario.toml, [controller]": ControllerSection,
     "scenario.toml, [switching]": SwitchingSection,
+    "scenario.toml, [source]": SourceSection,
+    "scenario.toml, [source.deviation]": DeviationSection,
     "scenario.toml, [files]": FilesSection,
     "lines.csv": LineRow,
+    "buses.csv": BusRow,
     "customers.csv": CustomerRow,
     "pv.csv": PVRow,
     "batteries.csv": BatteryRow,

@@ -188,7 +188,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
 
 
 def _grid(time: schema.TimeSection) -> TimeGrid:
-    return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps)
+    return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps, time.zone)
 
 
 def _sound(document: dict[str, Any], name: str, model: type[M]) -> M | None:

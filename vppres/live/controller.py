@@ -155,7 +155,9 @@ class Controller:
         SolverLostError
             If no process to solve in can be started.
         """
-        exact = replace(options or RunOptions(), errors=ForecastErrors(), thermal="off")
+        exact = replace(
+            (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
+        )
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         return cls(scenario, exact, make_controller(scenario, exact))

@@ -136,7 +136,7 @@ def active_balance(
     P_load = P_served @ site.customer_bus.T - v.P_self @ site.pv_bus.T
     if added is not None:
         P_load = P_load + added.P
-    P_grid = _at_slack_bus(site, v.P_grid)
+    P_grid = at_slack_bus(site, v.P_grid)
     inflow = v.P_flow @ site.network.incidence.T
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
 
@@ -150,7 +150,7 @@ def reactive_balance(
     Q_load = Q_served @ site.customer_bus.T
     if added is not None:
         Q_load = Q_load + added.Q
-    Q_grid = _at_slack_bus(site, v.Q_grid)
+    Q_grid = at_slack_bus(site, v.Q_grid)
     inflow = v.Q_flow @ site.network.incidence.T
     return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
 
@@ -207,8 +207,8 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1
     return {"delta_lindistflow": factor * u_j == factor * (u_i - drop + p.delta)}
 
 
-def _at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
-    """The grid's supply of each step, (W,), at the first bus and nowhere else, (W, N)."""
+def at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
+    """The grid's power of each step, (W,), at the first bus and nowhere else, (W, N)."""
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
     return cp.reshape(power, (power.size, 1), order="C") @ slack.T
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
@@ -69,6 +70,8 @@ class WindowData:
         Rules on switching customers; None is the paper.
     moves : Moves, optional
         The previous plan, where moves away from it are to be few; None is the paper.
+    export : Export, optional
+        What the grid takes back; None is the paper's connection, which imports only.
     """
 
     load_kw: Floats
@@ -82,6 +85,7 @@ class WindowData:
     physics: Physics | None = None
     switching: SwitchingData | None = None
     moves: Moves | None = None
+    export: Export | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -101,6 +105,7 @@ class WindowData:
             delta_pu2=np.tile(offset, (n_steps, 1)),
             switching=None if switching is None else switching.window(n_steps),
             moves=observation.moves,
+            export=forecast.export,
         )
 
     @property
@@ -141,6 +146,7 @@ class WindowData:
             physics=self.physics and self.physics.part(steps),
             switching=self.switching and self.switching.part(steps),
             moves=self.moves and self.moves.part(steps),
+            export=self.export and self.export.part(steps),
         )
 
     @property
@@ -171,10 +177,36 @@ class WindowData:
     def grid_p_max_kw(self, site: Site) -> Floats:
         """Largest import that can ever be useful, or the limit where that is smaller, (W,).
 
-        Nothing can be exported, so no more than all demand and all charging is ever imported.
+        Nothing is exported at the same time, so no more than all demand and all charging is ever
+        imported.
         """
         useful = self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
+
+    @property
+    def exporting(self) -> bool:
+        """Whether export is part of the window's problem."""
+        return self.export is not None
+
+    def export_max_kw(self, site: Site) -> Floats:
+        """Largest export that there can ever be, or the limit where that is smaller, (W,).
+
+        No more than all PV power and all discharging; nothing where the grid is away.
+        """
+        if self.export is None:
+            return np.zeros(self.n_steps)
+        possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+        connected = self.grid_limit_kw > 0.0
+        return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
+
+    def cost_gbp(self, p_grid_kw: Floats, dt_h: float) -> float:
+        """Cost of the import (W,) less what the export, where it is negative, earns."""
+        if self.export is None:
+            return float(self.price_gbp_per_kwh @ p_grid_kw * dt_h)
+        imported = np.maximum(p_grid_kw, 0.0)
+        exported = np.maximum(-p_grid_kw, 0.0)
+        spent = self.price_gbp_per_kwh @ imported - self.export.price_gbp_per_kwh @ exported
+        return float(spent * dt_h)
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""

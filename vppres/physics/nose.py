@@ -1,8 +1,8 @@
 """The AC power flow of a tree by continuation: its answer, or the load at which it has none.
 
 The unknowns are the buses' voltages and the lines' currents, so no voltage is subtracted from one
-beside it: a line of 1e-12 ohm is as exact as any other. From the flow without load, where every
-voltage is the source's, the solution is followed while all injections grow together. It either
+beside it: a line of 1e-12 ohm is as exact as any other. From the flow without load, which is linear
+in shunts and charging, the solution is followed while all injections grow together. It either
 arrives at the full injections or turns back before, at the nose of the curve, where voltages
 collapse and the equations have no solution beyond (Ajjarapu and Christy, The continuation power
 flow, IEEE Trans. Power Systems 7(1), 1992). Each point is found by Newton's method.
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Floats
+from vppres.core.units import kw_to_mw
 from vppres.scenario.network import Network
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -53,7 +54,8 @@ class Followed:
         ``solved``: the flow of all injections. ``none``: the curve turned back before.
         ``not found``: neither.
     v : array of complex, shape (N,)
-        Voltage of every bus in pu: the solution, else the last point of the curve.
+        Voltage of every bus in pu, referred to the slack bus: the solution, else the last point of
+        the curve.
     i : array of complex, shape (L,)
         Current of every line in MVA per pu, positive away from the grid's bus.
     share : float
@@ -90,9 +92,11 @@ class _Tree:
         n = network.n_buses
         self.free = np.delete(np.arange(n), reference)
         self.reference = reference
-        self.v_source = network.v_slack_pu
-        self.z = (network.r_ohm + 1j * network.x_ohm) / network.base_kv**2
+        self.v_source = float(network.v_slack_pu / network.bus_ratio[reference])
+        self.z = (network.referred_r_ohm + 1j * network.referred_x_ohm) / network.base_kv**2
         self.s = s_mva
+        shunts = kw_to_mw(network.shunt_kw) - 1j * kw_to_mw(network.shunt_kvar)
+        self.shunt: Complex = shunts[self.free]
         arrives = sp.csr_array(network.incidence)
         self.leaving = -arrives[self.free]
         self.drop = sp.csr_array(arrives[self.free].T)
@@ -121,7 +125,15 @@ class _Tree:
         """The flow without any injection."""
         v = np.full(len(self.free), self.v_source)
         nothing = np.zeros(len(self.free))
-        return np.concatenate([v, nothing, nothing, nothing])
+        if not self.shunt.any():
+            return np.concatenate([v, nothing, nothing, nothing])
+        # Shunts alone: drop @ v + z i = -at_source and leaving @ i + shunt v = 0.
+        equations = sp.block_array(
+            [[self.drop, sp.diags_array(self.z)], [sp.diags_array(self.shunt), self.leaving]]
+        )
+        given = np.concatenate([-self.at_source, nothing]).astype(complex)
+        voltage, current = np.split(splu(sp.csc_array(equations)).solve(given), 2)
+        return np.concatenate([voltage.real, voltage.imag, current.real, current.imag])
 
     def split(self, x: Floats) -> tuple[Complex, Complex]:
         """Voltages without the reference, and currents."""
@@ -132,18 +144,31 @@ class _Tree:
         """Ohm's law of each line in pu, then the balance of power at each bus in MVA."""
         v, i = self.split(x)
         ohm = self.drop @ v + self.at_source + self.z * i
-        balance = v * np.conj(self.leaving @ i) - share * self.s[self.free]
+        balance = v * np.conj(self.leaving @ i + self.shunt * v) - share * self.s[self.free]
         return np.concatenate([ohm.real, ohm.imag, balance.real, balance.imag])
 
     def slope(self, x: Floats) -> sp.csc_array:
         """Derivative of the residual by ``x``."""
         v, i = self.split(x)
-        out = self.leaving @ i
+        out = self.leaving @ i + self.shunt * v
+        # What a shunt's current changes by, times the voltage.
+        by_e = v * np.conj(self.shunt)
+        by_f = v * np.conj(1j * self.shunt)
         at_bus = self.leaves.coords[0]
         e = v.real[at_bus] * self.leaves.data
         f = v.imag[at_bus] * self.leaves.data
         values = np.concatenate(
-            [self.constant, out.real, out.imag, -out.imag, out.real, e, f, f, -e]
+            [
+                self.constant,
+                out.real + by_e.real,
+                out.imag + by_f.real,
+                -out.imag + by_e.imag,
+                out.real + by_f.imag,
+                e,
+                f,
+                f,
+                -e,
+            ]
         )
         size = 4 * len(self.free)
         return sp.csc_array((values, self.places), shape=(size, size))
@@ -178,9 +203,9 @@ def follow(network: Network, p_mw: Floats, q_mvar: Floats, reference: int = 0) -
     Parameters
     ----------
     network : Network
-        A tree of series impedances.
+        A tree of series impedances, with shunts at its buses.
     p_mw, q_mvar : array, shape (N,)
-        Net injection of every bus, generation positive.
+        Net injection of every bus, generation positive, its fixed demand taken off.
     reference : int, optional
         Position of the bus that has the source.
 

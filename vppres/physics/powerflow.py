@@ -79,11 +79,12 @@ class ACResult:
     v_pu : array, shape (N,)
         Voltage magnitude, in the network's bus order.
     p_from_kw, q_from_kvar : array, shape (L,)
-        Flow at the sending end of each line, positive away from the network's slack bus.
+        Flow at the sending end of each line, positive away from the network's slack bus. The
+        line's own charging is not in it: it stands at the buses.
     p_to_kw, q_to_kvar : array, shape (L,)
         Flow that arrives at the receiving end, positive away from the network's slack bus.
     losses_kw : float
-        Sum of the lines' active losses.
+        Active losses of all lines, and what leakage and shunts draw.
     p_slack_kw, q_slack_kvar : float
         What the source at the reference bus gives: the import, unless an island was solved.
     converged : bool
@@ -117,7 +118,8 @@ class ACPowerFlow:
     Parameters
     ----------
     network : Network
-        The reference bus is held at ``v_slack_pu``; lines have a series impedance and no shunt.
+        The reference bus is held at ``v_slack_pu``. What the network itself draws (shunts,
+        charging, fixed demand) is part of every flow.
 
     Examples
     --------
@@ -139,8 +141,8 @@ class ACPowerFlow:
         Parameters
         ----------
         p_kw, q_kvar : array, shape (N,)
-            Net injection, generation positive. What is injected at the reference bus lowers what
-            its source gives.
+            Net injection of all devices, generation positive. What is injected at the reference bus
+            lowers what its source gives.
         reference : int, optional
             Position of the bus with the only source, 0 for the grid. With another bus the network
             is an island: the grid's bus has no source, so nothing can come from there.
@@ -164,8 +166,8 @@ class ACPowerFlow:
         if reference not in self._nets:
             self._nets[reference] = _build(self.network, reference)
         net = self._nets[reference]
-        net.load["p_mw"] = -kw_to_mw(p)
-        net.load["q_mvar"] = -kw_to_mw(q)
+        net.load["p_mw"] = -kw_to_mw(p - self.network.p_fixed_kw)
+        net.load["q_mvar"] = -kw_to_mw(q - self.network.q_fixed_kvar)
         warm = reference in self._warm
         self._warm.discard(reference)
         if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
@@ -173,7 +175,7 @@ class ACPowerFlow:
             if not (within_reach and _run(net, "flat", self.tolerance_mva)):
                 return self._followed(p, q, reference)
         self._warm.add(reference)
-        return _read(net)
+        return _read(self.network, net)
 
     @property
     def tolerance_kva(self) -> float:
@@ -182,7 +184,10 @@ class ACPowerFlow:
 
     def _followed(self, p_kw: Floats, q_kvar: Floats, reference: int) -> ACResult:
         """The end of the curve from no load; where it turns back there is no solution."""
-        found = follow(self.network, kw_to_mw(p_kw), kw_to_mw(q_kvar), reference)
+        net = self.network
+        net_p_mw = kw_to_mw(p_kw - net.p_fixed_kw)
+        net_q_mvar = kw_to_mw(q_kvar - net.q_fixed_kvar)
+        found = follow(net, net_p_mw, net_q_mvar, reference)
         if found.outcome == "solved":
             return _read_followed(self.network, found, p_kw, q_kvar, reference)
         if found.outcome == "none":
@@ -258,7 +263,8 @@ def reachable_mva(network: Network) -> float:
     # small c (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., section 3.1, inner
     # products). The diagonal is the sum of the others, hence the factor 2. With the base voltage in
     # kV and ohm, |Y| V² is in MVA.
-    at_line = network.base_kv**2 / np.hypot(network.r_ohm, network.x_ohm)
+    z_ohm = np.hypot(network.referred_r_ohm, network.referred_x_ohm)
+    at_line = network.base_kv**2 / z_ohm
     sums = abs(network.incidence) @ at_line
     return max(TOLERANCE_MVA, float(ROUNDING * np.finfo(float).eps * 2.0 * sums.max()))
 
@@ -281,18 +287,20 @@ def _run(net: pp.pandapowerNet, init: str, tolerance_mva: float = TOLERANCE_MVA)
     return bool(net.converged)
 
 
-def _read(net: pp.pandapowerNet) -> ACResult:
+def _read(network: Network, net: pp.pandapowerNet) -> ACResult:
     """Results of the net in the network's order and in kW."""
     lines = net.res_line
     slack = net.res_ext_grid
+    v_referred = net.res_bus["vm_pu"].to_numpy()
+    losses_kw = float(mw_to_kw(lines["pl_mw"]).sum())
     return ACResult(
-        v_pu=net.res_bus["vm_pu"].to_numpy(),
+        v_pu=v_referred * network.bus_ratio,
         p_from_kw=mw_to_kw(lines["p_from_mw"]),
         q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
         # pandapower counts both ends as flowing into the line.
         p_to_kw=-mw_to_kw(lines["p_to_mw"]),
         q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
-        losses_kw=float(mw_to_kw(lines["pl_mw"]).sum()),
+        losses_kw=losses_kw + float(network.shunt_kw @ v_referred**2),
         p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
         q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]),
     )
@@ -304,17 +312,21 @@ def _read_followed(
     """Results of a followed curve in kW."""
     sent = found.v[network.parent] * np.conj(found.i)
     arrived = found.v[1:] * np.conj(found.i)
-    # What leaves the reference bus over its lines comes from its source and its own injection.
+    v_referred = np.abs(found.v)
+    losses_kw = float(mw_to_kw((sent - arrived).real.sum()))
+    # What leaves the reference bus over its lines comes from its source and its own injection,
+    # less what the network draws there.
     source = -found.v[reference] * np.conj((network.incidence @ found.i)[reference])
+    own_kw, own_kvar = network.drawn(v_referred * network.bus_ratio)
     return ACResult(
-        v_pu=np.abs(found.v),
+        v_pu=v_referred * network.bus_ratio,
         p_from_kw=mw_to_kw(sent.real),
         q_from_kvar=mw_to_kw(sent.imag),
         p_to_kw=mw_to_kw(arrived.real),
         q_to_kvar=mw_to_kw(arrived.imag),
-        losses_kw=float(mw_to_kw((sent - arrived).real.sum())),
-        p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference]),
-        q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference]),
+        losses_kw=losses_kw + float(network.shunt_kw @ v_referred**2),
+        p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference] + own_kw[reference]),
+        q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference] + own_kvar[reference]),
         converged=found.outcome == "solved",
     )
 
@@ -348,20 +360,24 @@ _FLOWS_KEPT = 3
 
 
 def _build(network: Network, reference: int) -> pp.pandapowerNet:
-    """The pandapower net: one load per bus, one source, and lines of 1 km."""
+    """The pandapower net: one load per bus, shunts, one source, and lines of 1 km."""
     net = pp.create_empty_network()
     buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
-    pp.create_ext_grid(net, buses[reference], vm_pu=network.v_slack_pu)
+    v_source = network.v_slack_pu / network.bus_ratio[reference]
+    pp.create_ext_grid(net, buses[reference], vm_pu=float(v_source))
     # The rating only serves pandapower's loading figure, which is not used.
     pp.create_lines_from_parameters(
         net,
         from_buses=network.parent,
         to_buses=np.arange(1, network.n_buses),
         length_km=1.0,
-        r_ohm_per_km=network.r_ohm,
-        x_ohm_per_km=network.x_ohm,
+        r_ohm_per_km=network.referred_r_ohm,
+        x_ohm_per_km=network.referred_x_ohm,
         c_nf_per_km=0.0,
         max_i_ka=1.0,
     )
     pp.create_loads(net, buses, p_mw=0.0, q_mvar=0.0)
+    for bus in np.flatnonzero((network.shunt_kw != 0) | (network.shunt_kvar != 0)):
+        p_mw, q_mvar = kw_to_mw([network.shunt_kw[bus], network.shunt_kvar[bus]])
+        pp.create_shunt(net, buses[bus], p_mw=p_mw, q_mvar=q_mvar)
     return net

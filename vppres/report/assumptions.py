@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from vppres.day.trajectory import Trajectory
+from vppres.scenario.option_table import default_of
 
 # A parameter of a numpydoc docstring: one name or several, a type, and an indented text.
 _PARAMETER = re.compile(r"^(?P<names>[\w, ]+) : [^\n]+\n(?P<text>(?:    [^\n]+\n?)+)", re.MULTILINE)
@@ -39,7 +40,7 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     # Only the report of a run needs the options' documentation; the simulator is slow to load.
     from vppres.day.options import RunOptions
 
-    defaults = RunOptions()
+    defaults = RunOptions(mode=default_of("mode"))
     meanings = dict(_meanings(defaults))
     flat_defaults = dict(_flat(asdict(defaults)))
     rows = []

@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from vppres.core.errors import ReportError, StorageError, VppresError
+from vppres.day.daily import daily_figures, spans_days
 from vppres.day.metrics import summarise
 from vppres.day.trajectory import Trajectory, write_tables
 from vppres.io.atomic import atomic_folder, is_full
@@ -22,6 +23,7 @@ from vppres.report.sections.base import Run
 
 SUMMARY_FILE = "summary.json"
 REPORT_FILE = "report.html"
+DAYS_FILE = "days.parquet"
 TEMPLATE = "run_report.html.j2"
 
 
@@ -71,6 +73,8 @@ def write_run(
     summary = summarise(trajectory)
     with atomic_folder(folder) as aside:
         write_tables(trajectory, aside)
+        if spans_days(trajectory):
+            daily_figures(trajectory).to_parquet(aside / DAYS_FILE, index=False)
         write_scenario(trajectory.scenario, aside / "scenario")
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
         draw = draw or save_figures

@@ -16,13 +16,17 @@ from vppres.core.errors import InputError, Problem
 # Telemetry in single precision or with six digits: further outside, a limit or a reading is wrong.
 SOC_ROUNDING = 1e-6
 
+NO_POWER_KW = 1e-3
+"""A battery of no more power than this, the smallest that files may give, holds no island."""
+
 
 @dataclass(frozen=True, eq=False)
 class Customers:
     """Customers, shape (C,) each.
 
-    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is lagging;
-    ``shed_steps`` are the equal parts that may be switched apart, 1 (all or nothing) if not given.
+    ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is negative where
+    the load feeds reactive power (leading); ``shed_steps`` are the equal parts that may be switched
+    apart, 1 (all or nothing) if not given.
     """
 
     id: Names
@@ -50,7 +54,7 @@ class Customers:
 
     @property
     def q_per_p(self) -> Floats:
-        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``."""
+        """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``, negative if leading."""
         return np.tan(np.arccos(self.power_factor))
 
 
@@ -162,9 +166,13 @@ class Batteries:
 
     @property
     def formers(self) -> Flags:
-        """Who forms an island's grid, (B,): those that are named, else the largest inverter."""
-        if self.grid_forming.any() or len(self) == 0:
-            return self.grid_forming
+        """Who forms an island's grid, (B,): those that are named, else the largest inverter.
+
+        Nobody does whose power is no more than the 1 W below which equipment is not there.
+        """
+        able = self.active_max_kw > NO_POWER_KW
+        if self.grid_forming.any() or not able.any():
+            return self.grid_forming & able
         largest = np.zeros(len(self), dtype=bool)
-        largest[np.argmax(self.s_max_kva)] = True
+        largest[np.argmax(np.where(able, self.s_max_kva, 0.0))] = True
         return largest

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,17 +14,28 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from vppres.core.arrays import Floats, Names, Wholes, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.core.units import ohm_to_pu2_per_kw
+from vppres.core.units import ohm_to_pu2_per_kw, us_to_kw_at_1_pu
 
 BusId = int | str
+
+LINE_DEFAULTS = {"i_max_a": np.inf, "ratio": 1.0, "b_us": 0.0, "g_us": 0.0}
+"""What lines may lack, and what they have then."""
+
+BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
+"""What a bus may draw without a customer."""
 
 MAX_LOOPS = 20  # that are told; each costs a search of the network
 MAX_LOOP_SHOWN = 12  # buses
 
 
-def _no_ratings() -> Floats:
-    """Stands for lines without thermal ratings; the network replaces it by infinities."""
+def _none() -> Floats:
+    """Stands for what no line and no bus has; the network replaces it by its neutral value."""
     return np.empty(0)
+
+
+def _nowhere() -> Names:
+    """Stands for a network in which no bus draws anything by itself."""
+    return np.empty(0, dtype=object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +46,33 @@ class Network:
     and sorted so that every line comes after the line that feeds it. Bus 0 of every array is the
     slack bus, and line ``l`` ends at bus ``l + 1``.
 
+    A line with a ratio is an ideal transformer at its ``from_bus`` with impedance and charging
+    behind it, as in MATPOWER. Where such a line is turned around, its ratio is inverted and its
+    impedance is referred to the other side, which changes nothing that its ends can see.
+
+    In a tree every bus has one cumulative ratio to the slack bus. Voltages over it are *referred*
+    to the slack bus: in them no line has a ratio, and impedances, shunts and limits change instead.
+
     Parameters
     ----------
     from_bus, to_bus : array of bus identifiers, shape (L,)
         Ends of each line; integers or strings.
     r_ohm, x_ohm : array, shape (L,)
-        Series impedance.
+        Series impedance; a reactance may be negative, as in a star of three windings.
     i_max_a : array, shape (L,), optional
         Thermal rating; infinite where a line has none. It is reported, not held.
+    ratio : array, shape (L,), optional
+        Voltage in pu at ``from_bus`` over that at ``to_bus`` at no load, 1 if not given.
+    b_us, g_us : array, shape (L,), optional
+        Charging susceptance and leakage conductance of the whole line in microsiemens, half at
+        each end; 0 if not given.
+    drawing_bus : array of bus identifiers, shape (D,), optional
+        Buses that draw power that no customer owns; afterwards all buses, shape (N,).
+    p_shunt_kw, q_shunt_kvar : array, shape (D,), optional
+        Constant admittance at these buses as the power that it draws at 1 pu, line charging left
+        out; a capacitor's is negative.
+    p_fixed_kw, q_fixed_kvar : array, shape (D,), optional
+        Constant power drawn there.
     slack_bus : int or str
         Bus of the grid connection.
     base_kv : float
@@ -56,13 +87,20 @@ class Network:
     Raises
     ------
     InputError
-        If the lines do not form a tree with the slack bus in it, or an impedance is not positive.
+        If the lines do not form a tree with the slack bus in it, an impedance or a ratio is not
+        one that a line can have, or a bus that draws power is not in the network.
 
     Examples
     --------
     >>> net = Network([2, 2], [1, 3], [0.1, 0.2], [0.05, 0.1], slack_bus=1, base_kv=11.0)
     >>> net.buses.tolist(), net.to_bus.tolist(), net.parent.tolist()
     ([1, 2, 3], [2, 3], [0, 1])
+
+    A transformer that raises the voltage by 5 %, given against its direction:
+
+    >>> net = Network([2], [1], [0.1], [0.1], slack_bus=1, base_kv=11.0, ratio=[1.05])
+    >>> net.ratio.round(4).tolist(), net.bus_ratio.round(4).tolist()
+    ([0.9524], [1.0, 1.05])
     """
 
     from_bus: Names
@@ -76,7 +114,15 @@ class Network:
     v_max_pu: float = 1.053
     v_min_ac_pu: float = 0.94
     v_max_ac_pu: float = 1.06
-    i_max_a: Floats = field(default_factory=_no_ratings)
+    i_max_a: Floats = field(default_factory=_none)
+    ratio: Floats = field(default_factory=_none)
+    b_us: Floats = field(default_factory=_none)
+    g_us: Floats = field(default_factory=_none)
+    drawing_bus: Names = field(default_factory=_nowhere)
+    p_shunt_kw: Floats = field(default_factory=_none)
+    q_shunt_kvar: Floats = field(default_factory=_none)
+    p_fixed_kw: Floats = field(default_factory=_none)
+    q_fixed_kvar: Floats = field(default_factory=_none)
     buses: Names = field(init=False)
     parent: Wholes = field(init=False)
 
@@ -84,27 +130,79 @@ class Network:
         ends = np.asarray(self.from_bus, dtype=object), np.asarray(self.to_bus, dtype=object)
         r = np.asarray(self.r_ohm, float)
         x = np.asarray(self.x_ohm, float)
-        i_max = np.asarray(self.i_max_a, float)
-        i_max = i_max if len(i_max) else np.full(len(r), np.inf)
+        given = {name: self._filled(name, len(r)) for name in LINE_DEFAULTS}
         problems = (
             check_radial(ends[0], ends[1], self.slack_bus)
             + _check_impedance(r, x)
-            + _check_ratings(i_max, len(r))
+            + _check_ratings(given["i_max_a"], len(r))
+            + _check_ratios(given["ratio"], len(r))
+            + self._check_drawing({*ends[0], *ends[1]})
         )
         if problems:
             raise InputError(problems)
         order, parent, line_of = _orient(ends[0], ends[1], self.slack_bus)
+        ratio = given["ratio"][line_of]
+        turned = ends[1][line_of] != order[1:]
+        other_side = np.where(turned, ratio**2, 1.0)
         values = {
             "buses": order,
             "parent": parent,
             "from_bus": order[parent],
             "to_bus": order[1:],
-            "r_ohm": r[line_of],
-            "x_ohm": x[line_of],
-            "i_max_a": i_max[line_of],
+            "r_ohm": r[line_of] * other_side,
+            "x_ohm": x[line_of] * other_side,
+            "i_max_a": given["i_max_a"][line_of],
+            "ratio": np.where(turned, 1.0 / ratio, ratio),
+            "b_us": given["b_us"][line_of] / other_side,
+            "g_us": given["g_us"][line_of] / other_side,
+            **self._drawn_at(order),
         }
         for name, value in values.items():
             object.__setattr__(self, name, freeze(value))
+
+    def _filled(self, name: str, n_lines: int) -> Floats:
+        """A line's attribute as it was given, or its neutral value."""
+        values = np.asarray(getattr(self, name), float)
+        return values if len(values) else np.full(n_lines, LINE_DEFAULTS[name])
+
+    def _check_drawing(self, known: set[BusId]) -> list[Problem]:
+        """Buses that draw power and are no end of a line, and values that are not one for each."""
+        wrong = [
+            Problem(
+                "buses",
+                f"must have one value for each of the {len(self.drawing_bus)} buses that draw "
+                "power",
+                "Give the power at nominal voltage, or the constant power, of each of them.",
+                field=name,
+                value=len(getattr(self, name)),
+            )
+            for name in BUS_DRAWS
+            if len(getattr(self, name)) not in (0, len(self.drawing_bus))
+        ]
+        return wrong + [
+            Problem(
+                "buses",
+                "is not a bus of the network",
+                "Give a bus that a line begins or ends at, or remove the row.",
+                row=i,
+                field="bus",
+                value=bus,
+            )
+            for i, bus in enumerate(self.drawing_bus)
+            if bus not in known
+        ]
+
+    def _drawn_at(self, order: Names) -> dict[str, Any]:
+        """What the buses draw by themselves, in the network's order; rows of a bus add up."""
+        position = {bus: i for i, bus in enumerate(order)}
+        at = np.array([position[bus] for bus in self.drawing_bus], dtype=int)
+        drawn: dict[str, Any] = {"drawing_bus": order}
+        for name in BUS_DRAWS:
+            values = np.asarray(getattr(self, name), float)
+            drawn[name] = np.zeros(len(order))
+            if len(values):
+                np.add.at(drawn[name], at, values)
+        return drawn
 
     @property
     def n_buses(self) -> int:
@@ -144,15 +242,102 @@ class Network:
                 dense[self.parent[line] - 1] += dense[line]
         return sp.csr_array(dense)
 
+    @property
+    def has_ratios(self) -> bool:
+        """Whether any line has a ratio other than 1."""
+        return bool((self.ratio != 1.0).any())
+
+    @property
+    def has_charging(self) -> bool:
+        """Whether any line charges or leaks."""
+        return bool(self.b_us.any() or self.g_us.any())
+
+    @property
+    def has_draws(self) -> bool:
+        """Whether any bus has a shunt or a fixed demand of its own."""
+        return any(getattr(self, name).any() for name in BUS_DRAWS)
+
+    @property
+    def draws(self) -> bool:
+        """Whether the network itself draws power: charging, shunts or fixed demand."""
+        return self.has_charging or self.has_draws
+
+    @cached_property
+    def bus_ratio(self) -> Floats:
+        """Voltage of each bus in pu over its voltage referred to the slack bus, shape (N,)."""
+        found = np.ones(self.n_buses)
+        for line, above in enumerate(self.parent):
+            found[line + 1] = found[above] / self.ratio[line]
+        return freeze(found)
+
+    @cached_property
+    def referred_r_ohm(self) -> Floats:
+        """Series resistance referred to the slack bus, shape (L,)."""
+        return freeze(self.r_ohm / self.bus_ratio[1:] ** 2)
+
+    @cached_property
+    def referred_x_ohm(self) -> Floats:
+        """Series reactance referred to the slack bus, shape (L,)."""
+        return freeze(self.x_ohm / self.bus_ratio[1:] ** 2)
+
     @cached_property
     def r_pu2_per_kw(self) -> Floats:
-        """Drop of V² per kW of flow and unit factor, without the factor 2 of LinDistFlow."""
-        return ohm_to_pu2_per_kw(self.r_ohm, self.base_kv)
+        """Drop of the referred V² per kW of flow, without the factor 2 of LinDistFlow."""
+        return ohm_to_pu2_per_kw(self.referred_r_ohm, self.base_kv)
 
     @cached_property
     def x_pu2_per_kvar(self) -> Floats:
-        """Drop of V² per kvar of flow, without the factor 2 of LinDistFlow."""
-        return ohm_to_pu2_per_kw(self.x_ohm, self.base_kv)
+        """Drop of the referred V² per kvar of flow, without the factor 2 of LinDistFlow."""
+        return ohm_to_pu2_per_kw(self.referred_x_ohm, self.base_kv)
+
+    @cached_property
+    def u_min_pu2(self) -> Floats:
+        """Lower limit of each bus's squared referred voltage, shape (N,)."""
+        return freeze((self.v_min_pu / self.bus_ratio) ** 2)
+
+    @cached_property
+    def u_max_pu2(self) -> Floats:
+        """Upper limit of each bus's squared referred voltage, shape (N,)."""
+        return freeze((self.v_max_pu / self.bus_ratio) ** 2)
+
+    def u_pu2(self, v_pu: Floats) -> Floats:
+        """Squared referred voltages of voltages in pu, shape (..., N)."""
+        return np.asarray((v_pu / self.bus_ratio) ** 2)
+
+    def v_pu(self, u_pu2: Floats) -> Floats:
+        """Voltages in pu of squared referred voltages, shape (..., N)."""
+        return np.asarray(np.sqrt(u_pu2) * self.bus_ratio)
+
+    @cached_property
+    def shunt_kw(self) -> Floats:
+        """Active power that shunts and leakage draw where every referred voltage is 1, (N,)."""
+        return freeze(self._at_one_pu(self.g_us, self.p_shunt_kw))
+
+    @cached_property
+    def shunt_kvar(self) -> Floats:
+        """Reactive power that shunts and charging draw where every referred voltage is 1, (N,)."""
+        return freeze(self._at_one_pu(-self.b_us, self.q_shunt_kvar))
+
+    def _at_one_pu(self, line_us: Floats, at_bus: Floats) -> Floats:
+        """Admittances of lines, half at each end, and of buses, as power at 1 pu referred."""
+        half = 0.5 * us_to_kw_at_1_pu(line_us, self.base_kv) * self.bus_ratio[1:] ** 2
+        drawn = at_bus * self.bus_ratio**2
+        np.add.at(drawn, self.parent, half)
+        drawn[1:] += half
+        return np.asarray(drawn)
+
+    def drawn(self, v_pu: Floats) -> tuple[Floats, Floats]:
+        """Power that the network itself draws at voltages in pu, kW and kvar, (..., N) each.
+
+        Examples
+        --------
+        >>> net = Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=10.0, b_us=[20.0],
+        ...               drawing_bus=[2], p_fixed_kw=[5.0])
+        >>> [power.tolist() for power in net.drawn(np.array([1.0, 0.9]))]
+        [[0.0, 5.0], [-1.0, -0.81]]
+        """
+        u = self.u_pu2(v_pu)
+        return self.p_fixed_kw + self.shunt_kw * u, self.q_fixed_kvar + self.shunt_kvar * u
 
     def place(self, bus: Names) -> sp.csr_array:
         """Matrix of shape (N, len(bus)) that sums items onto their buses."""
@@ -292,19 +477,31 @@ def _orient(from_bus: Names, to_bus: Names, slack_bus: BusId) -> tuple[Names, Wh
 
 
 def _check_impedance(r_ohm: Floats, x_ohm: Floats) -> list[Problem]:
-    """Lines without a resistance above zero, or with a negative reactance."""
-    bad = [("r_ohm", i, r_ohm[i]) for i in np.flatnonzero(~(r_ohm > 0))]
-    bad += [("x_ohm", i, x_ohm[i]) for i in np.flatnonzero(~(x_ohm >= 0))]
+    """Lines without a resistance above zero, or without a reactance."""
+    bad = [("r_ohm", i, r_ohm[i], "must be positive") for i in np.flatnonzero(~(r_ohm > 0))]
+    bad += [("x_ohm", i, x_ohm[i], "must be finite") for i in np.flatnonzero(~np.isfinite(x_ohm))]
     return [
         Problem(
             "lines",
-            "must be positive",
+            message,
             "Give the series impedance in ohm; join buses that have no impedance between them.",
             row=int(i),
             field=name,
             value=value,
         )
-        for name, i, value in bad
+        for name, i, value, message in bad
+    ]
+
+
+def _check_ratios(ratio: Floats, n_lines: int) -> list[Problem]:
+    """Ratios that are not one positive number for each line."""
+    cure = "Give the voltage in pu at from_bus over that at to_bus, 1 where a line has no tap."
+    if ratio.shape != (n_lines,):
+        message = f"must have one value for each of the {n_lines} lines"
+        return [Problem("lines", message, cure, field="ratio", value=ratio.shape)]
+    return [
+        Problem("lines", "must be positive", cure, row=int(i), field="ratio", value=ratio[i])
+        for i in np.flatnonzero(~(ratio > 0) | np.isinf(ratio))
     ]
 
 

@@ -114,6 +114,8 @@ class Option:
         Heading in the help.
     scenario_key : str
         Key of scenario.toml that sets it, ``section.key``; empty if a scenario cannot.
+    follows_scenario : bool
+        Whether it is the scenario's in Python too, unless it is given there.
     file_most : float
         Largest number that scenario.toml may hold.
     command_line : bool
@@ -136,9 +138,15 @@ class Option:
     unset: str = ""
     group: str = ""
     scenario_key: str = ""
+    follows_scenario: bool = False
     file_most: float = inf
     command_line: bool = True
     sweep: bool = True
+
+    @property
+    def run_default(self) -> Value | None:
+        """Default of its field in ``RunOptions``; None where the scenario decides."""
+        return None if self.follows_scenario else self.default
 
     @property
     def label(self) -> str:
@@ -147,7 +155,7 @@ class Option:
 
     def problems(self, value: Any) -> Iterator[Problem]:
         """What is wrong with a value; nothing is wrong with None where it has a meaning."""
-        if value is None and self.default is None:
+        if value is None and self.run_default is None:
             return
         if self.choices and value not in (*self.choices, *self.hidden):
             yield Problem(
@@ -258,12 +266,13 @@ OPTIONS: tuple[Option, ...] = (
         "mode",
         "mode",
         str,
-        "paper",
+        "physical",
         "way of islands, the paper's or held by batteries",
         words="paper or physical",
         page="see {doc}`islands`",
         choices=("paper", "physical"),
         scenario_key="controller.mode",
+        follows_scenario=True,
     ),
     Option(
         "seed", "seed", int, 0, "seed of the random forecast errors", range=COUNT, group=FORECAST

@@ -32,7 +32,7 @@ class SwitchingRules:
         Price of an action in weighted customer hours. Switching off pays for the restoration too,
         so that nobody is left in the dark to save it.
     max_actions_per_customer : int or None
-        Most actions of one customer over the whole day; an off/on pair is two.
+        Most actions of one customer in each 24 h from the first step on; an off/on pair is two.
     stay_restored : bool
         Whether a customer that was restored after an interruption is never switched off again.
     cold_load_factor : float

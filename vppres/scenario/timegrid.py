@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from zoneinfo import ZoneInfo
 
 import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import minutes_to_h
+
+UTC = "UTC"
+
+
+def is_zone(name: str) -> bool:
+    """Whether a name is that of a time zone.
+
+    >>> is_zone("Europe/London"), is_zone("Atlantis")
+    (True, False)
+    """
+    try:
+        ZoneInfo(name)
+    except (KeyError, ValueError, OSError):  # unknown, no name of a file, a folder
+        return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -22,6 +38,9 @@ class TimeGrid:
         Step length in minutes.
     n_steps : int
         Number of steps.
+    zone : str
+        Name of the time zone in which people on the feeder read their clocks, for example
+        ``Europe/London``. Steps are equally long in it too: a day may have 23 or 25 hours.
 
     Examples
     --------
@@ -33,6 +52,7 @@ class TimeGrid:
     start: pd.Timestamp
     step_minutes: float
     n_steps: int
+    zone: str = UTC
 
     def __post_init__(self) -> None:
         problems = []
@@ -66,6 +86,16 @@ class TimeGrid:
                     value=self.n_steps,
                 )
             )
+        if not is_zone(self.zone):
+            problems.append(
+                Problem(
+                    "time",
+                    "is not the name of a time zone",
+                    "Give one such as Europe/London, or UTC.",
+                    field="zone",
+                    value=self.zone,
+                )
+            )
         if problems:
             raise InputError(problems)
 
@@ -88,6 +118,15 @@ class TimeGrid:
     def end(self) -> pd.Timestamp:
         """End of the last step."""
         return self.start + self.n_steps * pd.Timedelta(minutes=self.step_minutes)
+
+    def local(self, time: pd.Timestamp) -> pd.Timestamp:
+        """A time as the clocks on the feeder show it.
+
+        >>> grid = TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60, 24, "Europe/London")
+        >>> grid.local(grid.start).isoformat()
+        '2022-07-19T01:00:00+01:00'
+        """
+        return time.tz_convert(self.zone)
 
     def steps_in_horizon(self, horizon_h: float) -> int:
         """Steps of a window ``t0 .. t0 + H``, both ends included: ``H = 0`` is one step."""

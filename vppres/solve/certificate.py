@@ -62,19 +62,27 @@ class Candidate:
 
 @dataclass(frozen=True)
 class CostRange:
-    """Cost of the import (GBP) that no dispatch of a window falls below or exceeds."""
+    """Cost of import and export (GBP) that no dispatch of a window falls below or exceeds."""
 
     least_gbp: float
     dearest_gbp: float
 
     @classmethod
     def of(cls, site: Site, data: WindowData) -> CostRange:
-        """All import that can ever be useful, in the steps in which it earns or costs money."""
+        """All import that can ever be useful, in the steps in which it earns or costs money.
+
+        Where export does so too, a step has the one or the other.
+        """
         price = data.price_gbp_per_kwh
         most_kw = data.grid_p_max_kw(site)
+        least = np.minimum(price, 0.0)
+        dearest = np.maximum(price, 0.0)
+        if data.export is None:
+            return cls(float(least @ most_kw) * site.dt_h, float(dearest @ most_kw) * site.dt_h)
+        spent_out = -data.export.price_gbp_per_kwh * data.export_max_kw(site)
         return cls(
-            float(np.minimum(price, 0.0) @ most_kw) * site.dt_h,
-            float(np.maximum(price, 0.0) @ most_kw) * site.dt_h,
+            float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h,
+            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h,
         )
 
 

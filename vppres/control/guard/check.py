@@ -173,7 +173,7 @@ def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
 
 
 def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
-    """What import has to be, against what the grid gives; nothing can be exported."""
+    """What import has to be, against what the grid gives, and what export has to, likewise."""
     pv = state.site.pv
     usable = state.usable_pv_kw
     own = np.minimum((state.load_kw * row.served)[state.site.owner], usable)
@@ -184,7 +184,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = within.loss_share * max(taken, given)
     short = taken - given - state.grid_limit_kw
-    surplus = given - taken
+    surplus = given - taken - state.export_limit_kw
     # What each inverter may be off by adds up here: a plan must not pass there and fail here.
     slack_kw = within.balance_kw + within.power_kw * len(pv)
     if short > slack_kw:

@@ -31,7 +31,10 @@ _LOWEST_PU = 0.5  # no feeder runs below; the sweeps there are beyond their solu
 
 @dataclass(frozen=True, eq=False)
 class ACPoints:
-    """AC points of W steps: voltages (W, N), flows at the lines' upper ends and losses (W, L)."""
+    """AC points of W steps: voltages (W, N), flows at the lines' upper ends and losses (W, L).
+
+    Voltages are those of the buses; a line's own charging stands at its ends and is in no flow.
+    """
 
     v_pu: Floats
     p_flow_kw: Floats
@@ -61,7 +64,8 @@ class ACPoints:
 
     def offset_pu2(self, network: Network) -> Floats:
         """Offset of each line's voltage drop that meets these points, (W, L)."""
-        return voltage_offset_pu2(network, self.v_pu**2, self.p_flow_kw, self.q_flow_kvar)
+        u_pu2 = network.u_pu2(self.v_pu)
+        return voltage_offset_pu2(network, u_pu2, self.p_flow_kw, self.q_flow_kvar)
 
 
 class Sweeps:
@@ -110,22 +114,25 @@ class Sweeps:
         net = self.network
         feeds = self._downstream
         z = (net.r_pu2_per_kw + 1j * net.x_pu2_per_kvar)[:, None]
-        drawn = -(p_kw + 1j * q_kvar).T
-        v: Complexes = np.full(drawn.shape, net.v_slack_pu, dtype=complex)
+        drawn = -(p_kw - net.p_fixed_kw + 1j * (q_kvar - net.q_fixed_kvar)).T
+        shunt = (net.shunt_kw - 1j * net.shunt_kvar)[:, None]
+        v_source = float(net.v_slack_pu / net.bus_ratio[self.reference])
+        v: Complexes = np.full(drawn.shape, v_source, dtype=complex)
         change = np.full(drawn.shape[1], np.inf)
         with np.errstate(all="ignore"):
             for _ in range(_MAX_SWEEPS):
-                current = feeds @ np.conj(drawn / v)
-                updated = net.v_slack_pu - feeds.T @ (z * current)
+                current = np.asarray(feeds @ (np.conj(drawn / v) + shunt * v))
+                updated = v_source - feeds.T @ (z * current)
                 change = np.abs(updated - v).max(axis=0)
                 v = updated
                 if not (change > TOLERANCE_PU).any():
                     break
-            current = feeds @ np.conj(drawn / v)
+            current = np.asarray(feeds @ (np.conj(drawn / v) + shunt * v))
             flow = (v[net.parent] * np.conj(current)).T
             loss = (z * np.abs(current) ** 2).T
         sound = (change <= TOLERANCE_PU) & (np.abs(v).min(axis=0) > _LOWEST_PU)
-        return ACPoints(np.abs(v).T, flow.real, flow.imag, loss.real, loss.imag, sound)
+        v_pu = np.abs(v).T * net.bus_ratio
+        return ACPoints(v_pu, flow.real, flow.imag, loss.real, loss.imag, sound)
 
 
 def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:

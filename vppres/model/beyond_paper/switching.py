@@ -85,7 +85,8 @@ class SwitchingModel:
         self.x_before = cp.Parameter(C, name="x_before", nonneg=True)
         self.x_min = cp.Parameter((W, C), name="x_min", nonneg=True)
         self.x_max = cp.Parameter((W, C), name="x_max", nonneg=True)
-        self.actions_left = cp.Parameter(C, name="actions_left", nonneg=True)
+        self.actions_left = cp.Parameter((steps.days, C), name="actions_left", nonneg=True)
+        self.in_day = cp.Parameter((steps.days, W), name="in_day", nonneg=True)
         self.cold_before = cp.Parameter((W, C), name="cold_before", nonneg=True)
         self.price = cp.Parameter(name="price", nonneg=True)
         families = FAMILIES + ((cold_load,) if steps.cold else ())
@@ -105,6 +106,7 @@ class SwitchingModel:
             v.astype(float) for v in (rules.served_min, rules.served_max)
         )
         self.actions_left.value = np.minimum(rules.actions_left, 2.0 * data.n_steps)
+        self.in_day.value = rules.in_day.astype(float)
         self.price.value = rules.price_per_action
         if self.cold is not None:
             self.cold_before.value = rules.cold_before.astype(float)
@@ -133,10 +135,13 @@ def minimum_times(m: SwitchingModel) -> Named:
 
 def past_actions(m: SwitchingModel) -> Named:
     """What the time before the window demands of the service, and the actions that are left."""
+    actions = m.on + m.off
+    # A window within one day has no use for a product with a parameter.
+    of_day = cp.sum(actions, axis=0, keepdims=True) if m.steps.days == 1 else m.in_day @ actions
     return {
         "switching_served_min": m.x >= m.x_min,
         "switching_served_max": m.x <= m.x_max,
-        "switching_limit": cp.sum(m.on + m.off, axis=0) <= m.actions_left,
+        "switching_limit": of_day <= m.actions_left,
     }
 
 

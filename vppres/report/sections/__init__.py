@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from vppres.report.sections.assumptions import assumptions_section
 from vppres.report.sections.base import SectionMaker
+from vppres.report.sections.days import days_section
 from vppres.report.sections.energy import energy_section
 from vppres.report.sections.explain import explain_section
 from vppres.report.sections.feeder import feeder_section
@@ -23,6 +24,7 @@ from vppres.report.sections.timeline import timeline_section
 SECTIONS: tuple[SectionMaker, ...] = (
     overview_section,
     timeline_section,
+    days_section,
     explain_section,
     service_section,
     feeder_section,

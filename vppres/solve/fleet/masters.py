@@ -155,12 +155,19 @@ def relaxation_of(
         lumped=lumped,
         physical=data.physical,
         switching=rule_steps(data),
+        exporting=data.exporting,
     )
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
     """What the fleet can carry in a window of that length and mode."""
-    return cache.problem(demand_model, n_steps=data.n_steps, lumped=lumped, physical=data.physical)
+    return cache.problem(
+        demand_model,
+        n_steps=data.n_steps,
+        lumped=lumped,
+        physical=data.physical,
+        exporting=data.exporting,
+    )
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

@@ -79,7 +79,8 @@ class Injections:
 
     The columns are arrays of positions with the paper's letters: ``x`` (W, C); ``P_ch``, ``P_dch``,
     ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
-    ``P_grid`` and ``Q_grid`` (W, 1). Charging and discharging may overlap.
+    ``P_grid``, ``P_out`` and ``Q_grid`` (W, 1), where ``P_out``, the export, has no column if there
+    is none. Charging and discharging may overlap, and so may import and export.
 
     Parameters
     ----------
@@ -111,6 +112,7 @@ class Injections:
             "Q_pv": P,
             "P_grid": 1,
             "Q_grid": 1,
+            "P_out": int(data.exporting),
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
@@ -134,6 +136,7 @@ class Injections:
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
             "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
             "Q_grid": (-q_grid, q_grid),
+            "P_out": (0.0, data.export_max_kw(site)[:, None]),
         }
         lower = np.zeros(self.size)
         upper = np.zeros(self.size)
@@ -147,12 +150,15 @@ class Injections:
         at = self.at
         site = self.site
         data = self.data
-        active = np.hstack([at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"]])
+        active = np.hstack(
+            [at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"], at["P_out"]]
+        )
         signs = np.hstack(
             [
                 np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
                 -np.ones((data.n_steps, len(site.batteries))),
                 -self.net_kw,
+                -np.ones(at["P_out"].shape),
             ]
         )
         reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], at["x"]])
@@ -171,8 +177,20 @@ class Injections:
                 Rows.of(outside, charging, 0.0, np.inf, self.size),
                 Rows.of(owner, own, -np.inf, room, self.size),
                 *self._battery_rows(),
+                *self._connection_rows(),
             ]
         )
+
+    def _connection_rows(self) -> list[Rows]:
+        """Import or export, as far as rows without binaries can say it."""
+        most_in = self.data.grid_p_max_kw(self.site)
+        most_out = self.data.export_max_kw(self.site)
+        both = np.flatnonzero((most_in > 0.0) & (most_out > 0.0))
+        if not len(both):
+            return []
+        columns = np.hstack([self.at["P_grid"][both], self.at["P_out"][both]])
+        shares = np.column_stack([1.0 / most_in[both], 1.0 / most_out[both]])
+        return [Rows.of(columns, shares, -np.inf, 1.0, self.size)]
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""
@@ -314,6 +332,12 @@ class Injections:
                 )
         return tangents
 
+    def exchange_kw(self, x: Floats) -> tuple[Floats, Floats]:
+        """Import and export of a solution, (W,) each."""
+        imported = np.maximum(x[self.at["P_grid"]][:, 0], 0.0)
+        exported = np.maximum(x[self.at["P_out"]].sum(axis=1), 0.0)
+        return imported, exported
+
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
         """A solution as a dispatch of a served set; flows and voltages follow from it."""
         at = self.at
@@ -321,6 +345,7 @@ class Injections:
         net = self.site.network
         own = self.own_kw * served[:, self.site.owner]
         export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
+        imported, exported = self.exchange_kw(x)
         p, q = self._injected(x)
         return Dispatch(
             served=served,
@@ -332,7 +357,7 @@ class Injections:
             discharge_kw=np.maximum(x[at["P_dch"]], 0.0),
             batt_q_kvar=x[at["Q_batt"]],
             soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
-            p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0),
+            p_grid_kw=imported - exported,
             q_grid_kvar=x[at["Q_grid"]][:, 0],
             v_pu=np.sqrt(self.u_pu2(x)),
             p_flow_kw=lossless_flows(net, p),

@@ -1,0 +1,157 @@
+"""Where a feeder comes from, in the files, on the terminal and in the digest; islands without a battery."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.command_line import call
+from tests.support.tiny_day import tiny_scenario
+from vppres.core.errors import InputError
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.io import read_scenario, scenario_digest, write_scenario
+from vppres.plant.island import NO_FORMER
+from vppres.scenario.remarks import darkness, remarks
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, Source, SourceDeviation
+
+SOURCE = Source(
+    "my grid.json",
+    "pandapower",
+    ("Two transformers are merged.", "Batteries were drawn: 28 MWh."),
+    SourceDeviation(no_load_pu=2e-14, as_given_pu=0.0012),
+)
+
+
+@pytest.fixture
+def made() -> Scenario:
+    """The tiny day as if it were made from a net."""
+    tiny = tiny_scenario()
+    return replace(tiny, source=SOURCE, grid=replace(tiny.grid, zone="Europe/London"))
+
+
+def without_power(scenario: Scenario, kw: float) -> Scenario:
+    """The scenario with batteries of hardly any power."""
+    n = len(scenario.batteries)
+    small = replace(scenario.batteries, p_max_kw=np.full(n, kw), s_max_kva=np.full(n, kw))
+    return replace(scenario, batteries=small)
+
+
+def test_source_and_zone_come_back_from_the_folder(made: Scenario, tmp_path: Path) -> None:
+    write_scenario(made, tmp_path / "made")
+    read = read_scenario(tmp_path / "made")
+    assert read.source == SOURCE
+    assert read.source.deviation.largest_pu == 0.0012
+    assert read.grid.zone == "Europe/London"
+    assert scenario_digest(read) == scenario_digest(tiny_scenario())
+
+
+def test_folder_without_source_has_none(tmp_path: Path) -> None:
+    write_scenario(tiny_scenario(), tmp_path / "plain")
+    text = (tmp_path / "plain" / "scenario.toml").read_text(encoding="utf-8")
+    assert "[source]" not in text
+    assert "zone" not in text
+    assert not read_scenario(tmp_path / "plain").source
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ('[source]\nname = "a\\u001bb"', "source.name"),
+        ('[source]\nnotes = ["fine", "=1+1"]', "begins with '='"),
+        ("[source.deviation]\nno_load_pu = -1.0", "source.deviation.no_load_pu = -1.0"),
+        ('[source]\ntool = "x"', "source.tool"),
+    ],
+)
+def test_wrong_sources_are_refused_with_their_key(lines: str, message: str, tmp_path: Path) -> None:
+    write_scenario(tiny_scenario(), tmp_path / "wrong")
+    with (tmp_path / "wrong" / "scenario.toml").open("a", encoding="utf-8") as file:
+        file.write(f"\n{lines}\n")
+    with pytest.raises(InputError) as error:
+        read_scenario(tmp_path / "wrong")
+    assert message in str(error.value)
+
+
+def test_unknown_zone_is_refused(tmp_path: Path) -> None:
+    write_scenario(tiny_scenario(), tmp_path / "wrong")
+    file = tmp_path / "wrong" / "scenario.toml"
+    text = file.read_text(encoding="utf-8").replace("[time]\n", '[time]\nzone = "Atlantis"\n')
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        read_scenario(tmp_path / "wrong")
+    assert str(error.value) == (
+        "scenario.toml, time.zone = Atlantis: is not the name of a time zone. "
+        "Give one such as Europe/London, or leave the key out: UTC."
+    )
+
+
+def test_words_of_strangers_are_made_fit_for_a_scenario(tmp_path: Path) -> None:
+    notes = [f"note {i}" for i in range(MAX_NOTES + 5)]
+    source = Source.of("net\x1b[2J", "kind", ["a\nb", "x" * (MAX_NOTE_LENGTH + 1), *notes])
+    assert source.name == "net\\x1b[2J"
+    assert source.notes[0] == "a b"
+    assert len(source.notes[1]) <= MAX_NOTE_LENGTH
+    assert source.notes[-1] == "8 more notes are left out."
+    write_scenario(replace(tiny_scenario(), source=source), tmp_path / "of")
+    assert read_scenario(tmp_path / "of").source == source
+
+
+def test_validate_shows_the_source_and_its_notes(made: Scenario, tmp_path: Path) -> None:
+    write_scenario(made, tmp_path / "made")
+    text = call("validate", str(tmp_path / "made")).stdout
+    assert "islands in paper mode." in text
+    assert "- Made from my grid.json (pandapower). Voltages differ" in text
+    assert "2e-14 pu at no load, 0.0012 pu as given." in text
+    assert "- Batteries were drawn: 28 MWh." in text
+    found = json.loads(call("validate", str(tmp_path / "made"), "--json").stdout)["content"]
+    assert found["source"]["kind"] == "pandapower"
+    assert found["remarks"] == remarks(made)
+
+
+def test_run_keeps_the_source_and_shows_it(made: Scenario, tmp_path: Path) -> None:
+    write_scenario(made, tmp_path / "made")
+    folder = tmp_path / "run"
+    done = call(
+        "run", str(tmp_path / "made"), "--controller", "idle", "--no-figures", "--no-explain",
+        "--out", str(folder),
+    )  # fmt: skip
+    assert "- Two transformers are merged." in done.stdout
+    assert read_scenario(folder / "scenario").source == SOURCE
+
+
+def test_island_without_a_battery_is_dark_and_says_so() -> None:
+    day = without_power(tiny_scenario(), 1e-3)
+    assert "No battery has the power" in darkness(day, "physical")
+    assert "nobody is served in the 2 steps" in darkness(day, "physical")
+    assert "in truth the island would be dark" in darkness(day, "paper")
+    assert darkness(tiny_scenario(), "physical") == ""
+    for controller in ("mpc", "idle"):
+        run = run_day(day, RunOptions(controller, mode="physical"))
+        assert summarise(run)["resilience"] == 0.0
+        dark = run.steps[run.steps["outage"]]
+        assert (dark["dark_reason"] == NO_FORMER).all()
+        assert not run.customers.loc[run.customers["time"].isin(dark["time"]), "served"].any()
+
+
+def test_a_little_power_forms_the_grid() -> None:
+    assert without_power(tiny_scenario(), 2e-3).batteries.formers.any()
+
+
+def test_mode_is_the_scenarios_unless_it_is_given() -> None:
+    day = tiny_scenario()
+    physical = replace(day, controller=ControllerDefaults(mode="physical"))
+    assert ControllerDefaults().mode == "physical"
+    for scenario, options, mode in (
+        (day, RunOptions("idle"), "paper"),
+        (physical, RunOptions("idle"), "physical"),
+        (physical, RunOptions("idle", mode="paper"), "paper"),
+    ):
+        run = run_day(scenario, options)
+        assert run.options["mode"] == mode
+        assert set(run.steps["mode"]) == {mode}

@@ -1,0 +1,132 @@
+"""Where a scenario's feeder comes from: its source, what was simplified, and how exact it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from vppres.core.text import visible
+
+MAX_NOTES = 1000
+MAX_NOTE_LENGTH = 4000
+MAX_SOURCE_LENGTH = 300
+EXACT_PU = 0.005
+"""Largest difference of a voltage from its source that counts as the source's voltage."""
+
+
+@dataclass(frozen=True)
+class SourceDeviation:
+    """Largest difference of a bus voltage from the AC power flow of the source, in three states.
+
+    Parameters
+    ----------
+    no_load_pu : float, optional
+        Without loads and generators; None where it is not known.
+    as_given_pu : float, optional
+        With the loads and generators that the source gives.
+    worst_hour_pu : float, optional
+        In the hour of the series in which the voltages differ most.
+    """
+
+    no_load_pu: float | None = None
+    as_given_pu: float | None = None
+    worst_hour_pu: float | None = None
+
+    @property
+    def largest_pu(self) -> float | None:
+        """Largest of the differences that are known; None where none is."""
+        known = [value for _, value in self._states() if value is not None]
+        return max(known, default=None)
+
+    def __str__(self) -> str:
+        parts = [f"{value:.2g} pu {state}" for state, value in self._states() if value is not None]
+        if not parts:
+            return "How far the voltages are from the source's is not known."
+        return f"Voltages differ from the source's power flow by at most {', '.join(parts)}."
+
+    def _states(self) -> tuple[tuple[str, float | None], ...]:
+        """The states in words, with their differences."""
+        return (
+            ("at no load", self.no_load_pu),
+            ("as given", self.as_given_pu),
+            ("in the worst hour", self.worst_hour_pu),
+        )
+
+
+@dataclass(frozen=True)
+class Source:
+    """The network that a scenario was made from; empty for one that was written by hand.
+
+    Parameters
+    ----------
+    name : str
+        Name of the network or its file.
+    kind : str
+        Which tool's it is, for example ``pandapower`` or ``OpenDSS``.
+    notes : tuple of str
+        What was simplified, left out or drawn, one sentence each.
+    deviation : SourceDeviation
+        How far its voltages are from the source's.
+
+    Examples
+    --------
+    >>> Source("case33bw", "pandapower").heading
+    'Made from case33bw (pandapower).'
+    """
+
+    name: str = ""
+    kind: str = ""
+    notes: tuple[str, ...] = ()
+    deviation: SourceDeviation = SourceDeviation()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        kind: str = "",
+        notes: Iterable[str] = (),
+        deviation: SourceDeviation | None = None,
+    ) -> Source:
+        """A source whose words come from files of others: made such that a scenario may hold them.
+
+        Hidden characters are written out, and what is too long or too much is cut, with a word
+        that says so.
+        """
+        return cls(
+            _fitting(name, MAX_SOURCE_LENGTH),
+            _fitting(kind, MAX_SOURCE_LENGTH),
+            tuple(_fitting_notes(notes)),
+            deviation or SourceDeviation(),
+        )
+
+    def __bool__(self) -> bool:
+        """Whether anything is known of the source."""
+        return self != Source()
+
+    @property
+    def heading(self) -> str:
+        """Name and kind as a sentence; empty where nothing is known."""
+        kind = f" ({self.kind})" if self.kind else ""
+        return f"Made from {self.name or 'another network'}{kind}." if self else ""
+
+    def __str__(self) -> str:
+        return f"{self.heading} {self.deviation}" if self else "Not made from another network."
+
+
+def _fitting(text: str, longest: int) -> str:
+    """A text of others that can be shown, and is cut where it is too long."""
+    text = visible(" ".join(text.split()))
+    return text if len(text) <= longest else f"{text[: longest - 2]} …"
+
+
+def _fitting_notes(notes: Iterable[str]) -> Iterator[str]:
+    """Notes that can be shown; of very many the last says how many are left out."""
+    kept = [_fitting(note, MAX_NOTE_LENGTH) for note in notes]
+    if len(kept) <= MAX_NOTES:
+        yield from kept
+        return
+    yield from kept[: MAX_NOTES - 1]
+    yield f"{len(kept) - MAX_NOTES + 1} more notes are left out."
