@@ -13,7 +13,7 @@ from vppres.contract.operating_point import Centre
 from vppres.contract.switching import SwitchingData
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import ModelError
-from vppres.model.linearise import delta_offset
+from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 
 
@@ -72,6 +72,8 @@ class WindowData:
         The previous plan, where moves away from it are to be few; None is the paper.
     export : Export, optional
         What the grid takes back; None is the paper's connection, which imports only.
+    drawn : Drawn, optional
+        What the network itself draws; None where it has no shunt, charging or fixed demand.
     """
 
     load_kw: Floats
@@ -86,6 +88,7 @@ class WindowData:
     switching: SwitchingData | None = None
     moves: Moves | None = None
     export: Export | None = None
+    drawn: Drawn | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -93,7 +96,9 @@ class WindowData:
         forecast = observation.forecast
         switching = observation.switching
         n_steps = len(forecast.price_gbp_per_kwh)
-        offset = delta_offset(site.network, observation.operating_point, centre)
+        point = observation.operating_point
+        offset = delta_offset(site.network, point, centre)
+        island = forecast.grid_limit_kw <= 0.0
         return cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
@@ -106,6 +111,7 @@ class WindowData:
             switching=None if switching is None else switching.window(n_steps),
             moves=observation.moves,
             export=forecast.export,
+            drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
         )
 
     @property
@@ -147,6 +153,7 @@ class WindowData:
             switching=self.switching and self.switching.part(steps),
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
+            drawn=self.drawn and self.drawn.part(steps),
         )
 
     @property
@@ -157,6 +164,13 @@ class WindowData:
             if self.physics is None
             else np.asarray(self.physics.loss_kw.sum(axis=1))
         )
+
+    @property
+    def network_kw(self) -> Floats:
+        """Losses of all lines and what the network itself draws, (W,)."""
+        if self.drawn is None:
+            return self.loss_kw
+        return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
 
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""
@@ -180,7 +194,8 @@ class WindowData:
         Nothing is exported at the same time, so no more than all demand and all charging is ever
         imported.
         """
-        useful = self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
+        load_kw = self.all_cold().load_kw.sum(axis=1)
+        useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property
@@ -196,6 +211,8 @@ class WindowData:
         if self.export is None:
             return np.zeros(self.n_steps)
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+        if self.drawn is not None:  # a fixed demand may be negative
+            possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 
@@ -211,10 +228,12 @@ class WindowData:
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
         possible = (
-            self.all_cold().load_kw @ site.customers.q_per_p
+            self.all_cold().load_kw @ np.abs(site.customers.q_per_p)
             + site.batteries.s_max_kva.sum()
             + site.pv.s_max_kva.sum()
         )
         if self.physics is not None:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
+        if self.drawn is not None:
+            possible = possible + np.abs(self.drawn.kvar).sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)

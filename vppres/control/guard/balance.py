@@ -103,6 +103,7 @@ def _served(commanded: Commanded, seen: Observation) -> Flags:
 
 
 def _losses_kw(site: Site, point: OperatingPoint) -> float:
-    """Losses of the lines: what left the slack bus and did not arrive anywhere."""
+    """Losses, and what the network draws: what left the slack bus and arrived at no device."""
     leaving = point.p_flow_kw[site.network.parent == 0]
-    return float(leaving.sum() + point.p_injection_kw[1:].sum())
+    at_slack_kw = site.network.drawn(point.v_pu)[0][0]
+    return float(leaving.sum() + point.p_injection_kw[1:].sum() + at_slack_kw)

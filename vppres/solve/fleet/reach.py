@@ -27,10 +27,10 @@ def everyone_in_reach(site: Site, data: WindowData) -> bool:
     stored_kwh = b.energy_kwh @ data.soc
     per_charged = data.eta_charge.max(initial=LEAST_EFFICIENCY) * site.dt_h
     per_discharged = site.dt_h / data.eta_discharge.max(initial=LEAST_EFFICIENCY)
-    demand_kw = data.load_kw.sum(axis=1) + data.loss_kw
+    demand_kw = data.load_kw.sum(axis=1) + data.network_kw
     spare_kw = data.pv_kw.sum(axis=1) + np.maximum(data.grid_limit_kw, 0.0) - demand_kw
     for spare, demand in zip(spare_kw, demand_kw, strict=True):
-        missing = -spare - ROUNDING * demand
+        missing = -spare - ROUNDING * abs(demand)
         if missing > power_kw or missing * per_discharged > stored_kwh - least_kwh + ROUNDING:
             return False
         flow_kwh = min(spare, power_kw) * (per_charged if spare > 0.0 else per_discharged)
