@@ -186,7 +186,7 @@ class WindowData:
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
-        return np.minimum(self.load_kw[:, site.owner], self.pv_kw)
+        return np.minimum(site.behind_meter(self.load_kw), self.pv_kw)
 
     def grid_p_max_kw(self, site: Site) -> Floats:
         """Largest import that can ever be useful, or the limit where that is smaller, (W,).
