@@ -271,7 +271,7 @@ class Recorder:
 
 def _alone(step: StepRecord) -> StepRecord:
     """The record without what its arrays are parts of: a row would keep its whole window."""
-    tables = {
+    tables: dict[str, Any] = {
         name: {column: np.array(values) for column, values in getattr(step, name).items()}
         for name in ITEM_COLUMNS
     }
