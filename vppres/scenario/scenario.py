@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -49,6 +50,11 @@ class ControllerDefaults:
     mode: str = default_of("mode")
 
 
+def _zero() -> Floats:
+    """A number without dimension: the same in all steps."""
+    return np.zeros(())
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """Everything that defines a day, and nothing that a controller decides.
@@ -75,6 +81,11 @@ class Scenario:
         Largest import; 0 in an outage, infinite without limit.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
+    export_limit_kw : array, shape (T,) or ()
+        Largest export, one number for all steps if it has no dimension; infinite without limit.
+        Import only, 0, where nothing is given. No export in an outage, whatever it says.
+    export_price_gbp_per_kwh : array, shape (T,) or ()
+        What exported energy earns; 0 where nothing is given, negative where it costs.
     source : Source
         Where the feeder comes from; it changes no result.
     """
@@ -95,6 +106,8 @@ class Scenario:
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
     switching: SwitchingRules = field(default_factory=SwitchingRules)
+    export_limit_kw: Floats = field(default_factory=_zero)
+    export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
@@ -105,6 +118,8 @@ class Scenario:
             price_gbp_per_kwh=float,
             temperature_c=float,
             grid_limit_kw=float,
+            export_limit_kw=float,
+            export_price_gbp_per_kwh=float,
         )
 
     @cached_property
@@ -113,9 +128,55 @@ class Scenario:
         return self.grid_limit_kw <= 0.0
 
     @cached_property
+    def export_max_kw(self) -> Floats:
+        """Largest export of each step, shape (T,): the limit, and 0 where there is no grid."""
+        return np.where(self.outage, 0.0, self.export_limit_kw)
+
+    @cached_property
+    def export_price(self) -> Floats:
+        """What exported energy earns in each step in GBP/kWh, shape (T,)."""
+        return np.broadcast_to(self.export_price_gbp_per_kwh, self.outage.shape)
+
+    @cached_property
+    def exports(self) -> bool:
+        """Whether the grid takes anything when it is there; the paper's connection imports only.
+
+        Outages do not matter, so that the steps of a long outage are of the same kind as the rest.
+        """
+        return bool((self.export_limit_kw > 0.0).any())
+
+    @cached_property
     def load_kvar(self) -> Floats:
         """Reactive demand of each customer if served, shape (T, C)."""
         return self.load_kw * self.customers.q_per_p
+
+    @property
+    def series(self) -> dict[str, Floats]:
+        """What changes with the steps, by the names of the fields, (T, ...) each."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: value
+            for name, value in values.items()
+            if isinstance(value, np.ndarray) and value.shape[:1] == (self.grid.n_steps,)
+        }
+
+    def between(self, first: int, last: int) -> Scenario:
+        """The same scenario from step ``first`` on, up to but without step ``last``.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> noon = load_scenario("uk-heatwave-2022").between(12, 14)
+        >>> noon.grid.start.hour, noon.load_kw.shape
+        (12, (2, 32))
+        """
+        grid = replace(
+            self.grid,
+            start=self.grid.start + first * pd.Timedelta(minutes=self.grid.step_minutes),
+            n_steps=last - first,
+        )
+        rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}
+        return replace(self, grid=grid, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
         """The same scenario with one outage over the half-open interval ``[start, end)``."""
