@@ -303,6 +303,8 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
 
 def _check_loops(branches: pd.DataFrame, name: str) -> list[Problem]:
     """One problem for all loops, with the branches of the first ones."""
+    if branches.empty:
+        return []
     merged = _merged(branches)
     between = {
         frozenset((a, b)): branch
