@@ -11,6 +11,7 @@ from vppres.core.arrays import Floats, Wholes
 from vppres.day.series import demand_kw, per_step, pv_available_kw, served_kw, stored_energy_kwh
 from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
+from vppres.scenario.timegrid import UTC
 
 
 def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataFrame:
@@ -23,7 +24,7 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     run : Trajectory
         A finished run.
     zone : tzinfo or str, optional
-        Whose days; those of the scenario's own times if not given.
+        Whose days; those of the scenario's zone, or else of its own times, if not given.
 
     Returns
     -------
@@ -90,7 +91,9 @@ def spans_days(run: Trajectory, zone: tzinfo | str | None = None) -> bool:
 def _times(run: Trajectory, zone: tzinfo | str | None) -> pd.DatetimeIndex:
     """Beginnings of the steps as the clocks of a time zone show them."""
     times = pd.DatetimeIndex(run.steps["time"])
-    return times.tz_convert(zone or run.scenario.grid.start.tzinfo)
+    grid = run.scenario.grid
+    own = grid.start.tzinfo if grid.zone == UTC else grid.zone
+    return times.tz_convert(zone or own)
 
 
 def _first_steps(run: Trajectory, zone: tzinfo | str | None) -> Wholes:

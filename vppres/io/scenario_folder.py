@@ -296,6 +296,7 @@ def _assemble(
         controller=ControllerDefaults(**file.controller.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
         source=_source(file.source),
+        voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
     )
 
 
