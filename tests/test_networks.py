@@ -181,9 +181,10 @@ def test_every_simplification_has_its_note() -> None:
         "Ratios that are not nominal are taken as nominal (tap at neutral): trafo 0 (1.0250), "
         "trafo 1 (1.0250).",
         "Shunts are left out: shunt 0.",
-        "Batteries of the source are left out: storage 0.",
         "Generators keep their active power and lose their voltage control: gen 0 (hydro).",
         "Loads that follow the voltage are taken as constant power: load 0 (mill).",
+        "Batteries without a state of charge begin at their lowest: storage 0.",
+        "Batteries without an efficiency have 0.95 each way: storage 0.",
     )
     assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu > 1e-3

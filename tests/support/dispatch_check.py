@@ -94,7 +94,6 @@ def _signs(d: Dispatch, scale_kw: float) -> dict[str, float]:
         d.pv_curtailed_kw,
         d.charge_kw,
         d.discharge_kw,
-        d.p_grid_kw,
     )
     return {"not negative": _most(*(-part / scale_kw for part in parts))}
 
@@ -139,8 +138,11 @@ def _pv(s: Scenario, data: WindowData, d: Dispatch, items: Items) -> dict[str, f
 
 def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
     dark = data.grid_limit_kw <= 0.0
-    from_outside = d.p_grid_kw + d.pv_export_kw.sum(axis=1)
+    imported_kw, exported_kw = np.maximum(d.p_grid_kw, 0.0), np.maximum(-d.p_grid_kw, 0.0)
+    from_outside = imported_kw + d.pv_export_kw.sum(axis=1)
+    taken_kw = np.zeros(d.n_steps) if data.export is None else data.export.limit_kw * ~dark
     return {
+        "export limit": _most((exported_kw - taken_kw) / scale_kw),
         "grid limit": _most((d.p_grid_kw - data.grid_limit_kw) / scale_kw),
         "no reactive power in the dark": _most(np.abs(d.q_grid_kvar[dark]) / scale_kw),
         "circular charging": _most((d.charge_kw.sum(axis=1) - from_outside) / scale_kw),
@@ -164,6 +166,9 @@ def _balances(
     for b, n in enumerate(items.battery_bus):
         left_p[:, n] += d.discharge_kw[:, b] - d.charge_kw[:, b]
         left_q[:, n] += d.batt_q_kvar[:, b]
+    if data.drawn is not None:
+        left_p -= data.drawn.kw
+        left_q -= data.drawn.kvar
     for line, upstream in enumerate(s.network.parent):
         for left, flow in ((left_p, d.p_flow_kw), (left_q, d.q_flow_kvar)):
             left[:, upstream] -= flow[:, line]
@@ -181,13 +186,17 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     net, u = s.network, d.v_pu**2
     base = 1000.0 * net.base_kv**2
     worst = 0.0
+    to_slack = [1.0]  # the offset refers to the slack bus: the product of the ratios on the way
+    for line, upstream in enumerate(net.parent):
+        to_slack.append(to_slack[upstream] * float(net.ratio[line]))
     for line, upstream in enumerate(net.parent):
         drop = (
             2.0
             * (net.r_ohm[line] * d.p_flow_kw[:, line] + net.x_ohm[line] * d.q_flow_kvar[:, line])
             / base
         )
-        expected = u[:, upstream] - drop + data.delta_pu2[:, line]
+        behind_tap = u[:, upstream] / net.ratio[line] ** 2
+        expected = behind_tap - drop + data.delta_pu2[:, line] / to_slack[line + 1] ** 2
         worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
     held = [0] * d.n_steps if data.physics is None else list(data.physics.reference)
     reference = np.array([u[t, n] for t, n in enumerate(held)])
@@ -211,7 +220,9 @@ def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
     total = 0.0
     for t in range(d.n_steps):
         service = sum(s.customers.weight[c] for c in range(len(s.customers)) if d.served[t, c])
-        cost_gbp = data.price_gbp_per_kwh[t] * d.p_grid_kw[t] * dt_h
+        exports = data.export is not None and d.p_grid_kw[t] < 0.0
+        price = data.export.price_gbp_per_kwh[t] if exports else data.price_gbp_per_kwh[t]
+        cost_gbp = price * d.p_grid_kw[t] * dt_h
         flows = sum(
             r * (p**2 + q**2)
             for r, p, q in zip(s.network.r_ohm, d.p_flow_kw[t], d.q_flow_kvar[t], strict=True)

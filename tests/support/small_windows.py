@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from vppres.contract.export import Export
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
@@ -102,6 +103,7 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
         b.eta_charge,
         b.eta_discharge,
         np.zeros((n_steps, scenario.network.n_lines)),
+        export=Export.of(scenario, steps),
     )
 
 

@@ -12,7 +12,8 @@ class Dispatch:
     """A dispatch of W steps as plain arrays, after the paper's Table "Optimization Variables".
 
     ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
-    dispatch of a form without network has NaN in place of reactive power, flows and voltages.
+    dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
+    grid's power is negative where it is exported.
     """
 
     served: Flags

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from vppres.contract.export import Export
 from vppres.core.arrays import Floats, Wholes, freeze_fields
 from vppres.core.errors import InputError, Problem
 from vppres.scenario.scenario import Scenario
@@ -70,6 +71,8 @@ class Forecast:
         Available power of each PV system.
     price_gbp_per_kwh, grid_limit_kw, temperature_c : array, shape (W,)
         Import price, largest import, ambient temperature.
+    export : Export, optional
+        What the grid takes back, None where the connection imports only.
     """
 
     load_kw: Floats
@@ -77,6 +80,7 @@ class Forecast:
     price_gbp_per_kwh: Floats
     grid_limit_kw: Floats
     temperature_c: Floats
+    export: Export | None = None
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -87,6 +91,11 @@ class Forecast:
             grid_limit_kw=float,
             temperature_c=float,
         )
+
+    @property
+    def export_now_kw(self) -> float:
+        """Largest export in the first step, 0 where the connection imports only."""
+        return 0.0 if self.export is None else float(self.export.limit_kw[0])
 
 
 class Forecaster:
@@ -160,6 +169,7 @@ class Forecaster:
             s.price_gbp_per_kwh[rows],
             s.grid_limit_kw[rows],
             s.temperature_c[rows],
+            Export.of(s, rows),
         )
 
     def _checked(self, t0: int, steps: range) -> Wholes:

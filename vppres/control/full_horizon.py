@@ -39,6 +39,7 @@ class _Actual:
     observation: Observation
     window: WindowData
     loss_kw: float = 0.0
+    export_limit_kw: float = 0.0
 
     @property
     def battery_kw(self) -> Floats:
@@ -107,6 +108,7 @@ class FullHorizonController:
             observation,
             now,
             0.0 if self.loss_kw is None else float(self.loss_kw[row]),
+            f.export_now_kw,
         )
         reasons = self.violations(actual)
         if not reasons:
@@ -137,7 +139,7 @@ class FullHorizonController:
         if self.literal:
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
             split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
-            beyond = plan.pv_self_kw[t] - actual.load_kw[site.owner]
+            beyond = plan.pv_self_kw[t] - site.behind_meter(actual.load_kw)
             apparent = np.hypot(through, plan.pv_q_kvar[t])
             excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
         else:
@@ -164,14 +166,14 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     """Grid import feasibility: what the AC power flow imports, net of its losses.
 
     Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
-    it; losses count as far as the plan has paid for them. A surplus that cannot be exported
-    violates as a shortage does.
+    it; losses count as far as the plan has paid for them. A surplus beyond what the grid takes
+    violates as a shortage does, and an import-only connection takes none.
     """
     plan = actual.plan
     t = actual.t
     served = plan.served[t]
     # What an owner consumes cannot be curtailed.
-    own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
+    own = np.minimum(actual.pv_kw, site.behind_meter(actual.load_kw * served))
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
     needed = (
         actual.load_kw @ served
@@ -182,8 +184,9 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     limit = actual.grid_limit_kw
     if needed > limit + BALANCE_TOLERANCE_KW:
         return f"grid import: {needed - limit:.1f} kW above what the grid gives"
-    if needed < -BALANCE_TOLERANCE_KW:
-        return f"grid import: {-needed:.1f} kW surplus that cannot be exported"
+    surplus = -needed - actual.export_limit_kw
+    if surplus > BALANCE_TOLERANCE_KW:
+        return f"grid import: {surplus:.1f} kW surplus that cannot be exported"
     return ""
 
 

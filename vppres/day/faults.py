@@ -342,7 +342,8 @@ def _with_readings(seen: Observation, fault: MeasurementFault, reading: Floats) 
     name = f"{fault.quantity}_kw"
     rows = np.array(getattr(seen.forecast, name))
     rows[0] = values
-    return replace(seen, forecast=replace(seen.forecast, **{name: rows}))
+    changed: dict[str, Any] = {name: rows}
+    return replace(seen, forecast=replace(seen.forecast, **changed))
 
 
 def _draw_measurement(rng: Generator, scenario: Scenario, quantity: Quantity) -> MeasurementFault:

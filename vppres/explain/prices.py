@@ -54,7 +54,7 @@ class StepPrices:
 
 def day_prices(recorded: Recorded) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all."""
-    model = ShadowPriceModel(recorded.site, recorded.n_seen)
+    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.scenario.exports)
     return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
 
 

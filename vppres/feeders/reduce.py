@@ -20,7 +20,8 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kva_to_a, mw_to_kw
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
-from vppres.feeders.feeder import Deviation, Generators, ImportedFeeder
+from vppres.feeders.feeder import Deviation, ImportedFeeder
+from vppres.feeders.net_assets import generators_of, motors_as_loads, storages_of
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva, shared_rating
 from vppres.io.messages import did_you_mean
@@ -35,7 +36,6 @@ UNSUPPORTED = (
     "ward",
     "xward",
     "dcline",
-    "motor",
     "svc",
     "ssc",
     "tcsc",
@@ -92,15 +92,17 @@ def feeder_of(
     ids = _identifiers(case, bus_ids)
     network = _network(_merged(branches), case, ids)
     loads = _loads(net, case, ids, network)
+    storages, storage_notes = storages_of(net, case, ids)
     feeder = ImportedFeeder(
         name=name,
         network=network,
         p_load_kw=loads.p_kw,
         q_load_kvar=loads.q_kvar,
         tier=loads.tier,
-        generators=_generators(net, case, ids),
+        generators=generators_of(net, case, ids),
+        storages=storages,
         bus_of={bus: ids[row] for bus, row in case.bus_at.items()},
-        notes=tuple(notes_of(net, case, stubs)),
+        notes=(*notes_of(net, case, stubs), *storage_notes),
     )
     return replace(feeder, deviation=_deviation(net, feeder))
 
@@ -359,38 +361,14 @@ def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) 
     """Load of each bus, and the tier that its first load with a tier names."""
     loads = supplied(net, "load", case)
     bus = loads["row"].map(ids)
-    sums = loads[["p_mw", "q_mvar"]].mul(loads["scaling"].fillna(1.0), axis=0).groupby(bus).sum()
-    sums = sums.reindex(network.buses, fill_value=0.0)
+    drawn = loads[["p_mw", "q_mvar"]].mul(loads["scaling"].fillna(1.0), axis=0).groupby(bus).sum()
+    motors = motors_as_loads(net, case)
+    turning = motors[["p_mw", "q_mvar"]].groupby(motors["row"].map(ids)).sum()
+    drawn = drawn.reindex(network.buses, fill_value=0.0)
+    sums = drawn + turning.reindex(network.buses, fill_value=0.0)
     tier = loads["tier"].fillna("") if "tier" in loads else pd.Series("", loads.index)
     first = tier[tier != ""].groupby(bus).first().reindex(network.buses, fill_value="")
     return _Loads(mw_to_kw(sums["p_mw"]), mw_to_kw(sums["q_mvar"]), first.to_numpy(dtype=object))
-
-
-def _generators(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators:
-    """Static generators, and generators without their voltage control."""
-    tables = []
-    for table in ("sgen", "gen"):
-        frame = supplied(net, table, case)
-        scaling = frame["scaling"].fillna(1.0)
-        p_mw = frame["p_mw"] * scaling
-        q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
-        rating = pd.to_numeric(frame["sn_mva"]) if "sn_mva" in frame else np.nan * p_mw
-        tables.append(
-            pd.DataFrame(
-                {
-                    "id": [label(net, table, i) for i in frame.index],
-                    "bus": frame["row"].map(ids).to_numpy(dtype=object),
-                    "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
-                    "p_kw": mw_to_kw(p_mw),
-                    "q_kvar": mw_to_kw(q_mvar),
-                    "s_kva": mw_to_kw(rating.where(rating.notna(), np.hypot(p_mw, q_mvar))),
-                }
-            )
-        )
-    # An empty frame has no say in the types of the columns.
-    filled = [table for table in tables if len(table)] or tables[:1]
-    columns = pd.concat(filled, ignore_index=True)
-    return Generators(*(columns[name].to_numpy() for name in columns))
 
 
 def _deviation(net: Any, feeder: ImportedFeeder) -> Deviation | None:

@@ -127,6 +127,37 @@ def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> li
     return problems
 
 
+def check_places(pv: Table) -> list[Problem]:
+    """PV systems with a customer and a bus, or with neither."""
+    owner = pv.column("customer")
+    bus = pv.column("bus")
+    problems = []
+    for row, name in pv.column("id").items():
+        if row in owner and row in bus:
+            problems.append(
+                Problem(
+                    pv.file,
+                    "has a customer too",
+                    "Leave one of them empty: a system is at its customer's bus, or stands alone.",
+                    row=row,
+                    field="bus",
+                    value=bus[row],
+                )
+            )
+        elif row not in owner and row not in bus:
+            problems.append(
+                Problem(
+                    pv.file,
+                    "has neither a customer nor a bus",
+                    "Give the customer that owns it, or the bus at which it stands alone.",
+                    row=row,
+                    field="id",
+                    value=name,
+                )
+            )
+    return problems
+
+
 def check_one_pv_each(pv: Table) -> list[Problem]:
     """Customers with several PV systems: the model has one self-consumption per customer."""
     first: dict[str, int] = {}
@@ -224,3 +255,20 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
             value=cell_text(series.frame[name].iloc[i]),
         ),
     )
+
+
+def check_one_export_limit(file: schema.ScenarioFile | None, system: Table | None) -> list[Problem]:
+    """Whether the export has its limit in one place only."""
+    if file is None or file.network.export_limit_kw is None or system is None:
+        return []
+    if "export_limit_kw" not in system.names:
+        return []
+    return [
+        Problem(
+            "scenario.toml",
+            f"is also a column of {system.file}",
+            "Keep the key for one limit of all steps, or the column for one of each step.",
+            field="network.export_limit_kw",
+            value=file.network.export_limit_kw,
+        )
+    ]

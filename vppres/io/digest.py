@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import Scenario
 
+_EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
 _WITHOUT_EFFECT = {"source", "voll_gbp_per_kwh", "zone"}
 
@@ -32,14 +34,28 @@ def _canonical(value: Any) -> Any:
     """Nested dictionaries, lists, text and floats."""
     if isinstance(value, Network):
         return _canonical_network(value)
+    if isinstance(value, PVSystems):
+        return _canonical_pv(value)
     if is_dataclass(value):
-        names = [f.name for f in fields(value) if f.name not in _WITHOUT_EFFECT]
+        left_out = _WITHOUT_EFFECT
+        # A connection that imports only keeps the digest from before there was another.
+        if isinstance(value, Scenario) and not value.exports:
+            left_out = left_out | _EXPORT
+        names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
         return value.tz_convert("UTC").isoformat()
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return float(value)
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
+
+
+def _canonical_pv(pv: PVSystems) -> dict[str, Any]:
+    """Folders whose systems are all PV, or all owned, keep their digest."""
+    told = {"kind": not (pv.kind == PV).all(), "bus": pv.alone.any()}
+    return {f.name: _canonical(getattr(pv, f.name)) for f in fields(pv) if told.get(f.name, True)}
 
 
 def _canonical_network(network: Network) -> dict[str, Any]:

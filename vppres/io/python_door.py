@@ -17,7 +17,7 @@ from vppres.scenario.scenario import Scenario
 
 # Attributes that may have no value (a temperature at the start), or no limit.
 _MAY_BE_NAN = {"t_initial_c"}
-_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw"}
+_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -85,6 +85,8 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
     ]
     for table, owner, model in tables:
         for name, field in model.model_fields.items():
+            if owner is scenario.network and name == "export_limit_kw":
+                continue  # a series of the scenario, whichever file it comes from
             if name in _MAY_BE_INFINITE or any(isinstance(m, (Ge, Le)) for m in field.metadata):
                 yield from _outside(table, name, field, getattr(owner, name))
 

@@ -68,6 +68,8 @@ class _Series:
     price_gbp_per_kwh: Floats
     temperature_c: Floats
     grid_limit_kw: Floats
+    export_limit_kw: Floats
+    export_price_gbp_per_kwh: Floats
 
 
 def read_scenario(folder: str | Path) -> Scenario:
@@ -139,7 +141,7 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
             p
-            for table in (buses, customers, batteries)
+            for table in (buses, customers, pv, batteries)
             if table
             for p in checks.check_buses(table, lines)
         ]
@@ -160,7 +162,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         if customers and table:
             problems += checks.check_parts(table, rows.customers)
     if pv:
-        problems += checks.check_one_pv_each(pv) + checks.check_pv_ratings(pv.file, rows.pv)
+        problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
+        problems += checks.check_pv_ratings(pv.file, rows.pv)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -202,6 +205,7 @@ def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]
     )
     system, system_problems = _read_system(content.system)
     problems = load_problems + pv_problems + system_problems
+    problems += checks.check_one_export_limit(content.settings.file, content.system)
     if content.pv_kw:
         rating_kw = {row.id: row.p_max_kw for row in reversed(rows.pv.values())}
         for name in rating_kw.keys() & pv.keys():
@@ -238,7 +242,7 @@ def _read_columns(
 
 
 def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]:
-    """Price, temperature and grid limit; an absent limit is infinite."""
+    """Prices, temperature and limits; an absent limit is infinite, an absent export worthless."""
     model = schema.SystemSeries.model_fields
     values = {name: np.empty(0) for name in model if name != TIME}
     if table is None:
@@ -250,10 +254,12 @@ def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]
         {name: schema.cure(field) for name, field in model.items()},
     )
     values["grid_limit_kw"] = np.full(len(table.frame), np.inf)
+    values["export_limit_kw"] = np.asarray(np.inf)
+    values["export_price_gbp_per_kwh"] = np.zeros(())
     for name in values:
         if name in table.names:
             values[name], found = read_values(
-                table, name, model[name], infinite=name == "grid_limit_kw"
+                table, name, model[name], infinite=name in ("grid_limit_kw", "export_limit_kw")
             )
             problems += found
     return values, problems
@@ -273,6 +279,7 @@ def _assemble(
     assert file is not None
     assert grid is not None
     limit_kw = series.grid_limit_kw.copy()
+    one_limit_kw = file.network.export_limit_kw
     step = pd.Timedelta(minutes=grid.step_minutes)
     for outage in file.outages:
         begins = round((pd.Timestamp(outage.start) - grid.start) / step)
@@ -284,7 +291,7 @@ def _assemble(
         grid=grid,
         network=_network(file.network, rows.lines, rows.buses, read_bus),
         customers=_customers(rows.customers, file.tiers, read_bus),
-        pv=PVSystems(**_columns(rows.pv, schema.PVRow)),
+        pv=_pv(rows.pv, read_bus),
         batteries=_batteries(rows.batteries, read_bus),
         load_kw=series.load_kw,
         pv_kw=series.pv_kw,
@@ -295,6 +302,8 @@ def _assemble(
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
+        export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
+        export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
     )
@@ -322,7 +331,8 @@ def _network(
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]
     columns["i_max_a"] = [np.inf if i_max_a is None else i_max_a for i_max_a in columns["i_max_a"]]
-    scalars = {**section.model_dump(), "slack_bus": read_bus(section.slack_bus)}
+    scalars = section.model_dump(exclude={"export_limit_kw"})
+    scalars["slack_bus"] = read_bus(section.slack_bus)
     return Network(**columns, **draws, **scalars)
 
 
@@ -337,6 +347,12 @@ def _customers(
         tiers[row.tier] if row.weight is None else row.weight for row in rows.values()
     ]
     return Customers(**columns)
+
+
+def _pv(rows: Mapping[int, schema.PVRow], read_bus: Callable[[str], BusId]) -> PVSystems:
+    columns = _columns(rows, schema.PVRow)
+    columns["bus"] = [read_bus(row.bus) if row.bus else None for row in rows.values()]
+    return PVSystems(**columns)
 
 
 def _batteries(

@@ -19,7 +19,7 @@ from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
-from vppres.scenario.assets import Batteries, Customers
+from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, Scenario
@@ -68,8 +68,9 @@ def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
     network = scenario.network
     grid = scenario.grid
-    limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
-    document = {
+    of_network = {f.name for f in fields(network)} - {"slack_bus"}
+    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
         "time": _time(grid),
@@ -88,6 +89,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
+        document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
     if scenario.switching != SwitchingRules():
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
@@ -147,7 +150,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
             {name: getattr(network, name) for name in schema.LineRow.model_fields}
         ),
         "customers": _frame(customers, schema.CustomerRow),
-        "pv": _frame(scenario.pv, schema.PVRow),
+        "pv": _pv_frame(scenario.pv),
         "batteries": _battery_frame(scenario.batteries),
         "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
@@ -187,6 +190,14 @@ def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
     return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
 
 
+def _pv_frame(pv: PVSystems) -> pd.DataFrame:
+    """Kinds are a column only where one is not PV, buses only where a system stands alone."""
+    frame = _frame(pv, schema.PVRow)
+    if (pv.kind == PV).all():
+        frame = frame.drop(columns="kind")
+    return frame if pv.alone.any() else frame.drop(columns="bus")
+
+
 def _battery_frame(batteries: Batteries) -> pd.DataFrame:
     """Who forms the grid is a column only where somebody is named."""
     frame = _frame(batteries, schema.BatteryRow)
@@ -211,4 +222,8 @@ def _system_frame(scenario: Scenario) -> pd.DataFrame:
     }
     if np.any(np.isfinite(limit_kw) & (limit_kw > 0)):
         columns["grid_limit_kw"] = limit_kw
+    if scenario.export_limit_kw.ndim:
+        columns["export_limit_kw"] = scenario.export_limit_kw
+    if scenario.export_price_gbp_per_kwh.any():
+        columns["export_price_gbp_per_kwh"] = scenario.export_price
     return pd.DataFrame(columns)

@@ -227,15 +227,24 @@ class CustomerRow(Row):
 
 
 class PVRow(Row):
-    """A PV system behind a customer's meter."""
+    """A PV system behind a customer's meter, or one that stands alone at a bus."""
 
     id: Name = Field(description="identifier of the PV system")
-    customer: Name = Field(description="customer that owns the PV system")
+    customer: Name = Field(
+        default="",
+        description="customer that owns the PV system (empty: it stands alone at its `bus`)",
+    )
     p_max_kw: float = Field(
         ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW
     )
     s_max_kva: float = Field(
         ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA
+    )
+    kind: Name = Field(
+        default="pv", description="kind of generator: `pv`, `wind` or another word for the report"
+    )
+    bus: Name = Field(
+        default="", description="bus of a system that stands alone (empty: that of its customer)"
     )
 
 
@@ -381,6 +390,21 @@ class SystemSeries(Row):
         description="largest import from the grid (inf, or no such column: no limit)",
         json_schema_extra=KW,
     )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid (inf: no limit; no such column: what scenario.toml "
+        "says); 0 in an outage, whatever it says",
+        json_schema_extra=KW,
+    )
+    export_price_gbp_per_kwh: float = Field(
+        default=0.0,
+        ge=-MAX_PRICE,
+        le=MAX_PRICE,
+        description="what exported energy earns (negative: the feeder pays)",
+        json_schema_extra=GBP_PER_KWH,
+    )
 
 
 class Section(BaseModel):
@@ -453,6 +477,14 @@ class NetworkSection(Section):
         le=2,
         description="highest voltage allowed in the AC power flow",
         json_schema_extra=PU,
+    )
+    export_limit_kw: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_KW,
+        description="largest export to the grid in all steps; 0 imports only (no such key: what "
+        "system.csv says, or no limit)",
+        json_schema_extra=KW,
     )
 
 

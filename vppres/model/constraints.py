@@ -136,7 +136,9 @@ def active_balance(
     P_load = P_served @ site.customer_bus.T - v.P_self @ site.pv_bus.T
     if added is not None:
         P_load = P_load + added.P
-    P_grid = _at_slack_bus(site, v.P_grid)
+    if p.P_drawn is not None:
+        P_load = P_load + p.P_drawn
+    P_grid = at_slack_bus(site, v.P_grid)
     inflow = v.P_flow @ site.network.incidence.T
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
 
@@ -150,7 +152,9 @@ def reactive_balance(
     Q_load = Q_served @ site.customer_bus.T
     if added is not None:
         Q_load = Q_load + added.Q
-    Q_grid = _at_slack_bus(site, v.Q_grid)
+    if p.Q_drawn is not None:
+        Q_load = Q_load + p.Q_drawn
+    Q_grid = at_slack_bus(site, v.Q_grid)
     inflow = v.Q_flow @ site.network.incidence.T
     return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
 
@@ -172,10 +176,11 @@ def voltage_limits(
 ) -> Named:
     """Squared voltage between the squared limits, at every bus but the slack bus.
 
-    ``slack``, in pu², is by how much both limits give.
+    ``slack``, in pu², is by how much both limits give. Voltages referred to the slack bus have
+    limits of their own behind a transformer's ratio.
     """
-    u_min = site.network.v_min_pu**2
-    u_max = site.network.v_max_pu**2
+    u_min = site.network.u_min_pu2[None, 1:]
+    u_max = site.network.u_max_pu2[None, 1:]
     if slack is not None:
         u_min = u_min - slack
         u_max = u_max + slack
@@ -207,8 +212,8 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1
     return {"delta_lindistflow": factor * u_j == factor * (u_i - drop + p.delta)}
 
 
-def _at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
-    """The grid's supply of each step, (W,), at the first bus and nowhere else, (W, N)."""
+def at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
+    """The grid's power of each step, (W,), at the first bus and nowhere else, (W, N)."""
     slack = sp.csr_array(([1.0], ([0], [0])), shape=(site.network.n_buses, 1))
     return cp.reshape(power, (power.size, 1), order="C") @ slack.T
 

@@ -29,6 +29,8 @@ class ElasticModel:
         Steps W of the window.
     polygon_sides : int
         Sides of the outer polygons in place of the inverters' discs.
+    exporting : bool
+        Whether export is part of the problem.
 
     Attributes
     ----------
@@ -36,8 +38,10 @@ class ElasticModel:
         Minimises the slack of the squared limits.
     """
 
-    def __init__(self, site: Site, n_steps: int, polygon_sides: int = 16) -> None:
-        form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True)
+    def __init__(
+        self, site: Site, n_steps: int, polygon_sides: int = 16, exporting: bool = False
+    ) -> None:
+        form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True, exporting=exporting)
         self.window = WindowModel(site, n_steps, form)
         self.slack = cp.Variable(name="slack", nonneg=True)
         giving = voltage_limits(site, self.window.v, self.window.p, self.slack)
@@ -60,6 +64,8 @@ def widened(network: Network, slack_pu2: float) -> Network:
     >>> wide.v_min_pu, wide.v_max_pu
     (0.941, 1.058)
     """
+    # The slack is of voltages referred to the slack bus; behind a ratio it is larger or smaller.
+    slack_pu2 = slack_pu2 * float((network.bus_ratio**2).max())
     low = np.sqrt(max(network.v_min_pu**2 - slack_pu2, 0.0))
     high = np.sqrt(network.v_max_pu**2 + slack_pu2)
     return with_limits(

@@ -10,6 +10,7 @@ relaxed, fixed service   other variables in the same constraints (``Variables``)
 :func:`without_network`  sums for flows, reactive power and voltages
 switching rules          rows on service alone (``SwitchingModel``)
 physical mode            reference bus and headroom (``PhysicalParameters``)
+export                   a demand of the grid that pays, and a direction (``ExportToGrid``)
 ======================== ==========================================================================
 
 Elastic limits (:mod:`vppres.model.elastic`) and held levels (:mod:`vppres.model.tie_breakers`) are
@@ -23,12 +24,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import cvxpy as cp
+import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.switching import RuleSteps
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 from vppres.model import lumped
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.beyond_paper.switching import ColdDemand, SwitchingModel, cold_demand
 from vppres.model.constraints import (
@@ -99,6 +102,8 @@ class Form:
         Whether losses, the island's reference and headroom are part of the problem.
     switching : RuleSteps or None
         Shape of the switching rules; None has none. A fixed service obeys them or does not.
+    exporting : bool
+        Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
     """
 
     level: Level = "service"
@@ -109,6 +114,7 @@ class Form:
     network: bool = True
     physical: bool = False
     switching: RuleSteps | None = None
+    exporting: bool = False
 
     @property
     def polygon(self) -> Polygon | None:
@@ -149,6 +155,9 @@ class WindowModel:
         self.switching: SwitchingModel | None = None
         if form.switching:
             self.switching = SwitchingModel(site, self.v.x_served, form.switching)
+        self.export: ExportToGrid | None = None
+        if form.exporting:
+            self.export = ExportToGrid.create(n_steps, form.exclusivity)
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -158,11 +167,13 @@ class WindowModel:
         args = (self.site, self.v, self.p)
         named = in_order(paper_constraints(*args), SOLVER_ORDER)
         cold = cold_demand(self.switching)
-        added = added_demand(self.site, cold, self.physical)
+        added = added_demand(self.site, cold, self.physical, self.export)
         rating = None if self.physical is None else self.physical.rating
         polygon = self.form.polygon
         if added is not None:
             named = with_demand(named, *args, added, cold)
+        if self.export is not None:
+            named = named | self.export.connection(self.v.P_grid, self.p.P_grid_max)
         if rating is not None:
             named = named | battery_inverter(*args, rating)
         if polygon is not None:
@@ -183,9 +194,10 @@ class WindowModel:
         args = (self.site, self.v, self.p)
         w = self.site.weights
         gbp = cost_scale(self.site)
-        cost = gbp * w.lambda_grid * terms.f2_cost(
-            *args
-        ) + gbp * w.lambda_curt * terms.f3_curtailment(*args)
+        f2 = terms.f2_cost(*args)
+        if self.export is not None:
+            f2 = f2 - self.export.f2_revenue
+        cost = gbp * w.lambda_grid * f2 + gbp * w.lambda_curt * terms.f3_curtailment(*args)
         if self.form.level == "cost":
             return cp.Minimize(cost)
         service = terms.f1_service(*args)
@@ -200,10 +212,20 @@ class WindowModel:
             self.physical.fill(self.site, data)
         if self.switching is not None:
             self.switching.fill(data)
+        if self.export is not None:
+            self.export.fill(self.site, data)
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
-        """The solution of the last solve."""
-        return self.v.dispatch(self.site, served)
+        """The solution of the last solve, import and export of a step netted."""
+        found = self.v.dispatch(self.site, served)
+        return found if self.export is None else self.export.netted(found)
+
+    def both_kw(self) -> Floats:
+        """What the last solution imports and exports at the same time, (W,)."""
+        imported = np.maximum(np.asarray(self.v.P_grid.value, dtype=float), 0.0)
+        if self.export is None:
+            return np.zeros_like(imported)
+        return np.asarray(np.minimum(imported, self.export.exported_kw()))
 
 
 # Steps.
@@ -220,14 +242,19 @@ def without(named: Named, names: Sequence[str]) -> Named:
 
 
 def added_demand(
-    site: Site, cold: ColdDemand | None, physical: PhysicalParameters | None
+    site: Site,
+    cold: ColdDemand | None,
+    physical: PhysicalParameters | None,
+    export: ExportToGrid | None = None,
 ) -> AddedDemand | None:
-    """Cold load and losses at the buses, None where there is neither."""
+    """Cold load, losses and export at the buses, None where there is none of them."""
     parts = []
     if cold is not None:
         parts.append(cold.at_buses(site))
     if physical is not None:
         parts.append(AddedDemand(physical.P_loss, physical.Q_loss))
+    if export is not None:
+        parts.append(export.at_slack_bus(site))
     if not parts:
         return None
     P = parts[0].P

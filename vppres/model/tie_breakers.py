@@ -17,6 +17,7 @@ from vppres.contract.moves import Moves
 from vppres.core.arrays import Flags, Floats
 from vppres.model import constraints as families
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.export import ExportToGrid, exporting_steps
 from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -133,6 +134,8 @@ class TieBreakerModel:
         Whether losses, the island's reference and headroom are part of the problem.
     moves : bool
         Whether batteries are to stay near the previous plan.
+    exporting : bool
+        Whether export is part of the problem, its direction held step by step.
     """
 
     def __init__(
@@ -142,6 +145,7 @@ class TieBreakerModel:
         curtailing: bool,
         physical: bool = False,
         moves: bool = False,
+        exporting: bool = False,
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -150,6 +154,9 @@ class TieBreakerModel:
         self.physical: PhysicalParameters | None = None
         if physical:
             self.physical = PhysicalParameters.create(site, n_steps)
+        self.export: ExportToGrid | None = None
+        if exporting:
+            self.export = ExportToGrid.create(n_steps, "fixed")
         self.held = HeldModes.create(site, n_steps)
         self.near: Near | None = None
         if moves and len(site.batteries):
@@ -183,7 +190,9 @@ class TieBreakerModel:
         """
         args = (self.site, self.v, self.p)
         named = in_order(paper_constraints(*args), KEPT)
-        added = added_demand(self.site, None, self.physical)
+        added = added_demand(self.site, None, self.physical, self.export)
+        if self.export is not None:
+            named |= self.export.connection(self.v.P_grid, self.p.P_grid_max)
         if added is not None:
             named = with_demand(named, *args, added)
         named |= families.delta_lindistflow(*args, factor=SHARPER_VOLTAGE)
@@ -191,10 +200,13 @@ class TieBreakerModel:
         named |= self._energy()
         if self.physical is not None:
             named = self.physical.in_island(named, *args) | self._energy()
+        f2 = terms.f2_cost(*args)
+        if self.export is not None:
+            f2 = f2 - self.export.f2_revenue
         return named | {
             "battery_power_min": self.P_batt >= self.held.P_min,
             "battery_power_max": self.P_batt <= self.held.P_max,
-            "cost_held": terms.f2_cost(*args) <= self.held.f2,
+            "cost_held": f2 <= self.held.f2,
             "curtailment_held": terms.f3_curtailment(*args) <= self.held.f3,
         }
 
@@ -262,12 +274,17 @@ class TieBreakerModel:
         self.held.f3.value = f3_held_kwh
         if self.physical is not None:
             self.physical.fill(self.site, data)
+        if self.export is not None:
+            exporting = exporting_steps(dispatch)
+            self.export.fill(self.site, data, exporting)
+            self.p.P_grid_max.value = np.where(exporting, 0.0, self.p.P_grid_max.value)
         if self.near is not None and data.moves is not None:
             self.near.fill(data.moves, self.site.batteries.p_max_kw)
 
     def dispatch(self, served: Flags) -> Dispatch:
         """The solution of the last solve, exactly in its modes."""
-        return self.v.dispatch(self.site, served)
+        found = self.v.dispatch(self.site, served)
+        return found if self.export is None else self.export.netted(found)
 
 
 def charging_modes(dispatch: Dispatch) -> Flags:

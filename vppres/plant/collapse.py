@@ -16,6 +16,7 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
+from vppres.plant.exporting import within_export_limit
 from vppres.plant.island import Settled
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario
@@ -47,7 +48,7 @@ def realise(
     for shed, tried in _reduced(plant.scenario, t, decision):
         realised = plant.apply(t, tried, state)
         try:
-            result = flow.solve(realised.p_injection_kw, realised.q_injection_kvar)
+            realised, result = within_export_limit(plant, flow, t, realised, state)
         except NoSolutionError as error:
             failed = failed or f": {error}"
             continue

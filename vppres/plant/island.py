@@ -123,7 +123,7 @@ class IslandPlant:
         if not able.any():
             reason = NO_ENERGY if self.formers.any() else NO_FORMER
             return self._dark(t, planned, state, reason)
-        set_points = powers = _powers_of(planned)
+        set_points = powers = powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         for _ in range(2 * (len(planned.served) + len(planned.pv_self_kw)) + 20):
             try:
@@ -204,14 +204,14 @@ class IslandPlant:
         if found.left_kw >= -self.tolerance_kw:
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
-                return replace(powers, battery_kw=powers.battery_kw - _part(charging, need_kw))
+                return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
             return self._shed(t, powers, need_kw)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
         if (powers.pv_export_kw + powers.pv_self_kw).sum() > 0:
-            return _curtail(powers, surplus_kw)
+            return curtailed(powers, surplus_kw)
         discharging = np.where(others, np.maximum(-powers.battery_kw, 0.0), 0.0)
         if discharging.sum() > 0:
-            return replace(powers, battery_kw=powers.battery_kw + _part(discharging, surplus_kw))
+            return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
         return None
 
     def _shed(self, t: int, powers: Powers, need_kw: float) -> Powers | None:
@@ -282,7 +282,8 @@ def share_out(power_kw: float, room_kw: Floats, rating: Floats) -> Floats:
     return taken
 
 
-def _powers_of(realised: Realised) -> Powers:
+def powers_of(realised: Realised) -> Powers:
+    """The powers of a step that happened."""
     return Powers(
         realised.served,
         realised.pv_self_kw,
@@ -294,15 +295,15 @@ def _powers_of(realised: Realised) -> Powers:
     )
 
 
-def _part(powers_kw: Floats, need_kw: float) -> Floats:
+def part_of(powers_kw: Floats, need_kw: float) -> Floats:
     """So much of each power, in proportion, that their sum meets the need."""
     return powers_kw * min(1.0, need_kw / float(powers_kw.sum()))
 
 
-def _curtail(powers: Powers, surplus_kw: float) -> Powers:
+def curtailed(powers: Powers, surplus_kw: float) -> Powers:
     """PV power off until the surplus is gone, exports in proportion first."""
     exports = powers.pv_export_kw if powers.pv_export_kw.sum() > 0 else powers.pv_self_kw
-    off = _part(exports, surplus_kw)
+    off = part_of(exports, surplus_kw)
     from_export = off if exports is powers.pv_export_kw else np.zeros_like(off)
     return replace(
         powers,

@@ -54,6 +54,11 @@ class ControllerDefaults:
     mode: str = default_of("mode")
 
 
+def _zero() -> Floats:
+    """A number without dimension: the same in all steps."""
+    return np.zeros(())
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """Everything that defines a day, and nothing that a controller decides.
@@ -80,6 +85,11 @@ class Scenario:
         Largest import; 0 in an outage, infinite without limit.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
+    export_limit_kw : array, shape (T,) or ()
+        Largest export, one number for all steps if it has no dimension; infinite without limit.
+        Import only, 0, where nothing is given. No export in an outage, whatever it says.
+    export_price_gbp_per_kwh : array, shape (T,) or ()
+        What exported energy earns; 0 where nothing is given, negative where it costs.
     source : Source
         Where the feeder comes from; it changes no result.
     voll_gbp_per_kwh : float
@@ -102,6 +112,8 @@ class Scenario:
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
     switching: SwitchingRules = field(default_factory=SwitchingRules)
+    export_limit_kw: Floats = field(default_factory=_zero)
+    export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
 
@@ -113,12 +125,29 @@ class Scenario:
             price_gbp_per_kwh=float,
             temperature_c=float,
             grid_limit_kw=float,
+            export_limit_kw=float,
+            export_price_gbp_per_kwh=float,
         )
 
     @cached_property
     def outage(self) -> Flags:
         """True where the grid gives nothing, shape (T,)."""
         return self.grid_limit_kw <= 0.0
+
+    @cached_property
+    def export_max_kw(self) -> Floats:
+        """Largest export of each step, shape (T,): the limit, and 0 where there is no grid."""
+        return np.where(self.outage, 0.0, self.export_limit_kw)
+
+    @cached_property
+    def export_price(self) -> Floats:
+        """What exported energy earns in each step in GBP/kWh, shape (T,)."""
+        return np.broadcast_to(self.export_price_gbp_per_kwh, self.outage.shape)
+
+    @cached_property
+    def exports(self) -> bool:
+        """Whether the grid takes anything in any step; the paper's connection imports only."""
+        return bool((self.export_max_kw > 0.0).any())
 
     @cached_property
     def load_kvar(self) -> Floats:

@@ -62,19 +62,27 @@ class Candidate:
 
 @dataclass(frozen=True)
 class CostRange:
-    """Cost of the import (GBP) that no dispatch of a window falls below or exceeds."""
+    """Cost of import and export (GBP) that no dispatch of a window falls below or exceeds."""
 
     least_gbp: float
     dearest_gbp: float
 
     @classmethod
     def of(cls, site: Site, data: WindowData) -> CostRange:
-        """All import that can ever be useful, in the steps in which it earns or costs money."""
+        """All import that can ever be useful, in the steps in which it earns or costs money.
+
+        Where export does so too, a step has the one or the other.
+        """
         price = data.price_gbp_per_kwh
         most_kw = data.grid_p_max_kw(site)
+        least = np.minimum(price, 0.0)
+        dearest = np.maximum(price, 0.0)
+        if data.export is None:
+            return cls(float(least @ most_kw) * site.dt_h, float(dearest @ most_kw) * site.dt_h)
+        spent_out = -data.export.price_gbp_per_kwh * data.export_max_kw(site)
         return cls(
-            float(np.minimum(price, 0.0) @ most_kw) * site.dt_h,
-            float(np.maximum(price, 0.0) @ most_kw) * site.dt_h,
+            float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h,
+            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h,
         )
 
 
@@ -117,6 +125,7 @@ class Certificate:
         self.stages: list[str] = []
         self.solver_s = 0.0
         self._nothing: Outcome | None = None
+        self._ran_out = False
 
     # The record.
 
@@ -126,6 +135,7 @@ class Certificate:
         optimal = outcome.status == Status.OPTIMAL
         self.stages.append(named if optimal else f"{named}:{outcome.status}")
         self.solver_s += outcome.solve_s
+        self._ran_out |= outcome.status == Status.NO_ANSWER
 
     def ran(self, stage: str) -> bool:
         """Whether a stage ran."""
@@ -199,8 +209,11 @@ class Certificate:
         return self._nothing is not None
 
     def no_answer(self, late: bool) -> Outcome:
-        """Why there is no dispatch: a relaxation's proof if there is one, otherwise the time."""
-        status = Status.NO_ANSWER if late else Status.NUMERICAL
+        """Why there is no dispatch: a relaxation's proof if there is one, otherwise the time.
+
+        A stage may also have had no time before the window is late: to compile what it needs.
+        """
+        status = Status.NO_ANSWER if late or self._ran_out else Status.NUMERICAL
         return self._nothing or Outcome(status, np.nan, np.nan, 0.0)
 
     def service_gap(self) -> float:

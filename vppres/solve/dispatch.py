@@ -6,12 +6,13 @@ precision with the terms above it held (``docs/method.md``, *Levels*).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
+from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
@@ -52,10 +53,14 @@ find that there is none, so it may not take all of it."""
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A solve for a dispatch: its outcome, and the dispatch if there is one."""
+    """A solve for a dispatch: its outcome, and the dispatch if there is one.
+
+    ``both_kw``, (W,), is what was imported and exported at the same time before it was netted.
+    """
 
     outcome: Outcome
     dispatch: Dispatch | None
+    both_kw: Floats = field(default_factory=lambda: np.zeros(1))
 
 
 # From a served set to a candidate.
@@ -140,7 +145,7 @@ def solve_cost(
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
-    if fits:
+    if fits and net_exchange(data, netted, attempt.both_kw, cache.site.dt_h):
         return replace(attempt, dispatch=netted)
     first_s = attempt.outcome.solve_s
     integer = replace(form, exclusivity="integer")
@@ -167,13 +172,15 @@ def _solve_cost(
         outcome = run_conic(model.problem, deadline.left_s)
     else:
         outcome = run(model.problem, spec, COST_GAP_GBP, deadline.left_s)
-    return Attempt(outcome, model.dispatch(served) if outcome.status.has_answer else None)
+    if not outcome.status.has_answer:
+        return Attempt(outcome, None)
+    return Attempt(outcome, model.dispatch(served), model.both_kw())
 
 
 def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:
     """The window problem of a form, of the window's length, mode and switching rules."""
     rules = None if form.service == "fixed" else rule_steps(data)
-    shaped = replace(form, physical=data.physical, switching=rules)
+    shaped = replace(form, physical=data.physical, switching=rules, exporting=data.exporting)
     return cache.problem(WindowModel, n_steps=data.n_steps, form=shaped)
 
 
@@ -222,6 +229,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
         curtailing=curtailing,
         physical=data.physical,
         moves=data.moves is not None,
+        exporting=data.exporting,
     )
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
     outcome = run_conic(model.problem, deadline.left_s)

@@ -16,9 +16,11 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.forms import SOLVER_ORDER, in_order, with_polygons
+from vppres.model.forms import SOLVER_ORDER, in_order, with_demand, with_polygons
+from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides, require_dpp
 from vppres.model.polygons import Polygon
 from vppres.model.problem import paper_constraints
@@ -63,11 +65,14 @@ class ShadowPriceModel:
         Fixed data.
     n_steps : int
         Steps W of the longest window.
+    exporting : bool
+        Whether export is part of it, in a direction without binaries.
     """
 
-    def __init__(self, site: Site, n_steps: int) -> None:
+    def __init__(self, site: Site, n_steps: int, exporting: bool = False) -> None:
         self.site = site
         self.n_steps = n_steps
+        self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
@@ -93,6 +98,9 @@ class ShadowPriceModel:
         named = in_order(paper_constraints(*args), SOLVER_ORDER)
         if self.sides:
             named = with_polygons(named, self.site, v, Polygon.inscribed(self.sides))
+        if self.export is not None:
+            named = with_demand(named, *args, self.export.at_slack_bus(self.site))
+            named |= self.export.connection(self.v.P_grid, self.p.P_grid_max)
         return named | {
             "mode_min": v.delta[0] >= self.mode_min,
             "mode_max": v.delta[0] <= self.mode_max,
@@ -106,17 +114,22 @@ class ShadowPriceModel:
     def _objective(self) -> cp.Maximize:
         """Service less cost less curtailment as they are priced; f2's weight is in rho_dt."""
         args = (self.site, self.v, self.p)
-        return cp.Maximize(
+        worth = (
             self.weight_f1 * terms.f1_service(*args)
             - terms.f2_cost(*args)
             - self.weight_f3 * terms.f3_curtailment(*args)
         )
+        return cp.Maximize(worth if self.export is None else worth + self.export.f2_revenue)
 
     def fill(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length."""
         missing = self.n_steps - data.n_steps
         cost = replace(data, price_gbp_per_kwh=priced.cost * data.price_gbp_per_kwh)
-        self.p.fill(self.site, _padded(cost, missing))
+        padded = _padded(cost, missing)
+        self.p.fill(self.site, padded)
+        if self.export is not None:
+            self.export.fill(self.site, padded)
+            self.export.sigma_dt.value = priced.cost * self.export.sigma_dt.value
         self.x_min.value = _rows(held.service_min, missing)
         self.x_max.value = _rows(held.service_max, missing)
         self.mode_min.value = held.mode_min
@@ -137,6 +150,8 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         price_gbp_per_kwh=_rows(data.price_gbp_per_kwh, missing),
         grid_limit_kw=_rows(data.grid_limit_kw, missing),
         delta_pu2=_rows(data.delta_pu2, missing),
+        export=data.export and data.export.followed_by_none(missing),
+        drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
     )
 
 

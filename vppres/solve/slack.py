@@ -28,7 +28,7 @@ def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) ->
     SolveError
         If not even free voltages leave one.
     """
-    model = ElasticModel(site, data.n_steps)
+    model = ElasticModel(site, data.n_steps, exporting=data.exporting)
     model.fill(data)
     outcome = run_conic(model.problem, min(time_s, ELASTIC_TIME_S))
     outcome.require_answer(f"The window of {data.n_steps} steps without voltage limits")

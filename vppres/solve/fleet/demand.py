@@ -11,6 +11,9 @@ from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
 from vppres.solve.fleet.relaxation import AggregateModel
 
+CONNECTION = ("lumped_grid_limit", "grid_active_limit", "grid_export_limit")
+"""Limits of the import, or of import and export where there is one."""
+
 
 class DemandModel:
     """Demand of each step, loss by curtailment and cost that the lumped relaxation allows.
@@ -44,7 +47,7 @@ class DemandModel:
         unit = relaxation.grid or 1.0
         weights = site.customers.weight * site.dt_h
         self.customer_units = np.round(weights / unit).astype(np.int64)
-        kept = {"lumped_grid_limit", "lumped_curtailment_min", *relaxation.energy}
+        kept = {*CONNECTION, "lumped_curtailment_min", *relaxation.energy}
         shared = [c for name, c in relaxation.constraints.items() if name in kept]
         lost = site.weights.lambda_curt * site.dt_h / unit
         self.problem = cp.Problem(
@@ -53,7 +56,7 @@ class DemandModel:
                 *shared,
                 *self._power().values(),
                 self.lost >= lost * cp.sum(v["P_curt"]),
-                self.spent >= relaxation.rho_dt @ v["P_grid"],
+                self.spent >= relaxation.cost(),
             ],
         )
         require_dpp(self.problem, f"demand of {W} steps")
@@ -65,8 +68,9 @@ class DemandModel:
         P_ch = cp.sum(v["P_ch"], axis=1)
         P_dch = cp.sum(v["P_dch"], axis=1)
         P_pv = self.relaxation.p["P_pv"]
-        room = self.relaxation.room
-        loss = room["loss"] if room else 0.0
+        loss = self.relaxation.network_kw
+        if self.relaxation.export is not None:
+            loss = loss + self.relaxation.export.P_out  # gone from the feeder, too
         return {
             "demand_balance": v["P_grid"] + P_pv - v["P_curt"] + P_dch == self.load + loss + P_ch,
             "demand_circular_charging": P_dch <= self.load + loss,
@@ -99,15 +103,24 @@ class DemandModel:
         p = self.relaxation.p
         lost = site.weights.lambda_curt * site.dt_h / (self.relaxation.grid or 1.0)
         prices: Floats = np.maximum(self.relaxation.rho_dt.value, 0.0)
-        return float(lost * p["P_pv"].value.sum()), float(prices @ p["P_grid_max"].value)
+        most_kw = p["P_grid_max"].value
+        dearest_gbp = prices @ most_kw
+        if self.relaxation.export is not None:
+            earned = self.relaxation.export.most_earned_gbp()
+            dearest_gbp = np.maximum(prices * most_kw, -earned).sum()
+        return float(lost * p["P_pv"].value.sum()), float(dearest_gbp)
 
     def least_cost_gbp(self) -> float:
-        """Cost that no dispatch falls below: that of all import where it earns money, or zero."""
+        """Cost that no dispatch falls below: zero unless import or export earns money."""
         prices: Floats = np.minimum(self.relaxation.rho_dt.value, 0.0)
-        return float(prices @ self.relaxation.p["P_grid_max"].value)
+        most_kw = self.relaxation.p["P_grid_max"].value
+        if self.relaxation.export is None:
+            return float(prices @ most_kw)
+        earned = self.relaxation.export.most_earned_gbp()
+        return float(np.minimum(prices * most_kw, -earned).sum())
 
     def fleet_kw(self) -> float:
-        """Power of all batteries, with what is stored and drawn for it, that none exceeds."""
+        """Power of all batteries and the export, with what is stored and drawn: none exceeds it."""
         p = self.relaxation.p
         b = self.relaxation.site.batteries
         factor = max(
@@ -115,10 +128,15 @@ class DemandModel:
             float(p["eta_hi"].value.max(initial=1.0)),
             float(p["inv_hi"].value.max(initial=1.0)),
         )
-        return float(b.p_max_kw.sum() * factor)
+        exported_kw = 0.0
+        if self.relaxation.export is not None:
+            exported_kw = float(self.relaxation.export.P_out_max.value.max(initial=0.0))
+        return float(b.p_max_kw.sum() * factor) + exported_kw
 
 
-def demand_model(site: Site, n_steps: int, lumped: bool, physical: bool = False) -> DemandModel:
+def demand_model(
+    site: Site, n_steps: int, lumped: bool, physical: bool = False, exporting: bool = False
+) -> DemandModel:
     """What the fleet can carry in windows of a length and mode.
 
     Parameters
@@ -131,6 +149,15 @@ def demand_model(site: Site, n_steps: int, lumped: bool, physical: bool = False)
         Whether the fleet is one battery.
     physical : bool
         Whether losses and headroom are part of it.
+    exporting : bool
+        Whether export is part of it.
     """
-    relaxation = AggregateModel(site, n_steps, integer=False, lumped=lumped, physical=physical)
+    relaxation = AggregateModel(
+        site,
+        n_steps,
+        integer=False,
+        lumped=lumped,
+        physical=physical,
+        exporting=exporting,
+    )
     return DemandModel(relaxation)

@@ -155,16 +155,25 @@ def relaxation_of(
         lumped=lumped,
         physical=data.physical,
         switching=rule_steps(data),
+        exporting=data.exporting,
     )
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
     """What the fleet can carry in a window of that length and mode."""
-    return cache.problem(demand_model, n_steps=data.n_steps, lumped=lumped, physical=data.physical)
+    return cache.problem(
+        demand_model,
+        n_steps=data.n_steps,
+        lumped=lumped,
+        physical=data.physical,
+        exporting=data.exporting,
+    )
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
-    """Whether batteries are lumped, in the order of trial."""
+    """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet."""
+    if len(data.soc) == 0:
+        return (True,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from vppres.contract.switching import RuleSteps
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
@@ -46,6 +47,9 @@ class AggregateModel:
         Whether losses and headroom are part of it.
     switching : RuleSteps, optional
         Shape of the switching rules; None has none.
+    exporting : bool
+        Whether export is part of it. Its direction is never a binary here, so that serving one more
+        customer is always met by more import.
 
     Attributes
     ----------
@@ -67,6 +71,7 @@ class AggregateModel:
         lumped: bool = True,
         physical: bool = False,
         switching: RuleSteps | None = None,
+        exporting: bool = False,
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -75,6 +80,7 @@ class AggregateModel:
         self.x = cp.Variable((n_steps, len(site.customers)), name="x_served", boolean=integer)
         self.v = self._variables()
         self.p = self._parameters()
+        self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
         self.room = self._room_parameters() if physical else {}
         self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
         self.service_min = cp.Parameter(name="service_min")
@@ -133,7 +139,17 @@ class AggregateModel:
             "a_per_b": (G,),
             "b_per_a": (G,),
         }
-        return _nonnegative(shapes)
+        found = _nonnegative(shapes)
+        if self.site.network.draws:
+            found["network_drawn"] = cp.Parameter(W, name="network_drawn")
+        return found
+
+    @property
+    def network_kw(self) -> cp.Expression | float:
+        """Losses, and what the network itself draws; 0 where there is neither."""
+        parts = [self.room["loss"]] if self.room else []
+        parts += [self.p["network_drawn"]] if "network_drawn" in self.p else []
+        return sum(parts[1:], start=parts[0]) if parts else 0.0
 
     def _room_parameters(self) -> dict[str, cp.Parameter]:
         """What physical mode writes besides: losses, and the batteries' limits less headroom."""
@@ -141,9 +157,10 @@ class AggregateModel:
         G = self._groups
         return _nonnegative({"loss": (W,), "E_min": (W, G), "P_room": (W, G)})
 
-    def _cost(self) -> cp.Expression:
+    def cost(self) -> cp.Expression:
         """f2 in GBP."""
-        return self.rho_dt @ self.v["P_grid"]
+        spent = self.rho_dt @ self.v["P_grid"]
+        return spent if self.export is None else spent - self.export.f2_revenue
 
     def _curtailment(self) -> cp.Expression:
         """f3 as weighted."""
@@ -160,7 +177,7 @@ class AggregateModel:
 
     def _weighted_problem(self) -> cp.Problem:
         """Service and cost as weighted."""
-        total = self._service() - self.site.weights.lambda_grid * self._cost()
+        total = self._service() - self.site.weights.lambda_grid * self.cost()
         return cp.Problem(
             cp.Maximize(objective_scale(self.site) * total), list(self.constraints.values())
         )
@@ -168,7 +185,7 @@ class AggregateModel:
     def _cost_problem(self) -> cp.Problem:
         """Cost where service is held, in units of the weights' grid: a number near 1."""
         enough = (self._service() - self.service_min) / (self.grid or 1.0) >= 0
-        return cp.Problem(cp.Minimize(self._cost()), [*self.constraints.values(), enough])
+        return cp.Problem(cp.Minimize(self.cost()), [*self.constraints.values(), enough])
 
     def _grid_problem(self) -> cp.Problem:
         """Service in units of the weights' grid, with an objective that is always a whole number.
@@ -193,8 +210,8 @@ class AggregateModel:
         p = self.p
         x = self.x
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
-        if self.room:
-            load = load + self.room["loss"]
+        if self.room or "network_drawn" in self.p:
+            load = load + self.network_kw
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
         cold = cold_demand(self.switching)
         if cold is not None:
@@ -202,12 +219,16 @@ class AggregateModel:
             own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)
         P_ch = cp.sum(v["P_ch"], axis=1)
         P_dch = cp.sum(v["P_dch"], axis=1)
+        connection = {"lumped_grid_limit": v["P_grid"] <= p["P_grid_max"]}
+        if self.export is not None:
+            load = load + self.export.P_out
+            connection = self.export.connection(v["P_grid"], p["P_grid_max"])
         return {
             "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
             "lumped_circular_charging": P_dch <= load - own,
             "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
             "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
-            "lumped_grid_limit": v["P_grid"] <= p["P_grid_max"],
+            **connection,
             "lumped_service": x <= p["x_max"],
             "lumped_connected_service": x >= p["x_min"],
         }
@@ -290,10 +311,14 @@ class AggregateModel:
             "inv_hi": inv_hi,
             **self._first_step(data),
         }
+        if data.drawn is not None:
+            values["network_drawn"] = data.drawn.kw.sum(axis=1)
         for name, value in values.items():
             self.p[name].value = value
         if self.room:
             self._fill_room(data)
+        if self.export is not None:
+            self.export.fill(site, data)
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
         if self.switching:
             self.switching.fill(data)

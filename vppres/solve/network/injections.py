@@ -15,6 +15,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
+from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 
 
@@ -71,7 +72,7 @@ class Reactance:
         self.fed: Floats = fed
         self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
         self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
-        self.pv = self.customer[site.owner]
+        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
 
 
 class Injections:
@@ -79,7 +80,8 @@ class Injections:
 
     The columns are arrays of positions with the paper's letters: ``x`` (W, C); ``P_ch``, ``P_dch``,
     ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
-    ``P_grid`` and ``Q_grid`` (W, 1). Charging and discharging may overlap.
+    ``P_grid``, ``P_out`` and ``Q_grid`` (W, 1), where ``P_out``, the export, has no column if there
+    is none. Charging and discharging may overlap, and so may import and export.
 
     Parameters
     ----------
@@ -111,12 +113,15 @@ class Injections:
             "Q_pv": P,
             "P_grid": 1,
             "Q_grid": 1,
+            "P_out": int(data.exporting),
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
         self.own_kw = data.self_limit_kw(site)
         self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
         self.load_kvar = data.load_kw * site.customers.q_per_p
+        nothing = np.zeros((W, site.network.n_buses))
+        self.drawn = data.drawn or Drawn(nothing, nothing)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
@@ -134,6 +139,7 @@ class Injections:
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
             "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
             "Q_grid": (-q_grid, q_grid),
+            "P_out": (0.0, data.export_max_kw(site)[:, None]),
         }
         lower = np.zeros(self.size)
         upper = np.zeros(self.size)
@@ -147,18 +153,23 @@ class Injections:
         at = self.at
         site = self.site
         data = self.data
-        active = np.hstack([at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"]])
+        active = np.hstack(
+            [at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"], at["P_out"]]
+        )
         signs = np.hstack(
             [
                 np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
                 -np.ones((data.n_steps, len(site.batteries))),
                 -self.net_kw,
+                -np.ones(at["P_out"].shape),
             ]
         )
         reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], at["x"]])
         kvar = np.hstack(
             [np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))), -self.load_kvar]
         )
+        drawn_kw = self.drawn.kw.sum(axis=1)
+        drawn_kvar = self.drawn.kvar.sum(axis=1)
         outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
         charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
         owner = np.stack([at["P_exp"], at["x"][:, site.owner]], axis=-1).reshape(-1, 2)
@@ -166,13 +177,25 @@ class Injections:
         room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
         return Rows.joined(
             [
-                Rows.of(active, signs, 0.0, 0.0, self.size),
-                Rows.of(reactive, kvar, 0.0, 0.0, self.size),
+                Rows.of(active, signs, drawn_kw, drawn_kw, self.size),
+                Rows.of(reactive, kvar, drawn_kvar, drawn_kvar, self.size),
                 Rows.of(outside, charging, 0.0, np.inf, self.size),
                 Rows.of(owner, own, -np.inf, room, self.size),
                 *self._battery_rows(),
+                *self._connection_rows(),
             ]
         )
+
+    def _connection_rows(self) -> list[Rows]:
+        """Import or export, as far as rows without binaries can say it."""
+        most_in = self.data.grid_p_max_kw(self.site)
+        most_out = self.data.export_max_kw(self.site)
+        both = np.flatnonzero((most_in > 0.0) & (most_out > 0.0))
+        if not len(both):
+            return []
+        columns = np.hstack([self.at["P_grid"][both], self.at["P_out"][both]])
+        shares = np.column_stack([1.0 / most_in[both], 1.0 / most_out[both]])
+        return [Rows.of(columns, shares, -np.inf, 1.0, self.size)]
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""
@@ -194,7 +217,7 @@ class Injections:
         ]
 
     def u_pu2(self, x: Floats) -> Floats:
-        """Squared voltages of a solution, (W, N)."""
+        """Squared referred voltages of a solution, (W, N)."""
         p, q = self._injected(x)
         return self._empty_u() + p @ self.reactance.per_kw + q @ self.reactance.per_kvar
 
@@ -216,17 +239,20 @@ class Injections:
         return p, q
 
     def _empty_u(self) -> Floats:
-        """Squared voltages without any injection, (W, N)."""
-        return np.asarray(
-            self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ self.reactance.fed
-        )
+        """Squared voltages without any device, (W, N)."""
+        reach = self.reactance
+        empty = self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ reach.fed
+        if self.data.drawn is None:
+            return np.asarray(empty)
+        drop = self.drawn.kw @ reach.per_kw + self.drawn.kvar @ reach.per_kvar
+        return np.asarray(empty - drop)
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
         net = self.site.network
         u = self.u_pu2(x)
         found = []
-        for sign, beyond in ((1.0, net.v_min_pu**2 - u), (-1.0, u - net.v_max_pu**2)):
+        for sign, beyond in ((1.0, net.u_min_pu2 - u), (-1.0, u - net.u_max_pu2)):
             beyond[:, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
             around[:, 1:] = beyond[:, net.parent]
@@ -259,7 +285,7 @@ class Injections:
                 x[reach.pv],
             ]
         )
-        limit = net.v_min_pu**2 if sign > 0 else net.v_max_pu**2
+        limit = net.u_min_pu2[bus] if sign > 0 else net.u_max_pu2[bus]
         used = np.abs(values) > 0.0
         scale = 1e3 * sign
         return Rows.of(
@@ -314,6 +340,12 @@ class Injections:
                 )
         return tangents
 
+    def exchange_kw(self, x: Floats) -> tuple[Floats, Floats]:
+        """Import and export of a solution, (W,) each."""
+        imported = np.maximum(x[self.at["P_grid"]][:, 0], 0.0)
+        exported = np.maximum(x[self.at["P_out"]].sum(axis=1), 0.0)
+        return imported, exported
+
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
         """A solution as a dispatch of a served set; flows and voltages follow from it."""
         at = self.at
@@ -321,6 +353,7 @@ class Injections:
         net = self.site.network
         own = self.own_kw * served[:, self.site.owner]
         export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
+        imported, exported = self.exchange_kw(x)
         p, q = self._injected(x)
         return Dispatch(
             served=served,
@@ -332,9 +365,9 @@ class Injections:
             discharge_kw=np.maximum(x[at["P_dch"]], 0.0),
             batt_q_kvar=x[at["Q_batt"]],
             soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
-            p_grid_kw=np.maximum(x[at["P_grid"]][:, 0], 0.0),
+            p_grid_kw=imported - exported,
             q_grid_kvar=x[at["Q_grid"]][:, 0],
-            v_pu=np.sqrt(self.u_pu2(x)),
-            p_flow_kw=lossless_flows(net, p),
-            q_flow_kvar=lossless_flows(net, q),
+            v_pu=net.v_pu(self.u_pu2(x)),
+            p_flow_kw=lossless_flows(net, p - self.drawn.kw),
+            q_flow_kvar=lossless_flows(net, q - self.drawn.kvar),
         )

@@ -44,6 +44,9 @@ SMALL = 2000
 ROUNDS = 3
 """Sets that are tried before it begins: most windows are closed by then, at a tenth of its time."""
 
+BOTH_WAYS_KW = 1e-4
+"""Import and export of the same step above which a dispatch is made anew, one way in each step."""
+
 PATIENCE_S = 20.0
 """Seconds without a better set or bound after which the search ends early: the longest wait for an
 improvement that came was 12 s on the benchmark's windows."""
@@ -260,14 +263,39 @@ class NetworkMaster:
             self.found = known  # tangents within the discs hold for no other problem
             if answer.status == Status.OPTIMAL:
                 break
+        if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
+            answer = self._one_way(program, answer, deadline, inside)
         done = answer.status == Status.OPTIMAL
         dispatch = self.model.dispatch(answer.x, served) if done else None
         return answer.outcome(watch.spent_s), dispatch
 
+    def _both_ways(self, answer: ProgramSolution) -> Flags:
+        """Steps in which a solution imports and exports, (W,)."""
+        return np.minimum(*self.model.exchange_kw(answer.x)) > BOTH_WAYS_KW
+
+    def _one_way(
+        self, program: Program, answer: ProgramSolution, deadline: Deadline, inside: float
+    ) -> ProgramSolution:
+        """The cheapest dispatch that imports or exports, as a solution does on balance."""
+        at = self.model.at
+        imported, exported = self.model.exchange_kw(answer.x)
+        one_way = replace(program, x_upper=program.x_upper.copy())
+        one_way.x_upper[at["P_out"][imported >= exported]] = 0.0
+        one_way.x_upper[at["P_grid"][imported < exported]] = 0.0
+        known = self.found
+        self.found = list(known)
+        found = self._until_carried(self._loaded(one_way), deadline, EXACT_DISC, inside)
+        self.found = known
+        return found
+
     @property
     def price(self) -> tuple[Wholes, Floats]:
-        """Columns of the import and its price for a step, in GBP/kW."""
-        return (self.model.at["P_grid"].ravel(), self.data.price_gbp_per_kwh * self.site.dt_h)
+        """Columns of import and export and what they cost for a step, in GBP/kW."""
+        columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
+        prices = [self.data.price_gbp_per_kwh]
+        if self.data.export is not None:
+            prices.append(-self.data.export.price_gbp_per_kwh)
+        return columns.ravel(), (np.column_stack(prices) * self.site.dt_h).ravel()
 
     def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""

@@ -1,0 +1,240 @@
+"""A connection that exports: by hand, against the whole problem, in the plant, and import only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.dispatch_check import check_dispatch
+from tests.support.exporting import exporting_window
+from tests.support.set_points import decision
+from tests.support.small_windows import (
+    CHECKER_TOLERANCE,
+    DARK,
+    OPEN,
+    battery,
+    two_buses,
+    window,
+    with_pv,
+)
+from vppres.contract.export import Export
+from vppres.core.errors import InputError
+from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
+from vppres.model.forms import Form, WindowModel
+from vppres.model.site import Site
+from vppres.physics.powerflow import shared_power_flow
+from vppres.plant.collapse import realise
+from vppres.plant.exporting import LIMIT_TOLERANCE_KW
+from vppres.plant.plant import Plant
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import METHODS, WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+
+ANY_STEPS = [(seed, stressed) for stressed in (False, True) for seed in range(20)]
+
+
+def exporting(
+    day: Scenario, limit_kw: float | Sequence[float] = np.inf, price: float | Sequence[float] = 0.0
+) -> Scenario:
+    """The day on a connection that exports."""
+    return replace(
+        day, export_limit_kw=np.array(limit_kw), export_price_gbp_per_kwh=np.array(price)
+    )
+
+
+def solve(day: Scenario, method: str = "decomposed") -> WindowSolution:
+    """All steps of a day as one window, checked."""
+    data = window(day)
+    answer = WindowSolver(Site.of(day), method).solve(data)
+    check = check_dispatch(day, data, answer.dispatch)
+    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    return answer
+
+
+# By hand.
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("limit_kw", "exported_kw", "curtailed_kw"),
+    [(np.inf, 60.0, 0.0), (40.0, 40.0, 20.0), (0.0, 0.0, 60.0)],
+)
+def test_only_what_is_beyond_the_limit_is_curtailed(
+    method: str, limit_kw: float, exported_kw: float, curtailed_kw: float
+) -> None:
+    # 80 kW of sun, 20 kW of demand: 60 kW are left.
+    day = with_pv(two_buses([[20.0]], [1.0], [OPEN]), [80.0])
+    answer = solve(exporting(day, limit_kw, 0.1), method)
+    assert answer.dispatch.p_grid_kw == pytest.approx([-exported_kw], abs=1e-4)
+    assert answer.dispatch.pv_curtailed_kw[0, 0] == pytest.approx(curtailed_kw, abs=1e-4)
+    assert answer.terms.f2 == pytest.approx(-0.1 * exported_kw, abs=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_battery_sells_where_the_price_pays_its_losses(method: str) -> None:
+    # 50 kWh bought at 0.05 come back as 45.125 kWh: 10 for the customer, 35.125 sold at 0.4.
+    day = replace(two_buses([[10.0]] * 3, [1.0], [OPEN] * 3, [0.05, 0.5, 0.1]), batteries=battery())
+    answer = solve(exporting(day, price=[0.04, 0.4, 0.04]), method)
+    assert answer.dispatch.charge_kw[:, 0] == pytest.approx([50.0, 0.0, 0.0], abs=1e-3)
+    assert answer.dispatch.p_grid_kw == pytest.approx([60.0, -35.125, 10.0], abs=1e-3)
+    cost_gbp = 0.05 * 60.0 - 0.4 * 35.125 + 0.1 * 10.0
+    assert answer.terms.f2 == pytest.approx(cost_gbp, abs=1e-4)
+    worthless = solve(exporting(day), method).dispatch
+    assert worthless.p_grid_kw.min() >= -1e-4
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("price", "earned"), [(0.3, 0.5), (-0.2, 0.0)], ids=["dear export", "paid import"]
+)
+def test_nobody_buys_and_sells_at_once(method: str, price: float, earned: float) -> None:
+    # Buying at 0.3 to sell at 0.5, or at -0.2 to give away, would earn without end.
+    day = two_buses([[10.0]], [1.0], [OPEN], price)
+    answer = solve(exporting(day, price=earned), method)
+    assert answer.dispatch.p_grid_kw == pytest.approx([10.0], abs=1e-4)
+    assert answer.terms.f2 == pytest.approx(10.0 * price, abs=1e-4)
+    if method == "decomposed":  # the whole problem proves no cost by itself
+        assert answer.cost_gap_gbp <= 1e-3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_is_exported_in_an_outage(method: str) -> None:
+    day = with_pv(two_buses([[20.0]], [1.0], [DARK]), [80.0])
+    answer = solve(exporting(day, price=0.5), method)
+    assert answer.dispatch.p_grid_kw == pytest.approx([0.0])
+    assert answer.dispatch.pv_curtailed_kw[0, 0] == pytest.approx(60.0, abs=1e-4)
+
+
+def test_a_battery_does_not_charge_from_another_by_way_of_the_meter() -> None:
+    # The full one has what the good one could keep, but only import and PV may charge.
+    fleet = replace(battery(soc=0.5, count=2), eta_discharge=np.array([0.95, 0.6]))
+    fleet = replace(fleet, soc_initial=np.array([0.85, 0.15]))
+    day = replace(two_buses([[1.0]] * 2, [1.0], [OPEN] * 2, 0.3), batteries=fleet)
+    for price in (0.3, 0.29, 0.0):
+        answer = solve(exporting(day, price=price))
+        charged = answer.dispatch.charge_kw.sum(axis=1)
+        assert (charged <= np.maximum(answer.dispatch.p_grid_kw, 0.0) + 1e-3).all()
+
+
+# Against the whole problem.
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize(("seed", "stressed"), ANY_STEPS)
+def test_masters_agree_with_the_whole_problem(seed: int, stressed: bool) -> None:
+    scenario, data = exporting_window(seed, stressed)
+    everyone = float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
+    gap = SolveLimits().absolute(everyone)
+    answers = [WindowSolver(Site.of(scenario), method).solve(data) for method in METHODS]
+    best = max(answer.objective for answer in answers)
+    for answer in answers:
+        check = check_dispatch(scenario, data, answer.dispatch)
+        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+        assert answer.status == "optimal"
+        assert answer.objective >= best - gap
+        assert answer.bound >= best - 1e-6
+
+
+# Import only.
+
+
+def test_an_import_only_window_has_the_problem_from_before(tiny: Scenario) -> None:
+    assert not tiny.exports
+    assert Export.of(tiny, slice(None)) is None
+    site = Site.of(tiny)
+    paper, other = (WindowModel(site, 2, Form(exporting=exports)) for exports in (False, True))
+    assert "grid_export_limit" not in paper.constraints
+    names = {v.name() for v in other.problem.variables()}
+    assert names - {v.name() for v in paper.problem.variables()} == {"P_out", "importing"}
+
+
+@pytest.mark.parametrize("name", ["uk-heatwave-2022", "two-outages-cigre-mv"])
+def test_packaged_scenarios_import_only(name: str) -> None:
+    day = read_scenario(find_scenario(name))
+    assert (float(day.export_limit_kw), day.exports) == (0.0, False)
+
+
+# Files.
+
+
+def test_limit_is_one_number_or_a_series_and_reads_back(tiny: Scenario, tmp_path: Path) -> None:
+    days = {
+        "none": exporting(tiny),
+        "one": exporting(tiny, 500.0, 0.05),
+        "series": exporting(tiny, [np.inf, 1.0, 0.0, 5.0, 5.0, 5.0], [0.1] * 5 + [-0.1]),
+    }
+    for name, day in days.items():
+        write_scenario(day, tmp_path / name)
+        again = read_scenario(tmp_path / name)
+        assert again.export_max_kw.tolist() == day.export_max_kw.tolist()
+        assert again.export_price.tolist() == day.export_price.tolist()
+        assert again.export_max_kw[3:5].tolist() == [0.0, 0.0]  # the outage
+    digests = {scenario_digest(day) for day in (*days.values(), tiny)}
+    assert len(digests) == len(days) + 1
+
+
+def test_a_folder_without_a_limit_exports(tiny_folder: Path) -> None:
+    file = tiny_folder / "scenario.toml"
+    file.write_text(file.read_text().replace("export_limit_kw = 0.0\n", ""))
+    assert read_scenario(tiny_folder).export_max_kw[0] == np.inf
+
+
+def test_two_limits_are_refused(tiny_folder: Path) -> None:
+    file = tiny_folder / "system.csv"
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([head + ",export_limit_kw", *(row + ",5" for row in rows)]) + "\n")
+    with pytest.raises(InputError) as error:
+        read_scenario(tiny_folder)
+    assert str(error.value) == (
+        "scenario.toml, network.export_limit_kw = 0.0: is also a column of system.csv. "
+        "Keep the key for one limit of all steps, or the column for one of each step."
+    )
+
+
+# The plant.
+
+
+def ac_export_kw(day: Scenario, battery_kw: Sequence[float]) -> tuple[float, float, float]:
+    """AC export, curtailment and discharge where set-points curtail nothing."""
+    plant = Plant(day)
+    state = plant.initial_state()
+    wanted = decision(day, battery_kw=battery_kw)
+    done = realise(plant, shared_power_flow(day.network), 0, wanted, state)
+    realised = done.realised
+    return (
+        -done.ac.p_slack_kw,
+        float(realised.pv_curtailed_kw.sum()),
+        float(realised.discharge_kw.sum()),
+    )
+
+
+def test_surplus_leaves_up_to_the_limit_at_the_meter() -> None:
+    # 80 kW of sun for 20 kW of demand; the line takes its losses, 0.01 ohm times (60 / 11)².
+    day = with_pv(two_buses([[20.0]], [1.0], [OPEN]), [80.0])
+    exported, curtailed, _ = ac_export_kw(exporting(day), [])
+    assert exported == pytest.approx(60.0 - 0.01 * (60.0 / 11.0) ** 2 / 1000.0, abs=1e-5)
+    assert curtailed == 0.0
+    exported, curtailed, _ = ac_export_kw(exporting(day, 40.0), [])
+    assert exported <= 40.0 + LIMIT_TOLERANCE_KW
+    assert curtailed == pytest.approx(20.0, abs=2e-3)
+
+
+def test_batteries_are_held_back_before_sun_is_lost() -> None:
+    day = with_pv(two_buses([[20.0]], [1.0], [OPEN]), [50.0])
+    day = replace(day, batteries=battery(soc=0.8))
+    exported, curtailed, discharged = ac_export_kw(exporting(day, 35.0), [-20.0])
+    assert exported <= 35.0 + LIMIT_TOLERANCE_KW
+    assert (curtailed, discharged) == (0.0, pytest.approx(5.0, abs=2e-3))
+
+
+def test_an_import_only_plant_is_the_papers() -> None:
+    day = with_pv(two_buses([[20.0]], [1.0], [OPEN]), [80.0])
+    exported, curtailed, _ = ac_export_kw(day, [])
+    assert exported == pytest.approx(60.0, abs=1e-3)
+    assert curtailed == 0.0

@@ -1,0 +1,60 @@
+"""What the grid takes back over a window, and what it pays for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.core.arrays import Floats, Wholes, freeze_fields
+from vppres.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """Export over a window of W steps; a connection that imports only has none.
+
+    Parameters
+    ----------
+    limit_kw : array, shape (W,)
+        Largest export, 0 in an outage, may be infinite.
+    price_gbp_per_kwh : array, shape (W,)
+        What exported energy earns, negative where it costs.
+
+    Examples
+    --------
+    >>> Export([50.0, 0.0], [0.1, 0.1]).part(slice(1)).limit_kw
+    array([50.])
+    """
+
+    limit_kw: Floats
+    price_gbp_per_kwh: Floats
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, limit_kw=float, price_gbp_per_kwh=float)
+
+    @classmethod
+    def of(cls, scenario: Scenario, rows: Wholes | slice) -> Export | None:
+        """Export of some steps of a scenario, None where its connection imports only.
+
+        A scenario that exports in any step has one in every window, so that all its windows are of
+        one kind and a problem is compiled once.
+        """
+        if not scenario.exports:
+            return None
+        return cls(scenario.export_max_kw[rows], scenario.export_price[rows])
+
+    def part(self, steps: slice) -> Export:
+        """Some of the steps."""
+        return Export(self.limit_kw[steps], self.price_gbp_per_kwh[steps])
+
+    def followed_by_none(self, n_steps: int) -> Export:
+        """The same with steps behind it in which nothing is taken."""
+        none = np.zeros(n_steps)
+        return Export(
+            np.concatenate([self.limit_kw, none]), np.concatenate([self.price_gbp_per_kwh, none])
+        )
+
+    def within(self, grid_limit_kw: Floats) -> Export:
+        """The same with nothing taken where the grid gives nothing: in an outage."""
+        return Export(np.where(grid_limit_kw > 0.0, self.limit_kw, 0.0), self.price_gbp_per_kwh)
