@@ -287,10 +287,10 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
     exact = linearised(start, tiny.network, points)
     met = replace(dispatch, v_pu=points.v_pu)
-    assert agree(exact, met, points)
+    assert agree(exact, met, points, tiny.network)
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
-    assert not agree(exact, replace(met, v_pu=one_off), points)
+    assert not agree(exact, replace(met, v_pu=one_off), points, tiny.network)
 
 
 @pytest.mark.parametrize(("failures", "mark"), [(0, ""), (1, "nudged"), (2, "lossless")])

@@ -8,12 +8,22 @@ import numpy as np
 import pandapower as pp
 import pytest
 
+from experiments.random_feeders import Window, random_window
+from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
 from vppres.model.beyond_paper.losses import Sweeps
+from vppres.model.linearise import drawn_by
+from vppres.model.site import Site
 from vppres.physics.nose import follow
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
+from vppres.solve.deadline import Deadline
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.injections import Reactance
+from vppres.solve.network.master import NetworkMaster
+from vppres.solve.result import SolveLimits, Status
 
 BASE_KV = 10.0
 B_US, G_US = 30.0, 4.0
@@ -156,3 +166,61 @@ def test_a_network_without_ratios_has_the_arithmetic_it_had() -> None:
 def test_what_no_network_has_is_named(wrong: dict[str, list[float]], words: str) -> None:
     with pytest.raises(InputError, match=words):
         Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=11.0, **wrong)
+
+
+# Plans on a network with ratios and shunts.
+
+
+def with_transformers(case: Window, seed: int) -> Window:
+    """The window on the same tree with taps, charging, a capacitor and a fixed demand."""
+    net = case.scenario.network
+    draw = np.random.default_rng(seed)
+    load_kw = float(case.scenario.load_kw.sum(axis=1).max())
+    ratio = np.ones(net.n_lines)
+    ratio[draw.integers(net.n_lines, size=2)] = [0.985, 1.02]
+    tapped = replace(
+        net,
+        ratio=ratio,
+        b_us=draw.uniform(0.0, 2e3, net.n_lines) * load_kw / net.base_kv**2 / 100,
+        p_shunt_kw=draw.uniform(0.0, 0.01, net.n_buses) * load_kw,
+        q_shunt_kvar=draw.uniform(-0.05, 0.02, net.n_buses) * load_kw,
+        p_fixed_kw=np.eye(net.n_buses)[-1] * 0.03 * load_kw,
+    )
+    customers = case.scenario.customers
+    leading = replace(
+        customers,
+        power_factor=np.where(draw.random(len(customers)) < 0.3, -1, 1) * customers.power_factor,
+    )
+    island = case.data.grid_limit_kw <= 0.0
+    data = replace(case.data, drawn=drawn_by(tapped, None, island))
+    return Window(replace(case.scenario, network=tapped, customers=leading), data)
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", range(6))
+def test_masters_and_monolith_agree_on_a_network_with_ratios_and_shunts(seed: int) -> None:
+    case = with_transformers(random_window(seed, stressed=seed % 2 == 1), seed)
+    site = Site.of(case.scenario)
+    answers = [
+        WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
+    ]
+    whole = case.scenario.customers.weight.sum() * case.scenario.grid.dt_h * case.data.n_steps
+    gap, best = SolveLimits().absolute(whole), max(a.objective for a in answers)
+    for answer in answers:
+        check = check_dispatch(*case, answer.dispatch)
+        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+        assert answer.bound >= best - 1e-6
+        assert answer.objective >= best - gap
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5, 8])  # with weights on a grid
+def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
+    case = with_transformers(random_window(seed), seed)
+    site = Site.of(case.scenario)
+    answer = WindowSolver(site).solve(case.data).dispatch
+    master = NetworkMaster(site, Reactance(site), case.data, Deadline(20.0))
+    outcome, dispatch = master.cheapest(answer.served, Deadline(20.0))
+    assert outcome.status == Status.OPTIMAL and dispatch is not None
+    assert check_dispatch(*case, dispatch).worst[1] <= CHECKER_TOLERANCE
+    assert outcome.value <= case.data.price_gbp_per_kwh @ answer.p_grid_kw * site.dt_h + 1e-5

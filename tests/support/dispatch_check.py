@@ -166,6 +166,9 @@ def _balances(
     for b, n in enumerate(items.battery_bus):
         left_p[:, n] += d.discharge_kw[:, b] - d.charge_kw[:, b]
         left_q[:, n] += d.batt_q_kvar[:, b]
+    if data.drawn is not None:
+        left_p -= data.drawn.kw
+        left_q -= data.drawn.kvar
     for line, upstream in enumerate(s.network.parent):
         for left, flow in ((left_p, d.p_flow_kw), (left_q, d.q_flow_kvar)):
             left[:, upstream] -= flow[:, line]
@@ -183,13 +186,17 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     net, u = s.network, d.v_pu**2
     base = 1000.0 * net.base_kv**2
     worst = 0.0
+    to_slack = [1.0]  # the offset refers to the slack bus: the product of the ratios on the way
+    for line, upstream in enumerate(net.parent):
+        to_slack.append(to_slack[upstream] * float(net.ratio[line]))
     for line, upstream in enumerate(net.parent):
         drop = (
             2.0
             * (net.r_ohm[line] * d.p_flow_kw[:, line] + net.x_ohm[line] * d.q_flow_kvar[:, line])
             / base
         )
-        expected = u[:, upstream] - drop + data.delta_pu2[:, line]
+        behind_tap = u[:, upstream] / net.ratio[line] ** 2
+        expected = behind_tap - drop + data.delta_pu2[:, line] / to_slack[line + 1] ** 2
         worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
     held = [0] * d.n_steps if data.physics is None else list(data.physics.reference)
     reference = np.array([u[t, n] for t, n in enumerate(held)])

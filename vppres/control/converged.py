@@ -18,8 +18,10 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, NumericalError
 from vppres.model.beyond_paper.losses import ACPoints, Sweeps, injections, linearised, lossless
 from vppres.model.data import Physics, WindowData
+from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
+from vppres.scenario.network import Network
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
@@ -39,11 +41,16 @@ _MAX_DECISIONS = 3
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """What a step was linearised at: offset, active and reactive loss of each line, (L,) each."""
+    """What a step was linearised at: offset, active and reactive loss of each line, (L,) each.
+
+    ``drawn_kw`` and ``drawn_kvar``, (N,), are what the network itself drew.
+    """
 
     offset_pu2: Floats
     loss_kw: Floats
     loss_kvar: Floats
+    drawn_kw: Floats
+    drawn_kvar: Floats
 
 
 class ConvergedPlanner:
@@ -114,14 +121,15 @@ class ConvergedPlanner:
         self, data: WindowData, solution: WindowSolution
     ) -> tuple[WindowData, WindowSolution]:
         """The candidate at which model and AC meet, and the window linearised there."""
+        network = self.solver.site.network
         decided = solution
         decisions = 1
         solve_s = solution.solve_s
         solver_s = solution.solver_s
         passes = 1
         points = self.ac_points(data, solution.dispatch)
-        while passes < self.passes and not agree(data, solution.dispatch, points):
-            closer = linearised(data, self.solver.site.network, points)
+        while passes < self.passes and not agree(data, solution.dispatch, points, network):
+            closer = linearised(data, network, points)
             again = self.solver.solve_served(closer, solution.dispatch.served)
             if again is None:
                 if decisions == _MAX_DECISIONS:
@@ -137,7 +145,7 @@ class ConvergedPlanner:
             solve_s = solve_s + again.solve_s
             solver_s = solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
-        reached = linearised(data, self.solver.site.network, points)
+        reached = linearised(data, network, points)
         return reached, replace(
             decided,
             dispatch=solution.dispatch,
@@ -164,10 +172,13 @@ class ConvergedPlanner:
     def _guessed(self, t0: int, start: WindowData) -> WindowData:
         """The window at what is known of each step, or of the last step like it before."""
         physics = start.require_physics()
+        drawn = start.drawn or self._nothing(start.n_steps)
         rows = {
             "offset_pu2": start.delta_pu2.copy(),
             "loss_kw": physics.loss_kw.copy(),
             "loss_kvar": physics.loss_kvar.copy(),
+            "drawn_kw": drawn.kw.copy(),
+            "drawn_kvar": drawn.kvar.copy(),
         }
         last: dict[bool, _Line] = {}
         for step in sorted(self._known):
@@ -185,28 +196,51 @@ class ConvergedPlanner:
             start,
             delta_pu2=rows["offset_pu2"],
             physics=replace(physics, loss_kw=rows["loss_kw"], loss_kvar=rows["loss_kvar"]),
+            drawn=start.drawn and Drawn(rows["drawn_kw"], rows["drawn_kvar"]),
         )
+
+    def _nothing(self, n_steps: int) -> Drawn:
+        """What a network without shunts draws."""
+        nothing = np.zeros((n_steps, self.solver.site.network.n_buses))
+        return Drawn(nothing, nothing)
 
     def _remember(self, t0: int, data: WindowData) -> None:
         """Keep what each step was linearised at; the next window starts there."""
         physics = data.require_physics()
+        self._forget(t0)
+        drawn = data.drawn or self._nothing(data.n_steps)
         for row in range(data.n_steps):
-            self._known[t0 + row] = (
-                bool(physics.reference[row] > 0),
-                _Line(data.delta_pu2[row], physics.loss_kw[row], physics.loss_kvar[row]),
+            line = _Line(
+                data.delta_pu2[row],
+                physics.loss_kw[row],
+                physics.loss_kvar[row],
+                drawn.kw[row],
+                drawn.kvar[row],
             )
+            self._known[t0 + row] = (bool(physics.reference[row] > 0), line)
+
+    def _forget(self, t0: int) -> None:
+        """Drop what is over, but for the last step of each kind: later guesses need no more."""
+        last = {self._known[step][0]: step for step in sorted(self._known) if step < t0}
+        over = [step for step in self._known if step < t0 and step not in last.values()]
+        for step in over:
+            del self._known[step]
 
 
 def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
     return replace(solution, stages=(attempt, *solution.stages))
 
 
-def agree(data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
-    """Whether voltages and losses of model and AC agree in every step, or AC has no answer."""
+def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Network) -> bool:
+    """Whether voltages, losses and what the network draws agree, or AC has no answer."""
     if not points.converged.all():
         return bool(~points.converged.any())
     off_pu = np.abs(dispatch.v_pu - points.v_pu).max()
     off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw).max()
+    if data.drawn is not None:
+        drawn_kw, drawn_kvar = network.drawn(points.v_pu)
+        off = [drawn_kw - data.drawn.kw, drawn_kvar - data.drawn.kvar]
+        off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
     return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 
 
@@ -271,6 +305,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         data,
         load_kw=data.load_kw * lit,
         pv_kw=data.pv_kw * lit,
+        drawn=data.drawn and data.drawn.where(~dark),
         switching=data.switching and data.switching.in_the_dark(dark),
     )
 

@@ -166,7 +166,8 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
         None if PV, batteries and grid cannot carry the demand.
     """
     own = state.own_kw(served)
-    need_kw = float(state.load_kw @ served - state.usable_pv_kw.sum())
+    demand_kw = float(state.load_kw @ served + state.drawn_kw.sum())
+    need_kw = float(demand_kw - state.usable_pv_kw.sum())
     wanted = np.clip(battery_kw, -state.discharge_max_kw, state.charge_max_kw)
     battery, left_kw = _close(state, wanted, need_kw)
     if left_kw > POWER_TOLERANCE_KW:
@@ -175,7 +176,7 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
     export = state.usable_pv_kw - own - curtailed
     grid_kw = need_kw + float(battery.sum() + curtailed.sum())
     exported_kw = min(max(-grid_kw, 0.0), state.export_limit_kw)
-    battery = _without_circle(battery, float(state.load_kw @ served - own.sum()) + exported_kw)
+    battery = _without_circle(battery, float(demand_kw - own.sum()) + exported_kw)
     grid_kw = max(need_kw + float(battery.sum() + curtailed.sum()), 0.0 - exported_kw)
     return _with_network(state, served, (own, export), battery, grid_kw)
 
@@ -245,7 +246,7 @@ def _with_network(
         discharge_kw=discharge,
         batt_q_kvar=batt_q,
         p_grid_kw=grid_kw,
-        q_grid_kvar=0.0 if state.island else -float(q.sum()),
+        q_grid_kvar=0.0 if state.island else float(state.drawn_kvar.sum() - q.sum()),
         v_pu=v_pu,
         p_flow_kw=p_flow,
         q_flow_kvar=q_flow,
@@ -272,14 +273,15 @@ def _reactive(
             site.battery_bus.T @ np.arange(site.network.n_buses),
         ]
     ).astype(int)
-    demand = site.customer_bus @ load_kvar
+    demand = site.customer_bus @ load_kvar + state.drawn_kvar
     at_bus = np.bincount(bus, room, site.network.n_buses)
     share = np.divide(demand, at_bus, out=np.zeros_like(demand), where=at_bus > 0)
-    q = room * np.minimum(share, 1.0)[bus]
+    q = room * np.clip(share, -1.0, 1.0)[bus]
     short_kvar = 0.0
     if state.island:
-        missing = max(float(demand.sum() - q.sum()), 0.0)
-        more = _shared(missing, room - q)
-        q = q + more
-        short_kvar = missing - float(more.sum())
+        missing = float(demand.sum() - q.sum())
+        missing = 0.0 if -POWER_TOLERANCE_KW < missing < 0.0 else missing
+        more = _shared(abs(missing), room - np.copysign(q, q * missing))
+        q = q + np.copysign(more, missing)
+        short_kvar = abs(missing) - float(more.sum())
     return q[:n_pv], q[n_pv:], short_kvar

@@ -19,7 +19,7 @@ from vppres.model.formulas import (
     lossless_flows,
     squared_voltages,
 )
-from vppres.model.linearise import delta_offset
+from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 
 
@@ -43,6 +43,8 @@ class StepState:
         Batteries that can be used.
     export_limit_kw : float
         Largest export, 0 in an outage and where the connection imports only.
+    drawn : Drawn, optional
+        What the network itself draws, one step; None where it draws nothing.
     """
 
     site: Site
@@ -55,6 +57,7 @@ class StepState:
     offset_pu2: Floats
     online: Flags
     export_limit_kw: float = 0.0
+    drawn: Drawn | None = None
 
     @classmethod
     def of(
@@ -62,6 +65,8 @@ class StepState:
     ) -> StepState:
         """The first step of an observation; all batteries are online if nothing else is said."""
         f = seen.forecast
+        point = seen.operating_point
+        v_pu = None if point is None else point.v_pu
         every = np.ones(len(site.batteries), dtype=bool)
         load_kw = f.load_kw[0]
         if seen.switching is not None:  # demand is higher for those who would be restored now
@@ -75,15 +80,26 @@ class StepState:
             seen.soc,
             seen.eta_charge,
             seen.eta_discharge,
-            delta_offset(site.network, seen.operating_point, centre),
+            delta_offset(site.network, point, centre),
             every if online is None else online,
             f.export_now_kw,
+            drawn_by(site.network, v_pu, f.grid_limit_kw[:1] <= 0.0),
         )
 
     @property
     def island(self) -> bool:
         """Whether the grid gives nothing."""
         return self.grid_limit_kw <= 0.0
+
+    @cached_property
+    def drawn_kw(self) -> Floats:
+        """Active power that the network itself draws, (N,)."""
+        return np.zeros(self.site.network.n_buses) if self.drawn is None else self.drawn.kw[0]
+
+    @cached_property
+    def drawn_kvar(self) -> Floats:
+        """Reactive power that the network itself draws, (N,)."""
+        return np.zeros(self.site.network.n_buses) if self.drawn is None else self.drawn.kvar[0]
 
     @cached_property
     def usable_pv_kw(self) -> Floats:
@@ -109,7 +125,8 @@ class StepState:
     @property
     def capacity_kw(self) -> float:
         """Demand that PV, batteries and grid can carry together."""
-        return float(self.usable_pv_kw.sum() + self.discharge_max_kw.sum() + self.grid_limit_kw)
+        given_kw = self.usable_pv_kw.sum() + self.discharge_max_kw.sum() + self.grid_limit_kw
+        return float(given_kw - self.drawn_kw.sum())
 
     def idle(self) -> StepState:
         """The same step with every battery off."""
@@ -117,16 +134,16 @@ class StepState:
 
     def own_kw(self, served: Flags) -> Floats:
         """Self-consumption of each PV system for a served set, (P,)."""
-        return np.minimum((self.load_kw * served)[self.site.owner], self.usable_pv_kw)
+        return np.minimum(self.site.behind_meter(self.load_kw * served), self.usable_pv_kw)
 
 
 def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Floats, Floats]:
     """Lossless flows (L,) twice, and voltages (N,) in pu, for the injections of all buses (N,)."""
     net = state.site.network
-    p_flow = lossless_flows(net, p_kw)
-    q_flow = lossless_flows(net, q_kvar)
+    p_flow = lossless_flows(net, p_kw - state.drawn_kw)
+    q_flow = lossless_flows(net, q_kvar - state.drawn_kvar)
     u = squared_voltages(net, p_flow, q_flow, state.offset_pu2)
-    return p_flow, q_flow, np.sqrt(np.maximum(u, 0.0))
+    return p_flow, q_flow, net.v_pu(np.maximum(u, 0.0))
 
 
 def one_step(**rows: Floats | Flags | float) -> Dispatch:

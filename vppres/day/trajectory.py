@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -208,7 +208,7 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(step)
+        self._records.append(_alone(step))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -281,6 +281,15 @@ class Recorder:
         )
 
 
+def _alone(step: StepRecord) -> StepRecord:
+    """The record without what its arrays are parts of: a row would keep its whole window."""
+    tables: dict[str, Any] = {
+        name: {column: np.array(values) for column, values in getattr(step, name).items()}
+        for name in ITEM_COLUMNS
+    }
+    return replace(step, **tables)
+
+
 def write_tables(trajectory: Trajectory, folder: Path) -> None:
     """Write the tables as Parquet, options and plan as JSON, into an existing folder."""
     for name, table in trajectory.tables.items():
@@ -343,10 +352,9 @@ def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:
     pv = scenario.pv
     b = scenario.batteries
     net = scenario.network
-    owner_bus = c.bus[pv.owner(c)] if len(pv) else c.bus[:0]
     return {
         "customers": {"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
-        "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(owner_bus)},
+        "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(pv.buses(c))},
         "batteries": {"id": b.id, "bus": _bus_labels(b.bus)},
         "buses": {"bus": _bus_labels(net.buses)},
         "lines": {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},

@@ -13,7 +13,7 @@ from vppres.contract.operating_point import Centre, OperatingPoint
 from vppres.core.arrays import Flags, Floats
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
-from vppres.model.linearise import delta_offset
+from vppres.model.linearise import delta_offset, drawn_by
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.shadow_price_model import Held
@@ -98,7 +98,10 @@ class Recorded:
         steps = range(t, min(t + length, self.n_steps))
         f = self._forecast(t, steps)
         centre: Centre = self.options.get("centre", "lossless")
-        offset = delta_offset(self.scenario.network, self._operating_point(t - 1), centre)
+        network = self.scenario.network
+        point = self._operating_point(t - 1)
+        offset = delta_offset(network, point, centre)
+        v_pu = None if point is None else point.v_pu
         load_kw = np.vstack([self.load_kw[t], f.load_kw[1:]])
         return WindowData(
             load_kw,
@@ -110,6 +113,7 @@ class Recorded:
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
             export=f.export,
+            drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
         )
 
     def held(self, t: int, n_steps: int) -> Held:

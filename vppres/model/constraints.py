@@ -136,6 +136,8 @@ def active_balance(
     P_load = P_served @ site.customer_bus.T - v.P_self @ site.pv_bus.T
     if added is not None:
         P_load = P_load + added.P
+    if p.P_drawn is not None:
+        P_load = P_load + p.P_drawn
     P_grid = at_slack_bus(site, v.P_grid)
     inflow = v.P_flow @ site.network.incidence.T
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
@@ -150,6 +152,8 @@ def reactive_balance(
     Q_load = Q_served @ site.customer_bus.T
     if added is not None:
         Q_load = Q_load + added.Q
+    if p.Q_drawn is not None:
+        Q_load = Q_load + p.Q_drawn
     Q_grid = at_slack_bus(site, v.Q_grid)
     inflow = v.Q_flow @ site.network.incidence.T
     return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
@@ -172,10 +176,11 @@ def voltage_limits(
 ) -> Named:
     """Squared voltage between the squared limits, at every bus but the slack bus.
 
-    ``slack``, in pu², is by how much both limits give.
+    ``slack``, in pu², is by how much both limits give. Voltages referred to the slack bus have
+    limits of their own behind a transformer's ratio.
     """
-    u_min = site.network.v_min_pu**2
-    u_max = site.network.v_max_pu**2
+    u_min = site.network.u_min_pu2[None, 1:]
+    u_max = site.network.u_max_pu2[None, 1:]
     if slack is not None:
         u_min = u_min - slack
         u_max = u_max + slack

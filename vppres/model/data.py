@@ -13,7 +13,7 @@ from vppres.contract.operating_point import Centre
 from vppres.contract.switching import SwitchingData
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import ModelError
-from vppres.model.linearise import delta_offset
+from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 
 
@@ -39,9 +39,9 @@ class Physics:
     headroom_kw: Floats
     soc_reserve: Floats
 
-    def first(self, n_steps: int) -> Physics:
-        """The first steps."""
-        return Physics(*(getattr(self, f.name)[:n_steps] for f in fields(self)))
+    def part(self, steps: slice) -> Physics:
+        """Some of the steps."""
+        return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,8 @@ class WindowData:
         The previous plan, where moves away from it are to be few; None is the paper.
     export : Export, optional
         What the grid takes back; None is the paper's connection, which imports only.
+    drawn : Drawn, optional
+        What the network itself draws; None where it has no shunt, charging or fixed demand.
     """
 
     load_kw: Floats
@@ -86,6 +88,7 @@ class WindowData:
     switching: SwitchingData | None = None
     moves: Moves | None = None
     export: Export | None = None
+    drawn: Drawn | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -93,7 +96,9 @@ class WindowData:
         forecast = observation.forecast
         switching = observation.switching
         n_steps = len(forecast.price_gbp_per_kwh)
-        offset = delta_offset(site.network, observation.operating_point, centre)
+        point = observation.operating_point
+        offset = delta_offset(site.network, point, centre)
+        island = forecast.grid_limit_kw <= 0.0
         return cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
@@ -106,6 +111,7 @@ class WindowData:
             switching=None if switching is None else switching.window(n_steps),
             moves=observation.moves,
             export=forecast.export,
+            drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
         )
 
     @property
@@ -132,17 +138,22 @@ class WindowData:
 
     def first(self, n_steps: int) -> WindowData:
         """The first steps of the window."""
+        return self.part(slice(n_steps))
+
+    def part(self, steps: slice) -> WindowData:
+        """Some steps of the window; ``soc`` stays that of its beginning."""
         cut = {
-            name: getattr(self, name)[:n_steps]
+            name: getattr(self, name)[steps]
             for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")
         }
         return replace(
             self,
             **cut,
-            physics=self.physics and self.physics.first(n_steps),
-            switching=self.switching and self.switching.first(n_steps),
-            moves=self.moves and self.moves.first(n_steps),
-            export=self.export and self.export.first(n_steps),
+            physics=self.physics and self.physics.part(steps),
+            switching=self.switching and self.switching.part(steps),
+            moves=self.moves and self.moves.part(steps),
+            export=self.export and self.export.part(steps),
+            drawn=self.drawn and self.drawn.part(steps),
         )
 
     @property
@@ -153,6 +164,13 @@ class WindowData:
             if self.physics is None
             else np.asarray(self.physics.loss_kw.sum(axis=1))
         )
+
+    @property
+    def network_kw(self) -> Floats:
+        """Losses of all lines and what the network itself draws, (W,)."""
+        if self.drawn is None:
+            return self.loss_kw
+        return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
 
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""
@@ -168,7 +186,7 @@ class WindowData:
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
-        return np.minimum(self.load_kw[:, site.owner], self.pv_kw)
+        return np.minimum(site.behind_meter(self.load_kw), self.pv_kw)
 
     def grid_p_max_kw(self, site: Site) -> Floats:
         """Largest import that can ever be useful, or the limit where that is smaller, (W,).
@@ -176,7 +194,8 @@ class WindowData:
         Nothing is exported at the same time, so no more than all demand and all charging is ever
         imported.
         """
-        useful = self.all_cold().load_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.loss_kw
+        load_kw = self.all_cold().load_kw.sum(axis=1)
+        useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property
@@ -200,6 +219,8 @@ class WindowData:
         if self.export is None:
             return np.zeros(self.n_steps)
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
+        if self.drawn is not None:  # a fixed demand may be negative
+            possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 
@@ -215,10 +236,12 @@ class WindowData:
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
         possible = (
-            self.all_cold().load_kw @ site.customers.q_per_p
+            self.all_cold().load_kw @ np.abs(site.customers.q_per_p)
             + site.batteries.s_max_kva.sum()
             + site.pv.s_max_kva.sum()
         )
         if self.physics is not None:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
+        if self.drawn is not None:
+            possible = possible + np.abs(self.drawn.kvar).sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)

@@ -64,6 +64,8 @@ def widened(network: Network, slack_pu2: float) -> Network:
     >>> wide.v_min_pu, wide.v_max_pu
     (0.941, 1.058)
     """
+    # The slack is of voltages referred to the slack bus; behind a ratio it is larger or smaller.
+    slack_pu2 = slack_pu2 * float((network.bus_ratio**2).max())
     low = np.sqrt(max(network.v_min_pu**2 - slack_pu2, 0.0))
     high = np.sqrt(network.v_max_pu**2 + slack_pu2)
     return with_limits(

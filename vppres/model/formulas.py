@@ -108,7 +108,10 @@ def voltage_drop_pu2(network: Network, p_kw: Floats, q_kvar: Floats) -> Floats:
 
 
 def voltage_offset_pu2(network: Network, u_pu2: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
-    """What (21) leaves open at an AC point with squared voltages (..., N), shape (..., L)."""
+    """What (21) leaves open at an AC point with squared voltages (..., N), shape (..., L).
+
+    Here and below voltages are referred to the slack bus (``Network.u_pu2``).
+    """
     rise = u_pu2[..., 1:] - u_pu2[..., network.parent]
     return np.asarray(rise + voltage_drop_pu2(network, p_kw, q_kvar))
 

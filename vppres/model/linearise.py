@@ -1,5 +1,7 @@
 """The offset of the delta form of LinDistFlow (paper, Section 3.2), from an AC operating point.
 
+What the network itself draws is constant over a window too: at the voltages of the same point.
+
 Chaining the deltas over a window cancels every intermediate point, so each line keeps one constant:
 ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``. Which flows are meant by ``P_ac, Q_ac`` matters:
 the sending-end AC flows include the losses (the paper's literal reading); the lossless flows of the
@@ -8,10 +10,12 @@ same injections match the lossless flows of the model and are about three times 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from vppres.contract.operating_point import Centre, OperatingPoint
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.model.formulas import lossless_flows, voltage_offset_pu2
 from vppres.scenario.network import Network
 
@@ -46,6 +50,61 @@ def delta_offset(
         p = point.p_flow_kw
         q = point.q_flow_kvar
     else:
-        p = lossless_flows(network, point.p_injection_kw)
-        q = lossless_flows(network, point.q_injection_kvar)
-    return voltage_offset_pu2(network, point.v_pu**2, p, q)
+        drawn_kw, drawn_kvar = network.drawn(point.v_pu)
+        p = lossless_flows(network, point.p_injection_kw - drawn_kw)
+        q = lossless_flows(network, point.q_injection_kvar - drawn_kvar)
+    return voltage_offset_pu2(network, network.u_pu2(point.v_pu), p, q)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What the network itself draws in a window: shunts, charging and fixed demand.
+
+    Parameters
+    ----------
+    kw, kvar : array, shape (W, N)
+        At each bus; negative where it gives power.
+    """
+
+    kw: Floats
+    kvar: Floats
+
+    def part(self, steps: slice) -> Drawn:
+        """Some of the steps."""
+        return Drawn(self.kw[steps], self.kvar[steps])
+
+    def where(self, steps: Flags) -> Drawn:
+        """The same in some steps, (W,), and nothing in the others."""
+        return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
+
+
+def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | None:
+    """What a network draws in the steps of a window, None if it never draws anything.
+
+    An island of the paper's mode is lossless: as with losses, the slack bus supplies what the
+    network draws, so that the sum over the buses is zero.
+
+    Parameters
+    ----------
+    network : Network
+        The feeder.
+    v_pu : array, shape (N,), or None
+        Voltages of the last AC point; without one those at no load.
+    island : array of bool, shape (W,)
+        Steps without grid.
+
+    Examples
+    --------
+    >>> net = Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=11.0, drawing_bus=[2],
+    ...               q_shunt_kvar=[-100.0])
+    >>> drawn_by(net, np.array([1.0, 0.9]), np.array([False, True])).kvar.round(3).tolist()
+    [[0.0, -81.0], [81.0, -81.0]]
+    """
+    if not network.draws:
+        return None
+    at_no_load = network.v_slack_pu * network.bus_ratio
+    power = network.drawn(at_no_load if v_pu is None else v_pu)
+    kw, kvar = (np.tile(values, (len(island), 1)) for values in power)
+    for values in (kw, kvar):
+        values[island, 0] -= values[island].sum(axis=1)
+    return Drawn(kw, kvar)

@@ -20,6 +20,8 @@ def total_balance(
     load = cp.sum(P_served, axis=1) - cp.sum(v.P_self, axis=1)
     if added is not None:
         load = load + cp.sum(added.P, axis=1)
+    if p.P_drawn is not None:
+        load = load + cp.sum(p.P_drawn, axis=1)
     supply = v.P_grid + cp.sum(v.P_exp, axis=1)
     return {"total_power_balance": supply == load + cp.sum(v.P_batt, axis=1)}
 

@@ -18,7 +18,11 @@ Mode = Literal["integer", "relaxed", "fixed"]
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Everything that a re-solve may change (W steps)."""
+    """Everything that a re-solve may change (W steps).
+
+    ``P_drawn`` and ``Q_drawn`` are what the network itself draws at the buses; the paper's network
+    draws nothing and has no such parameters.
+    """
 
     P_load: cp.Parameter
     Q_load: cp.Parameter
@@ -31,6 +35,8 @@ class Parameters:
     eta_ch: cp.Parameter
     inv_eta_dch: cp.Parameter
     delta: cp.Parameter
+    P_drawn: cp.Parameter | None = None
+    Q_drawn: cp.Parameter | None = None
 
     @classmethod
     def create(cls, site: Site, W: int) -> Parameters:
@@ -52,7 +58,11 @@ class Parameters:
             "inv_eta_dch": (W, B),
             "delta": (W, L),
         }
-        signed = ("rho_dt", "delta")
+        if site.network.draws:
+            shapes |= dict.fromkeys(("P_drawn", "Q_drawn"), (W, site.network.n_buses))
+        signed = {"rho_dt", "delta", "P_drawn", "Q_drawn"}
+        if (site.customers.q_per_p < 0).any():
+            signed |= {"Q_load"}
         return cls(
             **{
                 name: cp.Parameter(shape, name=name, nonneg=name not in signed)
@@ -82,15 +92,20 @@ class Parameters:
             "inv_eta_dch": np.tile(1.0 / data.eta_discharge, (W, 1)),
             "delta": data.delta_pu2,
         }
+        if data.drawn is not None:
+            values |= {"P_drawn": data.drawn.kw, "Q_drawn": data.drawn.kvar}
         for f in fields(self):
-            getattr(self, f.name).value = values[f.name]
+            parameter = getattr(self, f.name)
+            if parameter is not None:
+                parameter.value = values[f.name]
 
 
 @dataclass(frozen=True, eq=False)
 class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
-    ``u`` is the squared voltage; bus 0 is the slack bus, line ``l`` ends at bus ``l + 1``. Where
+    ``u`` is the squared voltage, referred to the slack bus where lines have ratios; bus 0 is the
+    slack bus, line ``l`` ends at bus ``l + 1``. Where
     the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served
     demand.
     :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
@@ -174,7 +189,7 @@ class Variables:
             soc=np.clip(clean(self.SoC), b.soc_min, b.soc_max),
             p_grid_kw=clean(self.P_grid, 0.0),
             q_grid_kvar=clean(self.Q_grid),
-            v_pu=np.sqrt(clean(self.u, 0.0)),
+            v_pu=site.network.v_pu(clean(self.u, 0.0)),
             p_flow_kw=clean(self.P_flow),
             q_flow_kvar=clean(self.Q_flow),
         )

@@ -167,17 +167,17 @@ class Network:
 
     def _check_drawing(self, known: set[BusId]) -> list[Problem]:
         """Buses that draw power and are no end of a line, and values that are not one for each."""
+        count = len(self.drawing_bus)
         wrong = [
             Problem(
                 "buses",
-                f"must have one value for each of the {len(self.drawing_bus)} buses that draw "
-                "power",
+                f"must have one value for each of the {count} buses that draw power",
                 "Give the power at nominal voltage, or the constant power, of each of them.",
                 field=name,
                 value=len(getattr(self, name)),
             )
             for name in BUS_DRAWS
-            if len(getattr(self, name)) not in (0, len(self.drawing_bus))
+            if len(getattr(self, name)) not in (0, count)
         ]
         return wrong + [
             Problem(

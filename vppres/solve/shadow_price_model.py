@@ -20,6 +20,7 @@ from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.forms import SOLVER_ORDER, in_order, with_demand, with_polygons
+from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides, require_dpp
 from vppres.model.polygons import Polygon
 from vppres.model.problem import paper_constraints
@@ -150,6 +151,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         grid_limit_kw=_rows(data.grid_limit_kw, missing),
         delta_pu2=_rows(data.delta_pu2, missing),
         export=data.export and data.export.followed_by_none(missing),
+        drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
     )
 
 

@@ -153,8 +153,8 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         battery_discharging=dual.rows("battery_discharge_mode")[0] * (1.0 - mode),
         battery_inverter=dual.disc("battery_inverter_capacity", len(site.batteries)),
         pv_inverter=dual.disc("pv_inverter_capacity", len(site.pv)),
-        voltage_floor=_per_milli_pu(dual.rows("voltage_min")[0], net.v_min_pu),
-        voltage_ceiling=_per_milli_pu(dual.rows("voltage_max")[0], net.v_max_pu),
+        voltage_floor=_per_milli_pu(dual.rows("voltage_min")[0], net.v_min_pu, net.bus_ratio),
+        voltage_ceiling=_per_milli_pu(dual.rows("voltage_max")[0], net.v_max_pu, net.bus_ratio),
         # In an outage the limit meets the bound of 0 from the other side, and its own dual is not
         # unique; what an injection at the slack bus gains is.
         grid=max(float(active[0] - model.p.rho_dt.value[0]), 0.0),
@@ -164,9 +164,9 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
     )
 
 
-def _per_milli_pu(per_pu2: Floats, limit_pu: float) -> Floats:
+def _per_milli_pu(per_pu2: Floats, limit_pu: float, ratio: Floats) -> Floats:
     """From a squared limit at the buses behind the slack bus to 0.001 pu at all buses."""
-    return np.concatenate([[0.0], per_pu2 * 2.0 * limit_pu * 1e-3])
+    return np.concatenate([[0.0], per_pu2 * 2.0 * limit_pu * 1e-3 / ratio[1:] ** 2])
 
 
 class _Duals:

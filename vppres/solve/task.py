@@ -157,5 +157,5 @@ class WindowTask:
             solve_s=self.deadline.spent_s,
             solver_s=known.solver_s,
             stages=tuple(known.stages),
-            loss_kw=self.data.loss_kw if self.data.physical else None,
+            loss_kw=self.data.network_kw if self.data.physical or self.data.drawn else None,
         )

@@ -81,7 +81,7 @@ def mismatch_kw(
         return None
     usable = np.minimum(readings.pv_kw, site.pv.s_max_kva)
     demand = readings.load_kw * _served(commanded, seen)
-    own = np.minimum(demand[site.owner], usable)
+    own = np.minimum(site.behind_meter(demand), usable)
     # The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
     forced = readings.pv_kw - usable
     curtailed = np.clip(commanded.pv_curtailed_kw, forced, forced + usable - own)
@@ -103,6 +103,7 @@ def _served(commanded: Commanded, seen: Observation) -> Flags:
 
 
 def _losses_kw(site: Site, point: OperatingPoint) -> float:
-    """Losses of the lines: what left the slack bus and did not arrive anywhere."""
+    """Losses, and what the network draws: what left the slack bus and arrived at no device."""
     leaving = point.p_flow_kw[site.network.parent == 0]
-    return float(leaving.sum() + point.p_injection_kw[1:].sum())
+    at_slack_kw = site.network.drawn(point.v_pu)[0][0]
+    return float(leaving.sum() + point.p_injection_kw[1:].sum() + at_slack_kw)

@@ -176,13 +176,16 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     """What import has to be, against what the grid gives, and what export has to, likewise."""
     pv = state.site.pv
     usable = state.usable_pv_kw
-    own = np.minimum((state.load_kw * row.served)[state.site.owner], usable)
+    own = np.minimum(state.site.behind_meter(state.load_kw * row.served), usable)
     # The plant lets an owner use its own power first; no more passes than the inverter's rating.
     forced = state.pv_kw - usable
     curtailed = np.clip(row.curtailed_kw, forced, forced + usable - own)
-    taken = float(state.load_kw @ row.served + row.charge_kw.sum())
+    taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = within.loss_share * max(taken, given)
+    if state.island and within.loss_share > 0.0:  # what a plan with losses also gives the network
+        net = state.site.network
+        losses_kw += float(np.abs(net.drawn(np.ones(net.n_buses))[0]).sum())
     short = taken - given - state.grid_limit_kw
     surplus = given - taken - state.export_limit_kw
     # What each inverter may be off by adds up here: a plan must not pass there and fail here.

@@ -21,6 +21,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, freeze_fields
 from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import bus_injections, voltage_offset_pu2
+from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 
@@ -149,16 +150,21 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
 
 
 def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:
-    """The window with losses and voltages as at these points; steps without one keep theirs."""
+    """The window with losses, draws and voltages as at these points; steps without keep theirs."""
     old = data.require_physics()
     sound = points.converged[:, None]
+    drawn = data.drawn
+    if drawn is not None:
+        # Points that are not sound may have no voltage at all.
+        kw, kvar = network.drawn(np.where(sound, points.v_pu, 1.0))
+        drawn = Drawn(np.where(sound, kw, drawn.kw), np.where(sound, kvar, drawn.kvar))
     physics = replace(
         old,
         loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
         loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar),
     )
     offset = np.where(sound, points.offset_pu2(network), data.delta_pu2)
-    return replace(data, physics=physics, delta_pu2=offset)
+    return replace(data, physics=physics, delta_pu2=offset, drawn=drawn)
 
 
 def lossless(data: WindowData, physics: Physics) -> WindowData:

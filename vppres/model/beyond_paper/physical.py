@@ -55,8 +55,13 @@ class PhysicalParameters:
             "S_room": (W, B),
             "SoC_min": (W, B),
         }
+        # A series capacitor gives reactive power where others lose it.
+        signed = {"Q_loss"} if (site.network.x_ohm < 0).any() else set()
         return cls(
-            **{name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in shapes.items()}
+            **{
+                name: cp.Parameter(shape, name=name, nonneg=name not in signed)
+                for name, shape in shapes.items()
+            }
         )
 
     def fill(self, site: Site, data: WindowData) -> None:
@@ -93,9 +98,13 @@ class PhysicalParameters:
 
     def _voltages(self, site: Site, v: Variables) -> Named:
         """The voltage is held at the grid's bus, or at a battery's while the grid is away."""
+        net = site.network
         held = cp.sum(cp.multiply(self.held, v.u), axis=1)
+        u_held: cp.Expression | float = net.v_slack_pu**2
+        if net.has_ratios:
+            u_held = self.held @ net.u_pu2(np.full(net.n_buses, net.v_slack_pu))
         return {
-            "voltage_reference": held == site.network.v_slack_pu**2,
+            "voltage_reference": held == u_held,
             "root_voltage_min": v.u[:, 0] >= self.u_root_min,
             "root_voltage_max": v.u[:, 0] <= self.u_root_max,
         }

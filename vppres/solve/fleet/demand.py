@@ -68,8 +68,7 @@ class DemandModel:
         P_ch = cp.sum(v["P_ch"], axis=1)
         P_dch = cp.sum(v["P_dch"], axis=1)
         P_pv = self.relaxation.p["P_pv"]
-        room = self.relaxation.room
-        loss = room["loss"] if room else 0.0
+        loss = self.relaxation.network_kw
         if self.relaxation.export is not None:
             loss = loss + self.relaxation.export.P_out  # gone from the feeder, too
         return {

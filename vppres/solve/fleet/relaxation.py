@@ -144,7 +144,17 @@ class AggregateModel:
             "a_per_b": (G,),
             "b_per_a": (G,),
         }
-        return _nonnegative(shapes)
+        found = _nonnegative(shapes)
+        if self.site.network.draws:
+            found["network_drawn"] = cp.Parameter(W, name="network_drawn")
+        return found
+
+    @property
+    def network_kw(self) -> cp.Expression | float:
+        """Losses, and what the network itself draws; 0 where there is neither."""
+        parts = [self.room["loss"]] if self.room else []
+        parts += [self.p["network_drawn"]] if "network_drawn" in self.p else []
+        return sum(parts[1:], start=parts[0]) if parts else 0.0
 
     def _room_parameters(self) -> dict[str, cp.Parameter]:
         """What physical mode writes besides: losses, and the batteries' limits less headroom."""
@@ -205,8 +215,8 @@ class AggregateModel:
         p = self.p
         x = self.x
         load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
-        if self.room:
-            load = load + self.room["loss"]
+        if self.room or "network_drawn" in self.p:
+            load = load + self.network_kw
         own = cp.sum(cp.multiply(p["self"], x), axis=1)
         cold = cold_demand(self.switching)
         if cold is not None:
@@ -306,6 +316,8 @@ class AggregateModel:
             "inv_hi": inv_hi,
             **self._first_step(data),
         }
+        if data.drawn is not None:
+            values["network_drawn"] = data.drawn.kw.sum(axis=1)
         for name, value in values.items():
             self.p[name].value = value
         if self.room:

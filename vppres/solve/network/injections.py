@@ -15,6 +15,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
+from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 
 
@@ -71,7 +72,7 @@ class Reactance:
         self.fed: Floats = fed
         self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
         self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
-        self.pv = self.customer[site.owner]
+        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
 
 
 class Injections:
@@ -119,6 +120,8 @@ class Injections:
         self.own_kw = data.self_limit_kw(site)
         self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
         self.load_kvar = data.load_kw * site.customers.q_per_p
+        nothing = np.zeros((W, site.network.n_buses))
+        self.drawn = data.drawn or Drawn(nothing, nothing)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
@@ -165,6 +168,8 @@ class Injections:
         kvar = np.hstack(
             [np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))), -self.load_kvar]
         )
+        drawn_kw = self.drawn.kw.sum(axis=1)
+        drawn_kvar = self.drawn.kvar.sum(axis=1)
         outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
         charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
         owner = np.stack([at["P_exp"], at["x"][:, site.owner]], axis=-1).reshape(-1, 2)
@@ -172,8 +177,8 @@ class Injections:
         room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
         return Rows.joined(
             [
-                Rows.of(active, signs, 0.0, 0.0, self.size),
-                Rows.of(reactive, kvar, 0.0, 0.0, self.size),
+                Rows.of(active, signs, drawn_kw, drawn_kw, self.size),
+                Rows.of(reactive, kvar, drawn_kvar, drawn_kvar, self.size),
                 Rows.of(outside, charging, 0.0, np.inf, self.size),
                 Rows.of(owner, own, -np.inf, room, self.size),
                 *self._battery_rows(),
@@ -212,7 +217,7 @@ class Injections:
         ]
 
     def u_pu2(self, x: Floats) -> Floats:
-        """Squared voltages of a solution, (W, N)."""
+        """Squared referred voltages of a solution, (W, N)."""
         p, q = self._injected(x)
         return self._empty_u() + p @ self.reactance.per_kw + q @ self.reactance.per_kvar
 
@@ -234,17 +239,20 @@ class Injections:
         return p, q
 
     def _empty_u(self) -> Floats:
-        """Squared voltages without any injection, (W, N)."""
-        return np.asarray(
-            self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ self.reactance.fed
-        )
+        """Squared voltages without any device, (W, N)."""
+        reach = self.reactance
+        empty = self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ reach.fed
+        if self.data.drawn is None:
+            return np.asarray(empty)
+        drop = self.drawn.kw @ reach.per_kw + self.drawn.kvar @ reach.per_kvar
+        return np.asarray(empty - drop)
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
         net = self.site.network
         u = self.u_pu2(x)
         found = []
-        for sign, beyond in ((1.0, net.v_min_pu**2 - u), (-1.0, u - net.v_max_pu**2)):
+        for sign, beyond in ((1.0, net.u_min_pu2 - u), (-1.0, u - net.u_max_pu2)):
             beyond[:, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
             around[:, 1:] = beyond[:, net.parent]
@@ -277,7 +285,7 @@ class Injections:
                 x[reach.pv],
             ]
         )
-        limit = net.v_min_pu**2 if sign > 0 else net.v_max_pu**2
+        limit = net.u_min_pu2[bus] if sign > 0 else net.u_max_pu2[bus]
         used = np.abs(values) > 0.0
         scale = 1e3 * sign
         return Rows.of(
@@ -359,7 +367,7 @@ class Injections:
             soc=np.vstack([data.soc, x[at["energy"]] / self.site.batteries.energy_kwh]),
             p_grid_kw=imported - exported,
             q_grid_kvar=x[at["Q_grid"]][:, 0],
-            v_pu=np.sqrt(self.u_pu2(x)),
-            p_flow_kw=lossless_flows(net, p),
-            q_flow_kvar=lossless_flows(net, q),
+            v_pu=net.v_pu(self.u_pu2(x)),
+            p_flow_kw=lossless_flows(net, p - self.drawn.kw),
+            q_flow_kvar=lossless_flows(net, q - self.drawn.kvar),
         )

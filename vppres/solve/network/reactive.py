@@ -85,9 +85,11 @@ class ReactiveModel:
         """Write step ``t`` of a dispatch; a limit that it misses by a tolerance gives way."""
         site = self.site
         net = self.site.network
-        u = dispatch.v_pu[t] ** 2
+        u = net.u_pu2(dispatch.v_pu[t])
         load = data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p
         self.Q_load.value = site.customer_bus @ load
+        if data.drawn is not None:
+            self.Q_load.value = self.Q_load.value + data.drawn.kvar[t]
         self.rise.value = data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t]
         self.Q_pv_max.value = _left(
             site.pv.s_max_kva,
@@ -100,8 +102,8 @@ class ReactiveModel:
             dispatch.batt_q_kvar[t],
         )
         self.Q_grid_max.value = data.grid_q_max_kvar(site)[t]
-        self.u_min.value = np.append(u[0], np.minimum(u[1:], net.v_min_pu**2))
-        self.u_max.value = np.append(u[0], np.maximum(u[1:], net.v_max_pu**2))
+        self.u_min.value = np.append(u[0], np.minimum(u[1:], net.u_min_pu2[1:]))
+        self.u_max.value = np.append(u[0], np.maximum(u[1:], net.u_max_pu2[1:]))
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the solution of the last solve in step ``t``."""
@@ -110,7 +112,7 @@ class ReactiveModel:
             "batt_q_kvar": self.Q_batt.value,
             "q_grid_kvar": self.Q_grid.value,
             "q_flow_kvar": self.Q_flow.value,
-            "v_pu": np.sqrt(self.u.value),
+            "v_pu": self.site.network.v_pu(self.u.value),
         }
         arrays = {}
         for name, values in changed.items():
