@@ -324,6 +324,9 @@ def new(
     folder: cli_new.NewFolder,
     source: cli_new.From = None,
     open_branch: cli_new.Open = None,
+    open_loops: cli_new.OpenLoops = False,
+    slack: cli_new.Slack = None,
+    balance: cli_new.Balance = False,
     outage: cli_new.Outages = None,
     start: cli_new.Start = "2025-07-01T00:00Z",
     step_minutes: cli_new.StepMinutes = 60.0,
@@ -365,7 +368,14 @@ def new(
             price=price,
             v_slack_pu=v_slack,
         )
-        feeder = import_network(network, source, open_branch or ())
+        feeder = import_network(
+            network,
+            source,
+            open_branch or (),
+            open_loops=open_loops,
+            slack=slack,
+            balance=balance,
+        )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
         typer.echo(f"Written to {folder}")
