@@ -83,14 +83,18 @@ class FullHorizonController:
         self.first = 0
 
     def horizon_steps(self, t0: int) -> range:
-        """The rest of the day while there is no plan, then the step itself."""
-        return range(t0, self.grid.n_steps if self.plan is None else t0 + 1)
+        """The rest of the day while there is no plan for it, then the step itself."""
+        return range(t0, t0 + 1 if self._has_planned(t0) else self.grid.n_steps)
+
+    def _has_planned(self, t0: int) -> bool:
+        """Whether the plan reaches the step: a live controller may know more by now."""
+        return self.plan is not None and t0 < self.first + self.plan.n_steps
 
     def decide(self, observation: Observation) -> Decision:
         """Follow the plan if it passes the checks, otherwise correct the step."""
         info = SolveInfo(status="planned")
         window = WindowData.of(observation, self.solver.site, self.centre)
-        if self.plan is None:
+        if self.plan is None or not self._has_planned(observation.t0):
             solution = self.planner.plan(observation)
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw
@@ -139,7 +143,7 @@ class FullHorizonController:
         if self.literal:
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
             split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
-            beyond = plan.pv_self_kw[t] - actual.load_kw[site.owner]
+            beyond = plan.pv_self_kw[t] - site.behind_meter(actual.load_kw)
             apparent = np.hypot(through, plan.pv_q_kvar[t])
             excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
         else:
@@ -173,7 +177,7 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     t = actual.t
     served = plan.served[t]
     # What an owner consumes cannot be curtailed.
-    own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
+    own = np.minimum(actual.pv_kw, site.behind_meter(actual.load_kw * served))
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
     needed = (
         actual.load_kw @ served

@@ -19,6 +19,7 @@ def notes_of(net: Any, case: NetCase, stubs: list[str]) -> Iterator[str]:
     yield from _notes_on_topology(net, case, stubs)
     yield from _notes_on_branches(net, case)
     yield from _notes_on_elements(net, case)
+    yield from _notes_on_control(net, case)
 
 
 def _notes_on_topology(net: Any, case: NetCase, stubs: list[str]) -> Iterator[str]:
@@ -71,7 +72,6 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
 def _notes_on_elements(net: Any, case: NetCase) -> Iterator[str]:
     for table, words in (
         ("shunt", "Shunts are left out"),
-        ("storage", "Batteries of the source are left out"),
         ("gen", "Generators keep their active power and lose their voltage control"),
     ):
         names = [label(net, table, i) for i in supplied(net, table, case).index]
@@ -92,3 +92,28 @@ def _labels_where(net: Any, tables: list[str], columns: list[str]) -> list[str]:
         values = frame.reindex(columns=columns).fillna(0.0)
         found += [label(net, table, i) for i in frame.index[(values != 0).any(axis=1)]]
     return found
+
+
+def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
+    """Flags and controllers of the source that have no counterpart."""
+    loads = supplied(net, "load", case)
+    if "controllable" in loads:
+        flags = loads["controllable"].fillna(False).astype(bool)
+        if flags.any() and not flags.all():
+            names = [label(net, "load", i) for i in loads.index[~flags]]
+            yield f"Not controllable in the source, and customers like any other: {few(names)}."
+    acting = [row for row in _controllers(net) if row[1]]
+    if acting:
+        yield f"Controllers of the source do not act: {few(name for name, _ in acting)}."
+
+
+def _controllers(net: Any) -> Iterator[tuple[str, bool]]:
+    """Class and element of every controller, and whether it is in service."""
+    table = net.get("controller")
+    if table is None or "object" not in table:
+        return
+    for index, row in table.iterrows():
+        kind = type(row["object"]).__name__
+        element = getattr(row["object"], "element", None)
+        name = f"{kind} {index}" + (f" ({element})" if isinstance(element, str) else "")
+        yield name, bool(row.get("in_service", True))

@@ -20,7 +20,8 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kva_to_a, mw_to_kw
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
-from vppres.feeders.feeder import Deviation, Generators, ImportedFeeder
+from vppres.feeders.feeder import Deviation, ImportedFeeder
+from vppres.feeders.net_assets import generators_of, motors_as_loads, storages_of
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva, shared_rating
 from vppres.io.messages import did_you_mean
@@ -35,7 +36,6 @@ UNSUPPORTED = (
     "ward",
     "xward",
     "dcline",
-    "motor",
     "svc",
     "ssc",
     "tcsc",
@@ -46,6 +46,7 @@ UNSUPPORTED = (
     "load_dc",
     "source_dc",
 )
+LOOPS_SHOWN = 2
 FROM, TO, R, X, B, TAP = 0, 1, 2, 3, 4, 8  # columns of the branch table of pandapower's case
 
 
@@ -85,22 +86,24 @@ def feeder_of(
     """
     net = copy.deepcopy(net)
     _raise(_check_elements(net, name) + _check_slack(net, name))
-    _open(net, name, open_branches)
-    case = _case_of(net)
-    branches, stubs = _without_stubs(case)
-    _raise(_check_branches(branches, name) or _check_loops(branches, case, name))
+    open_named(net, name, open_branches)
+    case = case_of(net)
+    branches, stubs = without_stubs(case)
+    _raise(_check_loops(branches, name) or _check_branches(branches, name))
     ids = _identifiers(case, bus_ids)
     network = _network(_merged(branches), case, ids)
     loads = _loads(net, case, ids, network)
+    storages, storage_notes = storages_of(net, case, ids)
     feeder = ImportedFeeder(
         name=name,
         network=network,
         p_load_kw=loads.p_kw,
         q_load_kvar=loads.q_kvar,
         tier=loads.tier,
-        generators=_generators(net, case, ids),
+        generators=generators_of(net, case, ids),
+        storages=storages,
         bus_of={bus: ids[row] for bus, row in case.bus_at.items()},
-        notes=tuple(notes_of(net, case, stubs)),
+        notes=(*notes_of(net, case, stubs), *storage_notes),
     )
     return replace(feeder, deviation=_deviation(net, feeder))
 
@@ -167,7 +170,7 @@ def _check_slack(net: Any, name: str) -> list[Problem]:
     return []
 
 
-def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
+def open_named(net: Any, name: str, wanted: Sequence[str]) -> None:
     """Take branches out of service."""
     found = {}
     for table in BRANCHES:
@@ -190,7 +193,7 @@ def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
         net[table].loc[i, "in_service"] = False
 
 
-def _case_of(net: Any) -> NetCase:
+def case_of(net: Any) -> NetCase:
     """The branch model of pandapower, for a net that passed the checks."""
     from pandapower.converter.pypower.to_ppc import to_ppc
 
@@ -220,6 +223,8 @@ def _case_of(net: Any) -> NetCase:
     branches = pd.DataFrame(
         {
             **columns,
+            "table": [table for table, _ in inside],
+            "element": [i for _, i in inside],
             "label": [label(net, *o) for o in inside],
             "rating_mva": [rating_mva(net, *o) for o in inside],
         }
@@ -235,7 +240,7 @@ def _case_of(net: Any) -> NetCase:
     )
 
 
-def _without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
+def without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
     """Branches without the open ends that pandapower gives a bus of their own, and their labels."""
     branches = case.branches
     stubs: list[str] = []
@@ -296,27 +301,30 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
-    """One problem per loop, with the branches of which one has to be opened."""
+def _check_loops(branches: pd.DataFrame, name: str) -> list[Problem]:
+    """One problem for all loops, with the branches of the first ones."""
+    if branches.empty:
+        return []
     merged = _merged(branches)
-    source = {row: bus for bus, row in reversed([*case.bus_at.items()])}
     between = {
         frozenset((a, b)): branch
         for a, b, branch in zip(merged["from"], merged["to"], merged["label"], strict=True)
     }
-    problems = []
-    for row, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
+    loops = []
+    for _, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
         pairs = zip(loop, [*loop[1:], loop[0]], strict=True)
-        choices = [between[frozenset((int(a), int(b)))] for a, b in pairs]
-        buses = " - ".join(str(source.get(int(bus), "star point")) for bus in loop)
-        problems.append(
-            Problem(
-                name,
-                f"{merged['label'][row]} closes a loop: bus {buses}",
-                f"The feeder must be radial: open one of {few(choices)}.",
-            )
+        loops.append([between[frozenset((int(a), int(b)))] for a, b in pairs])
+    if not loops:
+        return []
+    shown = "; ".join(few(loop) for loop in loops[:LOOPS_SHOWN])
+    return [
+        Problem(
+            name,
+            f"is meshed, with {len(loops)} loop{'s' if len(loops) > 1 else ''}",
+            "The feeder must be radial: let --open-loops open the branches with the least current, "
+            f"or open one of each loop with --open; the first consist of {shown}.",
         )
-    return problems
+    ]
 
 
 def _identifiers(case: NetCase, bus_ids: Mapping[int, BusId] | None) -> dict[int, BusId]:
@@ -359,38 +367,14 @@ def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) 
     """Load of each bus, and the tier that its first load with a tier names."""
     loads = supplied(net, "load", case)
     bus = loads["row"].map(ids)
-    sums = loads[["p_mw", "q_mvar"]].mul(loads["scaling"].fillna(1.0), axis=0).groupby(bus).sum()
-    sums = sums.reindex(network.buses, fill_value=0.0)
+    drawn = loads[["p_mw", "q_mvar"]].mul(loads["scaling"].fillna(1.0), axis=0).groupby(bus).sum()
+    motors = motors_as_loads(net, case)
+    turning = motors[["p_mw", "q_mvar"]].groupby(motors["row"].map(ids)).sum()
+    drawn = drawn.reindex(network.buses, fill_value=0.0)
+    sums = drawn + turning.reindex(network.buses, fill_value=0.0)
     tier = loads["tier"].fillna("") if "tier" in loads else pd.Series("", loads.index)
     first = tier[tier != ""].groupby(bus).first().reindex(network.buses, fill_value="")
     return _Loads(mw_to_kw(sums["p_mw"]), mw_to_kw(sums["q_mvar"]), first.to_numpy(dtype=object))
-
-
-def _generators(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators:
-    """Static generators, and generators without their voltage control."""
-    tables = []
-    for table in ("sgen", "gen"):
-        frame = supplied(net, table, case)
-        scaling = frame["scaling"].fillna(1.0)
-        p_mw = frame["p_mw"] * scaling
-        q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
-        rating = pd.to_numeric(frame["sn_mva"]) if "sn_mva" in frame else np.nan * p_mw
-        tables.append(
-            pd.DataFrame(
-                {
-                    "id": [label(net, table, i) for i in frame.index],
-                    "bus": frame["row"].map(ids).to_numpy(dtype=object),
-                    "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
-                    "p_kw": mw_to_kw(p_mw),
-                    "q_kvar": mw_to_kw(q_mvar),
-                    "s_kva": mw_to_kw(rating.where(rating.notna(), np.hypot(p_mw, q_mvar))),
-                }
-            )
-        )
-    # An empty frame has no say in the types of the columns.
-    filled = [table for table in tables if len(table)] or tables[:1]
-    columns = pd.concat(filled, ignore_index=True)
-    return Generators(*(columns[name].to_numpy() for name in columns))
 
 
 def _deviation(net: Any, feeder: ImportedFeeder) -> Deviation | None:

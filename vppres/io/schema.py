@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
-from vppres.scenario.scenario import ObjectiveWeights
+from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ObjectiveWeights
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
 from vppres.scenario.timegrid import UTC, is_zone
 
@@ -227,15 +227,24 @@ class CustomerRow(Row):
 
 
 class PVRow(Row):
-    """A PV system behind a customer's meter."""
+    """A PV system behind a customer's meter, or one that stands alone at a bus."""
 
     id: Name = Field(description="identifier of the PV system")
-    customer: Name = Field(description="customer that owns the PV system")
+    customer: Name = Field(
+        default="",
+        description="customer that owns the PV system (empty: it stands alone at its `bus`)",
+    )
     p_max_kw: float = Field(
         ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW
     )
     s_max_kva: float = Field(
         ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA
+    )
+    kind: Name = Field(
+        default="pv", description="kind of generator: `pv`, `wind` or another word for the report"
+    )
+    bus: Name = Field(
+        default="", description="bus of a system that stands alone (empty: that of its customer)"
     )
 
 
@@ -564,6 +573,18 @@ else:
     )
 
 
+class ReliabilitySection(Section):
+    """What the report counts lost supply as; it changes no decision."""
+
+    voll_gbp_per_kwh: float = Field(
+        default=DEFAULT_VOLL_GBP_PER_KWH,
+        ge=0,
+        le=MAX_PRICE,
+        description="value of lost load",
+        json_schema_extra=GBP_PER_KWH,
+    )
+
+
 class DeviationSection(Section):
     """Largest difference of a bus voltage from the AC power flow of the source."""
 
@@ -648,6 +669,9 @@ class ScenarioFile(Section):
         default=ControllerSection(), description="table [controller]"
     )
     switching: SwitchingSection = Field(default=SwitchingSection(), description="table [switching]")
+    reliability: ReliabilitySection = Field(
+        default=ReliabilitySection(), description="table [reliability]"
+    )
     source: SourceSection = Field(default=SourceSection(), description="table [source]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
@@ -660,6 +684,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [[outages]]": OutageSection,
     "scenario.toml, [controller]": ControllerSection,
     "scenario.toml, [switching]": SwitchingSection,
+    "scenario.toml, [reliability]": ReliabilitySection,
     "scenario.toml, [source]": SourceSection,
     "scenario.toml, [source.deviation]": DeviationSection,
     "scenario.toml, [files]": FilesSection,
