@@ -95,18 +95,11 @@ def results(function: Any, jobs: Any, where: Where) -> tuple[dict[Any, Any], lis
     return found, lost
 
 
-def test_every_job_has_its_result(where: Where) -> None:
-    assert results(square, range(8), where) == ({n: n * n for n in range(8)}, [])
-    assert results(square, [], where) == ({}, [])
-
-
-def test_a_job_that_kills_its_process_costs_no_other(where: Where) -> None:
-    found, lost = results(deadly, range(8), where)
-    assert found == {n: n * n for n in range(8) if n != 3}
-    (row,) = lost
-    assert row.job == 3
-    assert row.reason.startswith("Its ")
-    assert " died " in row.reason
+@pytest.mark.slow
+def test_every_job_has_its_result(cluster: Any) -> None:
+    for where in (Where(1), Where(scheduler=cluster.scheduler_address)):
+        assert results(square, range(8), where) == ({n: n * n for n in range(8)}, [])
+        assert results(square, [], where) == ({}, [])
 
 
 def test_a_process_that_is_killed_once_costs_nothing(where: Where, tmp_path: Path) -> None:
@@ -116,12 +109,16 @@ def test_a_process_that_is_killed_once_costs_nothing(where: Where, tmp_path: Pat
     assert lost == []
 
 
-def test_an_error_of_a_job_is_raised_here(where: Where) -> None:
+@pytest.mark.slow
+def test_an_error_of_a_job_is_raised_here(cluster: Any) -> None:
+    where = Where(scheduler=cluster.scheduler_address)
     with pytest.raises(SolveError, match="has no dispatch"):
         results(refused, [1, 2], where)
 
 
-def test_equal_jobs_are_all_answered(where: Where) -> None:
+@pytest.mark.slow
+def test_equal_jobs_are_all_answered(cluster: Any) -> None:
+    where = Where(scheduler=cluster.scheduler_address)
     with closing(map_unordered(square, [2, 2, 3], where)) as outcomes:
         assert sorted(outcome.result for outcome in outcomes) == [4, 4, 9]
 
@@ -146,10 +143,12 @@ def test_a_study_goes_on_where_it_stopped(
     assert again[1:] == [Squared(seed, float(seed * seed), [str(seed)]) for seed in (1, 2, 3)]
 
 
-def test_a_study_says_which_day_has_no_outcome(where: Where, tmp_path: Path) -> None:
+def test_a_job_that_kills_its_process_costs_no_other(where: Where, tmp_path: Path) -> None:
     found, lost = run_seeds(deadly, Span(2, 3), where, tmp_path)
     assert found == [4, 16]
-    assert [day.job for day in lost] == [3]
+    (day,) = lost
+    assert day.job == 3
+    assert day.reason.startswith("Its ") and " died " in day.reason
 
 
 def test_other_sources_are_another_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
