@@ -156,6 +156,7 @@ def relaxation_of(
         physical=data.physical,
         switching=rule_steps(data),
         exporting=data.exporting,
+        ending=data.ending,
     )
 
 
@@ -167,6 +168,7 @@ def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
         lumped=lumped,
         physical=data.physical,
         exporting=data.exporting,
+        ending=data.ending,
     )
 
 
