@@ -18,6 +18,11 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
+DEFAULT_VOLL_GBP_PER_KWH = 16.94
+"""Value of lost load of British homes and small businesses on a winter weekday's peak, in prices of
+2013: London Economics, "The Value of Lost Load (VoLL) for Electricity in Great Britain", for Ofgem
+and DECC, 2013."""
+
 
 @dataclass(frozen=True)
 class ObjectiveWeights:
@@ -89,6 +94,8 @@ class Scenario:
         What exported energy earns; 0 where nothing is given, negative where it costs.
     source : Source
         Where the feeder comes from; it changes no result.
+    voll_gbp_per_kwh : float
+        Value of lost load, at which the report prices energy that was not supplied.
     """
 
     name: str
@@ -110,6 +117,7 @@ class Scenario:
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
+    voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
 
     def __post_init__(self) -> None:
         freeze_fields(
