@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks import findings
 from benchmarks.day import run_days
+from benchmarks.deadlines import run_deadlines
 from benchmarks.instances import Instance, read_instances
 from benchmarks.report import Bar, Section, bar_table, publish, write_report
 from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
@@ -91,12 +92,20 @@ def worker(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     return findings.worker_section(row), findings.worker_bars(row)
 
 
+def deadlines(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
+    """How late answers are."""
+    rows = run_deadlines(plan.instances(), 0 if plan.quick else 6, plan.folder, bar)
+    plan.save("deadlines", rows)
+    return findings.deadline_section(rows), findings.deadline_bars(rows)
+
+
 PARTS: dict[str, Part] = {
     "windows": windows,
     "day": day,
     "scaling": scaling,
     "throughput": throughput,
     "worker": worker,
+    "deadlines": deadlines,
 }
 
 

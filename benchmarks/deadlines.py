@@ -1,91 +1,141 @@
-"""How far answers come after their time limit: ``python -m benchmarks.deadlines``.
+"""How long after its time limit a window is answered, and with what: ``--only deadlines``.
 
-Every window is solved twice to each limit: ``cold`` may compile, ``late`` finds its problems
-compiled. What comes is an answer with its status or an error with its name.
+Every window is solved twice to each limit: ``first`` has nothing compiled, ``again`` what the first
+one had time for. Whatever comes is an answer with its status, or an error with its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated
+import os
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import pandas as pd
-import typer
-from rich.progress import track
+from rich.progress import Progress
 
 from benchmarks.feeders import feeder_scenario
-from benchmarks.instances import packaged, read_instances, window_data
+from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.scaling import Case, windows_of
-from experiments.terminal import plain_errors
-from vppres.core.errors import SolveError
+from benchmarks.store import Row, Store
+from vppres.core.errors import LimitError, SolveError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Stopwatch
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import SolveLimits
+from vppres.solve.result import SolveLimits, Status
 
 LIMITS_S = (0.1, 1.0, 10.0)
+ALLOWED_S = {33: 0.5, 1021: 2.0}
+"""Seconds beyond the limit within which a window must be answered, by number of buses."""
+
 LARGE_BUSES = 1021
+NAMED = frozenset({*map(str, Status), LimitError.__name__})
+"""What a window may end with: a status, or the error that says that time ran out."""
+
+TURNS = ("first", "again")
 
 
-def windows(every: int, large: bool) -> Iterator[tuple[Site, WindowData]]:
-    """Every so many instances of the benchmark, and windows of the largest feeder."""
-    for instance in read_instances()[::every]:
-        yield Site.of(packaged()), window_data(instance)
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A window by name."""
+
+    name: str
+    site: Site
+    data: WindowData
+
+
+def windows(instances: Iterable[Instance], large: int) -> Iterator[Window]:
+    """The benchmark's instances, and some windows of the largest feeder."""
+    for instance in instances:
+        yield Window(instance.name, Site.of(packaged()), window_data(instance))
     if large:
         case = Case("buses", LARGE_BUSES, LIMITS_S[-1])
         day = feeder_scenario(LARGE_BUSES)
-        for data in windows_of(case, day)[:2]:
-            yield Site.of(day), data
+        for number, data in enumerate(windows_of(case, day)[:large]):
+            yield Window(f"{LARGE_BUSES} buses, {number}", Site.of(day), data)
 
 
-def measure(site: Site, data: WindowData, time_s: float) -> dict[str, object]:
-    """How long after its limit a window is answered, and with what."""
-    cold_s, _ = late(site, data, time_s)
-    late_s, ending = late(site, data, time_s)
-    return {
-        "buses": site.network.n_buses,
-        "steps": data.n_steps,
-        "limit_s": time_s,
-        "ending": ending,
-        "cold_s": cold_s,
-        "late_s": late_s,
-    }
+def run_deadlines(
+    instances: Iterable[Instance], large: int, folder: Path, bar: Progress
+) -> pd.DataFrame:
+    """One row for each window and limit; finished rows are kept.
+
+    Parameters
+    ----------
+    instances : iterable of Instance
+        Windows of the packaged scenario.
+    large : int
+        How many windows of the largest feeder.
+    folder : Path
+        Where rows are kept.
+    bar : Progress
+        Shows how far it is.
+    """
+    store = Store(folder / "rows")
+    found = list(windows(instances, large))
+    task = bar.add_task("deadlines", total=len(found) * len(LIMITS_S))
+    rows = []
+    for window in found:
+        for limit_s in LIMITS_S:
+            key = {"bench": "deadlines", "window": window.name, "limit_s": limit_s}
+            rows.append(store.row(key, lambda w=window, s=limit_s: measure(w, s)))  # type: ignore[misc]
+            bar.advance(task)
+    return pd.DataFrame(rows)
 
 
-def late(site: Site, data: WindowData, time_s: float) -> tuple[float, str]:
-    """Seconds beyond the limit, and how the window ended."""
-    solver = WindowSolver(site, limits=SolveLimits(time_s=time_s))
+def measure(window: Window, limit_s: float) -> Row:
+    """A window solved twice to a limit: how each turn ended, when, and how busy the machine was."""
+    solver = WindowSolver(window.site, limits=SolveLimits(time_s=limit_s))
+    solver.cache = ModelCache(window.site)
+    row: Row = {"buses": window.site.network.n_buses, "steps": window.data.n_steps}
+    for turn in TURNS:
+        row |= {f"{turn}_{name}": value for name, value in answered(solver, window.data).items()}
+    return {**row, "load": os.getloadavg()[0]}
+
+
+def answered(solver: WindowSolver, data: WindowData) -> Row:
+    """How a window ends: seconds beyond its limit, and the processor's part of them."""
     watch = Stopwatch()
+    begin_cpu_s = time.process_time()
     try:
         ending = str(solver.solve(data).status)
     except SolveError as error:
         ending = type(error).__name__
-    return max(watch.spent_s - time_s, 0.0), ending
+    spent_s = watch.spent_s
+    late_s = max(spent_s - solver.limits.time_s, 0.0)
+    share = min((time.process_time() - begin_cpu_s) / spent_s, 1.0)
+    return {"ending": ending, "late_s": late_s, "late_cpu_s": share * late_s}
 
 
-def main(
-    every: Annotated[int, typer.Option(metavar="N", help="Every N-th instance.")] = 1,
-    limits: Annotated[
-        list[float] | None,
-        typer.Option("--limit", metavar="S", help="Time limit; may be repeated."),
-    ] = None,
-    large: Annotated[bool, typer.Option(help="Windows of 1,021 buses too.")] = True,
-) -> None:
-    """Measure how far answers come after their time limit, in this process."""
-    rows = []
-    with plain_errors("Nothing"):
-        for site, data in track(list(windows(every, large)), "windows", transient=True):
-            rows += [measure(site, data, time_s) for time_s in limits or LIMITS_S]
-    found = pd.DataFrame(rows)
-    table = found.groupby(["buses", "limit_s", "ending"]).agg(
-        count=("late_s", "size"),
+def by_turn(rows: pd.DataFrame) -> pd.DataFrame:
+    """One row for each solve."""
+    common = ["window", "buses", "limit_s", "load"]
+    parts = [
+        rows[common].assign(
+            turn=turn,
+            **{name: rows[f"{turn}_{name}"] for name in ("ending", "late_s", "late_cpu_s")},
+        )
+        for turn in TURNS
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def deadline_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Solves by buses, limit, turn and ending: how many, and how late."""
+    groups = by_turn(rows).groupby(["buses", "limit_s", "turn", "ending"])
+    table = groups.agg(
+        windows=("late_s", "size"),
         late_median_s=("late_s", "median"),
         late_max_s=("late_s", "max"),
-        cold_max_s=("cold_s", "max"),
+        late_max_cpu_s=("late_cpu_s", "max"),
     )
-    typer.echo(table.round(3).to_string())
-
-
-if __name__ == "__main__":
-    typer.run(main)
+    names = {
+        "limit_s": "limit s",
+        "late_median_s": "late, median s",
+        "late_max_s": "late, largest s",
+        "late_max_cpu_s": "late, largest s of processor",
+    }
+    return table.reset_index().rename(columns=names)

@@ -7,6 +7,7 @@ import pandas as pd
 
 from benchmarks import profiles
 from benchmarks.day import day_table, stage_table, step_table
+from benchmarks.deadlines import ALLOWED_S, NAMED, by_turn, deadline_table
 from benchmarks.report import Bar, Section
 from benchmarks.scaling import draw_scaling, exponents
 from benchmarks.store import Row
@@ -276,6 +277,47 @@ def worker_bars(row: Row) -> list[Bar]:
             row["equal"] == row["steps"],
         ),
     ]
+
+
+def deadline_section(rows: pd.DataFrame) -> Section:
+    """How late answers are."""
+    return Section(
+        "Deadlines",
+        "Each window solved twice to each limit: first with nothing compiled, again with what was "
+        "compiled then. Seconds beyond the limit, and how many of them the processor worked for "
+        f"it: the machine's load was {rows['load'].min():.1f} to {rows['load'].max():.1f}.",
+        (deadline_table(rows),),
+    )
+
+
+def deadline_bars(rows: pd.DataFrame) -> list[Bar]:
+    """What must be shown of deadlines."""
+    solves = by_turn(rows)
+    found = []
+    for buses, allowed_s in ALLOWED_S.items():
+        part = solves[solves["buses"] == buses]
+        worst_s = part["late_s"].max()
+        within = int((part["late_s"] <= allowed_s).sum())
+        measured = (
+            f"{within} of {len(part)}, latest {worst_s:.2f} s, "
+            f"{part['late_cpu_s'].max():.2f} s of processor"
+        )
+        found.append(
+            Bar(
+                f"{buses} buses: answered within the limit and {allowed_s:g} s",
+                measured,
+                bool(worst_s <= allowed_s) if len(part) else None,
+            )
+        )
+    unnamed = sorted(set(solves["ending"]) - NAMED)
+    found.append(
+        Bar(
+            "every window ends with a status or by name",
+            ", ".join(unnamed) or f"{len(solves)} of {len(solves)}",
+            not unnamed,
+        )
+    )
+    return found
 
 
 def _only(table: pd.DataFrame, column: str) -> float:

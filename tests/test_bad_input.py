@@ -417,14 +417,13 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
             f"pv.csv, {name}: the column is missing. Give the {what}."
             for name, what in [
                 ("id", "identifier of the PV system"),
-                ("customer", "customer that owns the PV system"),
                 ("p_max_kw", "largest active power in kW"),
                 ("s_max_kva", "inverter rating in kVA"),
             ]
         ]
         + [
             f"pv.csv, {name}: is not a known column. Remove it. "
-            "Known: id, customer, p_max_kw, s_max_kva."
+            "Known: id, customer, p_max_kw, s_max_kva, kind, bus."
             for name in "1234"
         ],
     ),
@@ -594,7 +593,20 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "pv.csv",
         "roof,hospital",
         "roof,",
-        ["pv.csv, row 2, customer: is empty. Give the customer that owns the PV system."],
+        [
+            "pv.csv, row 2, id = roof: has neither a customer nor a bus. Give the customer that owns "
+            "it, or the bus at which it stands alone."
+        ],
+    ),
+    "PV with a customer and a bus": (
+        "pv.csv",
+        "id,customer,p_max_kw,s_max_kva\nroof,hospital,30.0,40.0\nfield,homes,20.0,30.0",
+        "id,customer,bus,p_max_kw,s_max_kva\nroof,hospital,2,30.0,40.0\nfield,,9,20.0,30.0",
+        [
+            "pv.csv, row 2, bus = 2: has a customer too. Leave one of them empty: a system is at its "
+            "customer's bus, or stands alone.",
+            "pv.csv, row 3, bus = 9: is not a bus of lines.csv. Correct the bus. Known: 1, 2, 3, 4.",
+        ],
     ),
     "two PV systems of one customer": (
         "pv.csv",

@@ -109,6 +109,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "buses": 4,
         "customers": 3,
         "pv_systems": 2,
+        "generators": "2 PV systems",
         "batteries": 2,
         "steps": 6,
         "step_minutes": 60.0,

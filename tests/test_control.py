@@ -197,6 +197,8 @@ def test_set_points_in_a_pandapower_net(net: Any) -> None:
         feeder,
         vppres.NewScenarioOptions(
             step_minutes=240.0,
+            draw_tiers=True,
+            add_batteries=True,
             outages=((pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T20:00Z")),),
         ),
     )

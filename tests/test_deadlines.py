@@ -5,17 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cvxpy as cp
+import numpy as np
 import pytest
 
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from experiments.random_feeders import random_window
-from vppres.core.errors import SolveError
+from vppres.core.arrays import Flags
+from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
+from vppres.solve.fleet.counts import Counts, _Found
+from vppres.solve.fleet.masters import demand_of
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.result import SolveLimits, Status
+from vppres.solve.solvers import find_solver, run, run_conic
 from vppres.solve.task import WindowTask
 
 NEVER_CLOSED = "s039"
@@ -147,3 +154,81 @@ def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
     assert not task.answer_by(share=0.1).passed
     task_later = WindowTask.begin(task.data, task.cache, SolveLimits(time_s=30.0), task.spec, 16)
     assert 9.0 < task_later.answer_by(share=1 / 3).left_s < 10.1
+
+
+# Compiling.
+
+
+def small_problem() -> cp.Problem:
+    x = cp.Variable(3, nonneg=True)
+    return cp.Problem(cp.Minimize(cp.sum(x)), [x >= 1.0])
+
+
+def test_what_cannot_be_compiled_in_time_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vppres.solve.solvers.COMPILE_S_PER_ENTRY", 100.0)  # 6 entries: 10 min
+    problem = small_problem()
+    for solve in (
+        lambda: run(problem, find_solver("highs"), 0.0, time_s=60.0),
+        lambda: run_conic(problem, time_s=60.0),
+    ):
+        outcome = solve()
+        assert outcome.status == Status.NO_ANSWER
+        assert problem.compilation_time is None
+    assert run_conic(problem, time_s=601.0).value == pytest.approx(3.0)
+
+
+def test_a_solver_gets_what_compiling_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling took its 5 s on top of the limit."""
+    problem = small_problem()
+    compiled = problem.get_problem_data
+    now = [100.0]
+    monkeypatch.setattr("vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: now[0]))
+
+    def slow(*args: object, **options: object) -> object:
+        now[0] += 5.0
+        return compiled(*args, **options)
+
+    given = []
+
+    def options(gap: float, time_s: float) -> dict[str, float]:
+        given.append(time_s)
+        return {"time_limit": time_s}
+
+    monkeypatch.setattr(problem, "get_problem_data", slow)
+    spec = replace(find_solver("highs"), options=options)
+    assert run(problem, spec, 0.0, time_s=8.0).value == pytest.approx(3.0)
+    assert given[-1] == 3.0
+    asked = len(given)
+    assert run(problem, spec, 0.0, time_s=4.0).status == Status.NO_ANSWER
+    assert len(given) == asked + 1  # for compiling alone
+
+
+def test_no_time_to_compile_is_no_numerical_trouble(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The window is not late yet when it is known that nothing more can be compiled in time."""
+    monkeypatch.setattr("vppres.solve.solvers.COMPILE_S_PER_ENTRY", 100.0)
+    solver = WindowSolver(Site.of(packaged()), limits=SolveLimits(time_s=30.0))
+    solver.cache = ModelCache(solver.site)
+    with pytest.raises(LimitError, match="was not solved before the time limit"):
+        solver.solve(window_data(instance("o040")))
+
+
+def test_a_bound_whose_search_ran_out_of_time_is_not_called_optimal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    site = Site.of(packaged())
+    data = window_data(instance("o040"))
+    demand = demand_of(ModelCache(site), data, lumped=True)
+    counts = Counts(demand, data, Deadline(60.0))
+    most, _ = counts.service(0.0)
+    least = counts._least
+    linear, _ = counts.cost(most.value, False, np.inf, np.inf)
+
+    def no_search(free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
+        found = least(free, units_min, gap_gbp, integer=False)
+        return replace(found, status=Status.NO_ANSWER) if integer else found
+
+    monkeypatch.setattr(counts, "_least", no_search)
+    outcome, served = counts.cost(most.value, False, known_gbp=1e6, gap_gbp=1e-3)
+    assert outcome.status == Status.TIME_LIMIT
+    assert outcome.bound == pytest.approx(linear.bound)
+    assert served is None

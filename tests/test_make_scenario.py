@@ -57,8 +57,33 @@ def tagged() -> ImportedFeeder:
     return import_network(net)
 
 
-def test_rules_of_size(case33: ImportedFeeder) -> None:
+INVENTED = NewScenarioOptions(draw_tiers=True, pv="sized", add_batteries=True)
+
+
+def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
+    assert (len(day.pv), len(day.batteries), day.tiers) == (0, 0, ("all",))
+    assert set(day.customers.weight) == {1.0}
+    notes = assumptions(case33, day, NewScenarioOptions())
+    assert (
+        "All 32 customers are in one tier, all: the source names none, and none was drawn." in notes
+    )
+    assert any("Without one no island has a grid." in note for note in notes)
+    assert any(note.startswith("No generator:") for note in notes)
+
+
+def test_what_is_invented_says_so(case33: ImportedFeeder) -> None:
+    notes = assumptions(case33, new_scenario(case33, INVENTED), INVENTED)
+    assert "Customers by tier: 6 critical, 10 high, 16 low (drawn, seed 0)." in notes
+    assert "26 PV systems, 1,562.5 kW (PV invented by size)." in notes
+    assert (
+        "32 batteries of 2,321.9 kWh and 1,160.9 kW invented, sized by the customers' peak loads."
+        in notes
+    )
+
+
+def test_rules_of_size(case33: ImportedFeeder) -> None:
+    day = new_scenario(case33, INVENTED)
     peak_kw = case33.p_load_kw[case33.p_load_kw > 0]
     assert {t: int((day.customers.tier == t).sum()) for t in day.tiers} == {
         "critical": 6,
@@ -103,7 +128,7 @@ def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> N
 
 
 def test_what_is_drawn_hangs_on_the_seed(case33: ImportedFeeder) -> None:
-    days = [new_scenario(case33, NewScenarioOptions(seed=seed)) for seed in (3, 3, 4)]
+    days = [new_scenario(case33, replace(INVENTED, seed=seed)) for seed in (3, 3, 4)]
     digests = [scenario_digest(day) for day in days]
     assert digests[0] == digests[1] != digests[2]
 
@@ -111,29 +136,31 @@ def test_what_is_drawn_hangs_on_the_seed(case33: ImportedFeeder) -> None:
 def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     day = new_scenario(cigre)
     own = cigre.generators
-    assert len(day.pv) == 8
-    assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw[own.kind == "PV"].sum())
-    assert "Generators that the scenario does not have: sgen 8 (WKA 7)." in assumptions(
-        cigre, day, NewScenarioOptions()
-    )
+    assert day.pv.counted() == "8 PV systems, 1 wind system"
+    assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw.sum())
+    windy = day.pv.kind == "wind"
+    assert day.pv.customer[windy].tolist() == ["c7"]
+    assert (day.pv_kw[:, windy] == 1500.0).all()
+    assert day.pv_kw[0, ~windy].sum() == 0.0
     assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
     sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
-    assert len(sized.pv) == round(0.8 * len(day.customers))
-    assert len(new_scenario(cigre, NewScenarioOptions(battery_kwh_per_peak_kw=0.0)).batteries) == 0
-
-
-def test_pv_of_a_source_without_any_is_none(case33: ImportedFeeder) -> None:
-    assert len(new_scenario(case33, NewScenarioOptions(pv="existing")).pv) == 0
+    assert len(sized.pv) == round(0.8 * len(day.customers)) + 1  # the wind stays
+    notes = assumptions(cigre, sized, NewScenarioOptions(pv="sized"))
+    assert any(
+        note.startswith("Generators of the source that --pv sized leaves out") for note in notes
+    )
 
 
 def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     day = new_scenario(tagged)
     assert day.customers.bus.tolist() == [1, 2, 4]
-    assert day.customers.tier[[0, 2]].tolist() == ["critical", "low"]
-    assert day.customers.power_factor == pytest.approx([2 / np.sqrt(5), 1.0, 1.0], abs=1e-6)
+    assert day.customers.tier.tolist() == ["critical", "low", "low"]
+    assert day.customers.power_factor == pytest.approx(
+        [2 / np.sqrt(5), 1.0, -5 / np.sqrt(26)], abs=1e-8
+    )
     notes = assumptions(tagged, day, NewScenarioOptions())
-    assert "Loads without active power are left out: bus 3." in notes
-    assert "Loads that feed reactive power count as purely active: bus 4." in notes
+    fixed = "Drawn in every step and owned by no customer: bus 3 (0 kW, 20 kvar)."
+    assert fixed in notes
 
 
 @pytest.mark.parametrize(
@@ -151,24 +178,29 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
         ),
         ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
         (
-            {"tier_shares": (0.5, 0.5, 0.5)},
+            {"draw_tiers": True, "tier_shares": (0.5, 0.5, 0.5)},
             "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
             "and low, for example 0.2 0.3 0.5.",
         ),
         (
-            {"pv_share_of_peak": 0.0},
+            {"pv": "sized", "pv_share_of_peak": 0.0},
             "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
             "kW of PV per kW of peak load, for example 0.5.",
         ),
         (
-            {"pv_share_of_buses": 1.2},
+            {"pv": "sized", "pv_share_of_buses": 1.2},
             "options, pv_share_of_buses = 1.2: must lie between 0 and 1. Give "
             "the share of customers with PV, for example 0.8.",
         ),
         (
-            {"battery_kwh_per_peak_kw": -1.0},
+            {"add_batteries": True, "battery_kwh_per_peak_kw": -1.0},
             "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
             "load, for example 0.625.",
+        ),
+        (
+            {"battery_kwh_per_peak_kw": 0.5},
+            "options, battery_kwh_per_peak_kw = 0.5: is given, and nothing is drawn or added that it "
+            "could size. Add --add-batteries, or leave it out.",
         ),
         ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
         (
@@ -261,7 +293,7 @@ def test_clock_times_are_those_of_the_start() -> None:
 
 
 def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path) -> None:
-    options = NewScenarioOptions(step_minutes=240.0, outages=(parse_outage("12:00..20:00", START),))
+    options = replace(INVENTED, step_minutes=240.0, outages=(parse_outage("12:00..20:00", START),))
     notes = write_new_scenario(tagged, options, tmp_path / "mine")
     day = read_scenario(tmp_path / "mine")
     assert scenario_digest(day) == scenario_digest(new_scenario(tagged, options))
@@ -304,7 +336,7 @@ def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
         "flat",
     )
     assert done.exit_code == 0, done.stderr
-    assert "The charging of 15 lines" in done.stdout
+    assert "Open at one end, and kept as shunts of 16.41 kvar" in done.stdout
     assert f"Written to {folder}" in done.stdout
     assert read_scenario(folder).grid.n_steps == 192
     assert call("validate", folder).exit_code == 0

@@ -64,10 +64,18 @@ def build(seed: int = SEED) -> Scenario:
     net = pandapower.networks.create_cigre_network_mv(with_der="pv_wind")
     # Loads of 5 to 15 MW at two buses stand for other feeders of the transformers: no customers.
     net.load["in_service"] = net.load["p_mw"] < OTHER_FEEDER_MW
-    feeder = import_network(net)
     # The feeder's own PV, 240 kW for 4.7 MW of load, would not show: PV is sized by the rule.
+    net.sgen["in_service"] = False
+    feeder = import_network(net)
     options = NewScenarioOptions(
-        start=START, step_minutes=STEP_MINUTES, days=2, outages=OUTAGES, pv="sized", seed=seed
+        start=START,
+        step_minutes=STEP_MINUTES,
+        days=2,
+        outages=OUTAGES,
+        draw_tiers=True,
+        pv="sized",
+        add_batteries=True,
+        seed=seed,
     )
     day = new_scenario(feeder, options)
     times = day.grid.times

@@ -40,23 +40,51 @@ Start = Annotated[str, typer.Option(metavar="DATE", help="Beginning of the first
 StepMinutes = Annotated[float, typer.Option(metavar="M", help="Length of a step.")]
 Days = Annotated[int, typer.Option(help="Number of days.")]
 DrawSeed = Annotated[int, typer.Option(help="Seed of the drawn tiers and PV buses.")]
+DrawTiers = Annotated[
+    bool,
+    typer.Option(
+        "--draw-tiers", help="Draw a tier for every customer that the network gives none."
+    ),
+]
 TierShares = Annotated[
-    tuple[float, float, float], typer.Option(help="Shares of critical, high and low customers.")
+    tuple[float, float, float] | None,
+    typer.Option(
+        help="Shares of critical, high and low customers that --draw-tiers draws; 0.2 0.3 0.5 if "
+        "not given."
+    ),
 ]
 PV = Annotated[
-    Literal["auto", "existing", "sized", "none"],
+    Literal["existing", "sized", "none"],
     typer.Option(
-        help="The network's PV, PV by the rule of size, the former if there is any (auto), or none."
+        help="The network's PV, wind and other generators; PV invented by size in the place of "
+        "the network's PV; or no generator."
     ),
 ]
 PVShareOfPeak = Annotated[
-    float, typer.Option(help="kW of sized PV per kW of a customer's peak load.")
+    float | None,
+    typer.Option(help="kW of sized PV per kW of a customer's peak load; 0.5 if not given."),
 ]
-PVShareOfBuses = Annotated[float, typer.Option(help="Share of the customers with sized PV.")]
+PVShareOfBuses = Annotated[
+    float | None, typer.Option(help="Share of the customers with sized PV; 0.8 if not given.")
+]
+AddBatteries = Annotated[
+    bool,
+    typer.Option("--add-batteries", help="Invent a battery at every customer, sized by its load."),
+]
 BatterySize = Annotated[
-    float, typer.Option(help="kWh of battery per kW of a customer's peak load; 0 for no batteries.")
+    float | None,
+    typer.Option(
+        help="kWh of an added battery per kW of the customer's peak load; 0.625 if not given."
+    ),
 ]
 Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+AcceptDeviation = Annotated[
+    bool,
+    typer.Option(
+        "--accept-deviation",
+        help="Import even where voltages are more than 0.005 pu from the source's.",
+    ),
+]
 SlackVoltage = Annotated[
     float | None,
     typer.Option(metavar="PU", help="Voltage of the slack bus; the network's if not given."),

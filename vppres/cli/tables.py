@@ -44,6 +44,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "buses": day.network.n_buses,
         "customers": len(day.customers),
         "pv_systems": len(day.pv),
+        "generators": day.pv.counted(),
         "batteries": len(day.batteries),
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
@@ -83,7 +84,7 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
         count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
         return "\n".join([*map(str, problems), count])
     holds = (
-        "{name} is valid: {buses} buses, {customers} customers, {pv_systems} PV systems, "
+        "{name} is valid: {buses} buses, {customers} customers, {generators}, "
         "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
         "them without grid; islands in {mode} mode.".format_map(content)
     )

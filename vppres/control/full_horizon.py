@@ -139,7 +139,7 @@ class FullHorizonController:
         if self.literal:
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
             split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
-            beyond = plan.pv_self_kw[t] - actual.load_kw[site.owner]
+            beyond = plan.pv_self_kw[t] - site.behind_meter(actual.load_kw)
             apparent = np.hypot(through, plan.pv_q_kvar[t])
             excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
         else:
@@ -173,7 +173,7 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     t = actual.t
     served = plan.served[t]
     # What an owner consumes cannot be curtailed.
-    own = np.minimum(actual.pv_kw, (actual.load_kw * served)[site.owner])
+    own = np.minimum(actual.pv_kw, site.behind_meter(actual.load_kw * served))
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
     needed = (
         actual.load_kw @ served

@@ -134,7 +134,7 @@ class StepState:
 
     def own_kw(self, served: Flags) -> Floats:
         """Self-consumption of each PV system for a served set, (P,)."""
-        return np.minimum((self.load_kw * served)[self.site.owner], self.usable_pv_kw)
+        return np.minimum(self.site.behind_meter(self.load_kw * served), self.usable_pv_kw)
 
 
 def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Floats, Floats]:

@@ -331,10 +331,9 @@ def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:
     pv = scenario.pv
     b = scenario.batteries
     net = scenario.network
-    owner_bus = c.bus[pv.owner(c)] if len(pv) else c.bus[:0]
     return {
         "customers": {"id": c.id, "bus": _bus_labels(c.bus), "tier": c.tier, "weight": c.weight},
-        "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(owner_bus)},
+        "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(pv.buses(c))},
         "batteries": {"id": b.id, "bus": _bus_labels(b.bus)},
         "buses": {"bus": _bus_labels(net.buses)},
         "lines": {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},

@@ -109,7 +109,7 @@ def _someone_ranks_higher(step: Step, customer: int) -> bool:
 
 def _own_inverter_too_small(step: Step, customer: int) -> bool:
     """Self-consumption is an equality: an owner needs an inverter that passes it."""
-    owned = step.site.owner == customer
+    owned = (step.site.owner == customer) & ~step.site.alone
     own_kw = np.minimum(step.load_kw[customer], step.scenario.pv_kw[step.t][owned])
     return bool((own_kw > step.site.pv.s_max_kva[owned] + 1e-9).any())
 

@@ -15,13 +15,14 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.core.errors import VerificationError
+from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.elements import NetCase, few, label, supplied
 from vppres.feeders.feeder import Deviation, ImportedFeeder
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.source import EXACT_PU, SourceDeviation
 
 TOLERANCE_MVA = 1e-9
 POWERS = ("load", "sgen", "gen", "storage", "motor", "asymmetric_load", "asymmetric_sgen")
@@ -99,6 +100,56 @@ def deviation_of(net: Any, solved: bool, feeder: ImportedFeeder) -> Deviation | 
         float(mw_to_kw(losses_mw + shunts_mw)),
         result.losses_kw,
         no_load_pu(feeder),
+    )
+
+
+def source_deviation(feeder: ImportedFeeder, scenario: Scenario) -> SourceDeviation:
+    """Differences in all three states; those of a source that does not converge are not known."""
+    given = feeder.deviation
+    return SourceDeviation(
+        no_load_pu=None if given is None else given.no_load_pu,
+        as_given_pu=None if given is None else given.v_max_pu,
+        worst_hour_pu=None if given is None else worst_hour_pu(feeder, scenario),
+    )
+
+
+def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:
+    """How close the feeder is to its source, in a sentence or two."""
+    given = feeder.deviation
+    if given is None:
+        return NOT_CONVERGED
+    losses = f"Losses as given are {given.losses_kw:.3f} kW"
+    return f"{deviation} {losses}, in the source {given.losses_source_kw:.3f} kW."
+
+
+def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[str]:
+    """What causes more than a trace of difference, or why it is not known."""
+    largest = deviation.largest_pu
+    if feeder.deviation is None:
+        yield NOT_CONVERGED
+    elif largest is not None and largest > EXACT_PU:
+        causes = "; ".join(feeder.causes) or "no single element of the source"
+        yield f"Causes of the difference of {largest:.2g} pu: {causes}."
+
+
+def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted: bool) -> None:
+    """Refuse a feeder whose voltages are not the source's, unless that was accepted.
+
+    Raises
+    ------
+    InputError
+        With the largest difference and its causes.
+    """
+    largest = deviation.largest_pu
+    if accepted or largest is None or largest <= EXACT_PU:
+        return
+    causes = "; ".join(feeder.causes) or "no single element of the source"
+    raise InputError(
+        Problem(
+            feeder.name,
+            f"has voltages up to {largest:.2g} pu away from the source's. Causes: {causes}",
+            "Accept that with --accept-deviation, or change the source.",
+        )
     )
 
 

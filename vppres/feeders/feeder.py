@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Protocol
+
+import numpy as np
 
 from vppres.core.arrays import Floats, Names, freeze_fields
 from vppres.scenario.network import BusId, Network
@@ -15,7 +17,9 @@ from vppres.scenario.network import BusId, Network
 class Generators:
     """Generators that the source has, shape (G,) each; injection is positive.
 
-    ``kind`` is the source's word: ``PV`` for photovoltaics, anything else is not used as such.
+    ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
+    :func:`vppres.feeders.kinds.kind_of`. ``p_kw`` and ``q_kvar`` are the operating point that the
+    source gives, ``p_max_kw`` the largest active power, ``s_kva`` the rating.
     """
 
     id: Names
@@ -24,14 +28,54 @@ class Generators:
     p_kw: Floats
     q_kvar: Floats
     s_kva: Floats
+    p_max_kw: Floats
 
     def __post_init__(self) -> None:
-        freeze_fields(
-            self, id=object, bus=object, kind=object, p_kw=float, q_kvar=float, s_kva=float
-        )
+        _freeze(self)
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True, eq=False)
+class Storages:
+    """Batteries that the source has, shape (S,) each.
+
+    ``p_kw`` (charging is positive) and ``q_kvar`` (drawn is positive) are the operating point that
+    the source gives; the others are named as in ``batteries.csv``.
+    """
+
+    id: Names
+    bus: Names
+    p_kw: Floats
+    q_kvar: Floats
+    energy_kwh: Floats
+    p_max_kw: Floats
+    s_max_kva: Floats
+    soc_min: Floats
+    soc_max: Floats
+    soc_initial: Floats
+    eta_charge: Floats
+    eta_discharge: Floats
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @classmethod
+    def none(cls) -> Storages:
+        """No battery."""
+        return cls(**{f.name: np.empty(0, dtype=_type_of(f.name)) for f in fields(cls)})
+
+
+def _type_of(name: str) -> type:
+    return object if name in ("id", "bus", "kind") else float
+
+
+def _freeze(table: Generators | Storages) -> None:
+    freeze_fields(table, **{f.name: _type_of(f.name) for f in fields(table)})
 
 
 @dataclass(frozen=True)
@@ -94,6 +138,8 @@ class ImportedFeeder:
         Tier of each bus's load if the source's loads have a column ``tier``, else empty.
     generators : Generators
         Generators of the source.
+    storages : Storages
+        Batteries of the source.
     bus_of : mapping
         Bus of the network for every supplied bus of the source; joined buses share one.
     notes : tuple of str
@@ -115,6 +161,7 @@ class ImportedFeeder:
     bus_of: Mapping[int, BusId]
     notes: tuple[str, ...]
     deviation: Deviation | None = None
+    storages: Storages = field(default_factory=Storages.none)
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
 
@@ -125,8 +172,9 @@ class ImportedFeeder:
     @property
     def injection(self) -> tuple[Floats, Floats]:
         """Net injection of every bus in kW and kvar, shape (N,) each."""
-        at = self.network.place(self.generators.bus)
+        given = self.network.place(self.generators.bus)
+        drawn = self.network.place(self.storages.bus)
         return (
-            at @ self.generators.p_kw - self.p_load_kw,
-            at @ self.generators.q_kvar - self.q_load_kvar,
+            given @ self.generators.p_kw - drawn @ self.storages.p_kw - self.p_load_kw,
+            given @ self.generators.q_kvar - drawn @ self.storages.q_kvar - self.q_load_kvar,
         )

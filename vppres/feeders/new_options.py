@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isclose
 from typing import Literal
@@ -12,13 +13,16 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
 
-PVRule = Literal["auto", "existing", "sized", "none"]
+PVRule = Literal["existing", "sized", "none"]
 PriceRule = Literal["time-of-use", "flat"]
 Outage = tuple[pd.Timestamp, pd.Timestamp]
 
 FIRST_DAY = pd.Timestamp("2025-07-01T00:00:00Z")
 # The paper's fleet: 2.542 MWh for a peak load of 4.068 MW.
 BATTERY_KWH_PER_PEAK_KW = 0.625
+TIER_SHARES = (0.2, 0.3, 0.5)
+PV_SHARE_OF_PEAK = 0.5
+PV_SHARE_OF_BUSES = 0.8
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})")
 _STEPS = "a step that divides the day, for example 60, 30 or 15."
@@ -38,19 +42,28 @@ class NewScenarioOptions:
         Number of days.
     outages : tuple of (start, end)
         Half-open intervals; without any, 12:00 to 18:00 of the first day.
-    tier_shares : tuple of float
-        Shares of the customers that are critical, high and low, by count.
+    draw_tiers : bool
+        Whether customers that the source gives no tier draw one. Otherwise all customers are in
+        one tier, or in the lowest where the source gives a tier to others.
+    tier_shares : tuple of float, optional
+        Shares of the customers that draw critical, high and low, by count; 0.2, 0.3 and 0.5.
     pv : str
-        ``existing`` takes the feeder's own PV, ``sized`` the rule, ``auto`` the former where the
-        feeder has any, ``none`` no PV.
-    pv_share_of_peak, pv_share_of_buses : float
-        The rule: PV of this share of the customer's peak load, at this share of the customers.
-    battery_kwh_per_peak_kw : float
-        Energy of a customer's battery for each kW of its peak load; 0 for no batteries.
+        ``existing`` takes the source's generators, ``sized`` invents PV in the place of the
+        source's, ``none`` takes no generator at all.
+    pv_share_of_peak, pv_share_of_buses : float, optional
+        Sized PV: this share of the customer's peak load (0.5), at this share of the customers
+        (0.8).
+    add_batteries : bool
+        Whether every customer gets a battery, besides those of the source.
+    battery_kwh_per_peak_kw : float, optional
+        Energy of an added battery for each kW of the customer's peak load; 0.625, that of the
+        paper's fleet.
     price : str
         ``time-of-use`` or ``flat``.
     v_slack_pu : float, optional
         Voltage of the slack bus; the feeder's if not given.
+    accept_deviation : bool
+        Whether voltages may be more than 0.005 pu away from those of the source.
     seed : int
         Seed of what is drawn: who is in which tier, and who has PV.
     """
@@ -59,13 +72,16 @@ class NewScenarioOptions:
     step_minutes: float = 60.0
     days: int = 1
     outages: tuple[Outage, ...] = ()
-    tier_shares: tuple[float, float, float] = (0.2, 0.3, 0.5)
-    pv: PVRule = "auto"
-    pv_share_of_peak: float = 0.5
-    pv_share_of_buses: float = 0.8
-    battery_kwh_per_peak_kw: float = BATTERY_KWH_PER_PEAK_KW
+    draw_tiers: bool = False
+    tier_shares: tuple[float, float, float] | None = None
+    pv: PVRule = "existing"
+    pv_share_of_peak: float | None = None
+    pv_share_of_buses: float | None = None
+    add_batteries: bool = False
+    battery_kwh_per_peak_kw: float | None = None
     price: PriceRule = "time-of-use"
     v_slack_pu: float | None = None
+    accept_deviation: bool = False
     seed: int = 0
 
 
@@ -132,8 +148,8 @@ def _dated(text: str) -> pd.Timestamp:
 
 
 def check_options(options: NewScenarioOptions) -> list[Problem]:
-    """Options out of their range."""
-    shares = options.tier_shares
+    """Options out of their range, and sizes of what was not asked for."""
+    shares = options.tier_shares or TIER_SHARES
     faults: list[tuple[bool, str, object, str, str]] = [
         (
             not (options.step_minutes >= 1 and (1440 / options.step_minutes).is_integer()),
@@ -157,27 +173,28 @@ def check_options(options: NewScenarioOptions) -> list[Problem]:
             "Give critical, high and low, for example 0.2 0.3 0.5.",
         ),
         (
-            not 0 < options.pv_share_of_peak <= 10,
+            not _lies(options.pv_share_of_peak, 1e-9, 10),
             "pv_share_of_peak",
             options.pv_share_of_peak,
             "must lie between 0 and 10",
             "Give kW of PV per kW of peak load, for example 0.5.",
         ),
         (
-            not 0 <= options.pv_share_of_buses <= 1,
+            not _lies(options.pv_share_of_buses, 0, 1),
             "pv_share_of_buses",
             options.pv_share_of_buses,
             "must lie between 0 and 1",
             "Give the share of customers with PV, for example 0.8.",
         ),
         (
-            not 0 <= options.battery_kwh_per_peak_kw <= 100,
+            not _lies(options.battery_kwh_per_peak_kw, 0, 100),
             "battery_kwh_per_peak_kw",
             options.battery_kwh_per_peak_kw,
             "must lie between 0 and 100",
             "Give kWh per kW of peak load, for example 0.625.",
         ),
         (options.seed < 0, "seed", options.seed, "must be at least 0", "Give another seed."),
+        *_sizes_of_nothing(options),
     ]
     problems = [
         Problem("options", message, cure, field=field, value=value)
@@ -185,6 +202,32 @@ def check_options(options: NewScenarioOptions) -> list[Problem]:
         if wrong
     ]
     return problems or _check_outages(options)
+
+
+def _lies(value: float | None, least: float, most: float) -> bool:
+    """Whether an option is absent or within its bounds."""
+    return value is None or least <= value <= most
+
+
+def _sizes_of_nothing(
+    options: NewScenarioOptions,
+) -> Iterator[tuple[bool, str, object, str, str]]:
+    """Sizes that are given while what they size was not asked for."""
+    asked = {
+        "tier_shares": (options.draw_tiers, "--draw-tiers"),
+        "pv_share_of_peak": (options.pv == "sized", "--pv sized"),
+        "pv_share_of_buses": (options.pv == "sized", "--pv sized"),
+        "battery_kwh_per_peak_kw": (options.add_batteries, "--add-batteries"),
+    }
+    for name, (wanted, flag) in asked.items():
+        value = getattr(options, name)
+        yield (
+            value is not None and not wanted,
+            name,
+            value,
+            "is given, and nothing is drawn or added that it could size",
+            f"Add {flag}, or leave it out.",
+        )
 
 
 def _check_outages(options: NewScenarioOptions) -> list[Problem]:

@@ -38,6 +38,7 @@ def notes_of(
     yield from _notes_on_topology(net, case, stubs, closed)
     yield from _notes_on_branches(net, case)
     yield from _notes_on_elements(net, case, condensers)
+    yield from _notes_on_control(net, case)
 
 
 def _notes_on_topology(
@@ -105,9 +106,6 @@ def _set_points(net: Any) -> Iterator[str]:
 
 
 def _notes_on_elements(net: Any, case: NetCase, condensers: Generators) -> Iterator[str]:
-    names = [label(net, "storage", i) for i in supplied(net, "storage", case).index]
-    if names:
-        yield f"Batteries of the source are left out: {few(names)}."
     for cause in causes_of(net, case):
         yield f"Taken as constant power: {cause}."
     if len(condensers):
@@ -115,3 +113,28 @@ def _notes_on_elements(net: Any, case: NetCase, condensers: Generators) -> Itera
             f"{n} ({q:.4g} kvar)" for n, q in zip(condensers.id, condensers.q_kvar, strict=True)
         ]
         yield f"Generators with reactive power only are fixed: {few(sizes)}."
+
+
+def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
+    """Flags and controllers of the source that have no counterpart."""
+    loads = supplied(net, "load", case)
+    if "controllable" in loads:
+        flags = loads["controllable"].fillna(False).astype(bool)
+        if flags.any() and not flags.all():
+            names = [label(net, "load", i) for i in loads.index[~flags]]
+            yield f"Not controllable in the source, and customers like any other: {few(names)}."
+    acting = [row for row in _controllers(net) if row[1]]
+    if acting:
+        yield f"Controllers of the source do not act: {few(name for name, _ in acting)}."
+
+
+def _controllers(net: Any) -> Iterator[tuple[str, bool]]:
+    """Class and element of every controller, and whether it is in service."""
+    table = net.get("controller")
+    if table is None or "object" not in table:
+        return
+    for index, row in table.iterrows():
+        kind = type(row["object"]).__name__
+        element = getattr(row["object"], "element", None)
+        name = f"{kind} {index}" + (f" ({element})" if isinstance(element, str) else "")
+        yield name, bool(row.get("in_service", True))

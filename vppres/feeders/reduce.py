@@ -31,10 +31,11 @@ from vppres.feeders.branches import (
 from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
 from vppres.feeders.feeder import Generators, ImportedFeeder
+from vppres.feeders.net_assets import generators_of, motors_as_loads, storages_of
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva
 from vppres.io.messages import did_you_mean
-from vppres.io.schema import MIN_OHM
+from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
 from vppres.scenario.network import BusId, Network, find_loops
 
 BRANCHES = ("line", "trafo", "trafo3w", "impedance")
@@ -44,7 +45,6 @@ UNSUPPORTED = (
     "asymmetric_sgen",
     "xward",
     "dcline",
-    "motor",
     "svc",
     "ssc",
     "tcsc",
@@ -95,10 +95,11 @@ def feeder_of(
     ids = _identifiers(joined, bus_ids)
     solved = solve_source(net)
     loads = _loads(net, joined, ids)
-    generators, condensers = _without_power(_generators(net, joined, ids, solved))
+    generators, condensers = _without_power(generators_of(net, joined, ids))
+    storages, storage_notes = storages_of(net, joined, ids)
     branches = parallel_as_one(joined.branches)
     network = _network(branches, joined, ids, fixed_power(loads, condensers))
-    of_customers = loads[loads["p_kw"] > 0].reindex(network.buses)
+    of_customers = loads[has_customer(loads)].reindex(network.buses)
     feeder = ImportedFeeder(
         name=name,
         network=network,
@@ -106,8 +107,9 @@ def feeder_of(
         q_load_kvar=of_customers["q_kvar"].fillna(0.0).to_numpy(),
         tier=of_customers["tier"].fillna("").to_numpy(dtype=object),
         generators=generators,
+        storages=storages,
         bus_of={bus: ids[row] for bus, row in joined.bus_at.items()},
-        notes=tuple(notes_of(net, case, stubs, closed, condensers)),
+        notes=(*notes_of(net, case, stubs, closed, condensers), *storage_notes),
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
     )
@@ -415,7 +417,9 @@ def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> pd.DataFrame:
     loads = supplied(net, "load", case)
     wards = supplied(net, "ward", case).rename(columns={"ps_mw": "p_mw", "qs_mvar": "q_mvar"})
     columns = ["row", "p_mw", "q_mvar", "scaling", "tier"]
-    both = pd.concat([loads.reindex(columns=columns), wards.reindex(columns=columns)])
+    drawing = [loads, wards, motors_as_loads(net, case)]
+    both = pd.concat([frame.reindex(columns=columns) for frame in drawing if len(frame)] or [loads])
+    both = both.reindex(columns=columns)
     scaling = both["scaling"].astype(float).fillna(1.0)
     found = pd.DataFrame(
         {
@@ -429,9 +433,17 @@ def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> pd.DataFrame:
     return at_bus[["p_kw", "q_kvar"]].sum().assign(tier=at_bus["tier"].first())
 
 
+def has_customer(loads: pd.DataFrame) -> pd.Series[bool]:
+    """Buses with a load whose active power is more than a trace beside its reactive power."""
+    owned: pd.Series[bool] = loads["p_kw"] > MIN_POWER_FACTOR * np.hypot(
+        loads["p_kw"], loads["q_kvar"]
+    )
+    return owned
+
+
 def fixed_power(loads: pd.DataFrame, condensers: Generators) -> pd.DataFrame:
     """What buses draw that no customer can own: power without or against active demand."""
-    owned = loads["p_kw"] > 0
+    owned = has_customer(loads)
     given = pd.DataFrame({"p_kw": -condensers.p_kw, "q_kvar": -condensers.q_kvar}, condensers.bus)
     both = pd.concat([loads.loc[~owned, ["p_kw", "q_kvar"]], given])
     return both.groupby(level=0, sort=False).sum()
@@ -445,33 +457,3 @@ def _without_power(generators: Generators) -> tuple[Generators, Generators]:
         Generators(*(getattr(generators, name)[rows] for name in names)) for rows in (~idle, idle)
     )
     return active, condensers
-
-
-def _generators(net: Any, case: NetCase, ids: Mapping[int, BusId], solved: bool) -> Generators:
-    """Static generators, and generators with the reactive power that holds their voltage."""
-    tables = []
-    for table in ("sgen", "gen"):
-        frame = supplied(net, table, case)
-        scaling = frame["scaling"].fillna(1.0)
-        p_mw = frame["p_mw"] * scaling
-        held = (
-            net.res_gen["q_mvar"].reindex(frame.index) if solved and table == "gen" else 0.0 * p_mw
-        )
-        q_mvar = frame["q_mvar"] * scaling if table == "sgen" else held.fillna(0.0)
-        rating = pd.to_numeric(frame["sn_mva"]) if "sn_mva" in frame else np.nan * p_mw
-        tables.append(
-            pd.DataFrame(
-                {
-                    "id": [label(net, table, i) for i in frame.index],
-                    "bus": frame["row"].map(ids).to_numpy(dtype=object),
-                    "kind": frame["type"].fillna("").astype(str) if table == "sgen" else "gen",
-                    "p_kw": mw_to_kw(p_mw),
-                    "q_kvar": mw_to_kw(q_mvar),
-                    "s_kva": mw_to_kw(rating.where(rating.notna(), np.hypot(p_mw, q_mvar))),
-                }
-            )
-        )
-    # An empty frame has no say in the types of the columns.
-    filled = [table for table in tables if len(table)] or tables[:1]
-    columns = pd.concat(filled, ignore_index=True)
-    return Generators(*(columns[name].to_numpy() for name in columns))

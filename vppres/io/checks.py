@@ -127,6 +127,37 @@ def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> li
     return problems
 
 
+def check_places(pv: Table) -> list[Problem]:
+    """PV systems with a customer and a bus, or with neither."""
+    owner = pv.column("customer")
+    bus = pv.column("bus")
+    problems = []
+    for row, name in pv.column("id").items():
+        if row in owner and row in bus:
+            problems.append(
+                Problem(
+                    pv.file,
+                    "has a customer too",
+                    "Leave one of them empty: a system is at its customer's bus, or stands alone.",
+                    row=row,
+                    field="bus",
+                    value=bus[row],
+                )
+            )
+        elif row not in owner and row not in bus:
+            problems.append(
+                Problem(
+                    pv.file,
+                    "has neither a customer nor a bus",
+                    "Give the customer that owns it, or the bus at which it stands alone.",
+                    row=row,
+                    field="id",
+                    value=name,
+                )
+            )
+    return problems
+
+
 def check_one_pv_each(pv: Table) -> list[Problem]:
     """Customers with several PV systems: the model has one self-consumption per customer."""
     first: dict[str, int] = {}

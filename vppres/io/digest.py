@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import Scenario
 
@@ -33,6 +34,8 @@ def _canonical(value: Any) -> Any:
     """Nested dictionaries, lists, text and floats."""
     if isinstance(value, Network):
         return _canonical_network(value)
+    if isinstance(value, PVSystems):
+        return _canonical_pv(value)
     if is_dataclass(value):
         left_out = _WITHOUT_EFFECT
         # A connection that imports only keeps the digest from before there was another.
@@ -47,6 +50,12 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
+
+
+def _canonical_pv(pv: PVSystems) -> dict[str, Any]:
+    """Folders whose systems are all PV, or all owned, keep their digest."""
+    told = {"kind": not (pv.kind == PV).all(), "bus": pv.alone.any()}
+    return {f.name: _canonical(getattr(pv, f.name)) for f in fields(pv) if told.get(f.name, True)}
 
 
 def _canonical_network(network: Network) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
             p
-            for table in (buses, customers, batteries)
+            for table in (buses, customers, pv, batteries)
             if table
             for p in checks.check_buses(table, lines)
         ]
@@ -162,7 +162,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         if customers and table:
             problems += checks.check_parts(table, rows.customers)
     if pv:
-        problems += checks.check_one_pv_each(pv) + checks.check_pv_ratings(pv.file, rows.pv)
+        problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
+        problems += checks.check_pv_ratings(pv.file, rows.pv)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -290,7 +291,7 @@ def _assemble(
         grid=grid,
         network=_network(file.network, rows.lines, rows.buses, read_bus),
         customers=_customers(rows.customers, file.tiers, read_bus),
-        pv=PVSystems(**_columns(rows.pv, schema.PVRow)),
+        pv=_pv(rows.pv, read_bus),
         batteries=_batteries(rows.batteries, read_bus),
         load_kw=series.load_kw,
         pv_kw=series.pv_kw,
@@ -345,6 +346,12 @@ def _customers(
         tiers[row.tier] if row.weight is None else row.weight for row in rows.values()
     ]
     return Customers(**columns)
+
+
+def _pv(rows: Mapping[int, schema.PVRow], read_bus: Callable[[str], BusId]) -> PVSystems:
+    columns = _columns(rows, schema.PVRow)
+    columns["bus"] = [read_bus(row.bus) if row.bus else None for row in rows.values()]
+    return PVSystems(**columns)
 
 
 def _batteries(

@@ -19,7 +19,7 @@ from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
-from vppres.scenario.assets import Batteries, Customers
+from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -148,7 +148,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
             {name: getattr(network, name) for name in schema.LineRow.model_fields}
         ),
         "customers": _frame(customers, schema.CustomerRow),
-        "pv": _frame(scenario.pv, schema.PVRow),
+        "pv": _pv_frame(scenario.pv),
         "batteries": _battery_frame(scenario.batteries),
         "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
         "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
@@ -186,6 +186,14 @@ def _without(frame: pd.DataFrame, neutral: dict[str, float]) -> pd.DataFrame:
 
 def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
     return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
+
+
+def _pv_frame(pv: PVSystems) -> pd.DataFrame:
+    """Kinds are a column only where one is not PV, buses only where a system stands alone."""
+    frame = _frame(pv, schema.PVRow)
+    if (pv.kind == PV).all():
+        frame = frame.drop(columns="kind")
+    return frame if pv.alone.any() else frame.drop(columns="bus")
 
 
 def _battery_frame(batteries: Batteries) -> pd.DataFrame:

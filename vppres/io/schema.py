@@ -227,15 +227,24 @@ class CustomerRow(Row):
 
 
 class PVRow(Row):
-    """A PV system behind a customer's meter."""
+    """A PV system behind a customer's meter, or one that stands alone at a bus."""
 
     id: Name = Field(description="identifier of the PV system")
-    customer: Name = Field(description="customer that owns the PV system")
+    customer: Name = Field(
+        default="",
+        description="customer that owns the PV system (empty: it stands alone at its `bus`)",
+    )
     p_max_kw: float = Field(
         ge=MIN_KW, le=MAX_KW, description="largest active power", json_schema_extra=KW
     )
     s_max_kva: float = Field(
         ge=MIN_KW, le=MAX_KW, description="inverter rating", json_schema_extra=KVA
+    )
+    kind: Name = Field(
+        default="pv", description="kind of generator: `pv`, `wind` or another word for the report"
+    )
+    bus: Name = Field(
+        default="", description="bus of a system that stands alone (empty: that of its customer)"
     )
 
 

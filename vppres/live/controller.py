@@ -346,7 +346,7 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
         ),
         pv=_table(
             pv.id,
-            bus=c.bus[pv.owner(c)],
+            bus=pv.buses(c),
             available_kw=powers["available_kw"],
             p_kw=powers["self_kw"] + powers["export_kw"],
             curtailed_kw=powers["curtailed_kw"],

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Wholes, content_key
+from vppres.core.arrays import Flags, Floats, Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
@@ -56,18 +56,28 @@ class Site:
 
     @cached_property
     def owner(self) -> Wholes:
-        """Shape (P,): position of each PV system's customer."""
+        """Shape (P,): position of each PV system's customer, 0 for a system that stands alone."""
         return self.pv.owner(self.customers)
+
+    @cached_property
+    def alone(self) -> Flags:
+        """Shape (P,): PV systems without a customer."""
+        return self.pv.alone
 
     @cached_property
     def pv_customer(self) -> sp.csr_array:
         """Shape (C, P): places PV systems on their customers."""
-        count = len(self.pv)
+        owned = np.flatnonzero(~self.alone)
         return sp.csr_array(
-            (np.ones(count), (self.owner, np.arange(count))), shape=(len(self.customers), count)
+            (np.ones(len(owned)), (self.owner[owned], owned)),
+            shape=(len(self.customers), len(self.pv)),
         )
 
     @cached_property
     def pv_bus(self) -> sp.csr_array:
-        """Shape (N, P): places PV systems on their owners' buses."""
-        return sp.csr_array(self.customer_bus @ self.pv_customer)
+        """Shape (N, P): places PV systems on their owners' buses, or their own."""
+        return self.network.place(self.pv.buses(self.customers))
+
+    def behind_meter(self, load_kw: Floats) -> Floats:
+        """Demand at the owner of each PV system, (..., P) of (..., C); 0 where there is none."""
+        return np.where(self.alone, 0.0, load_kw[..., self.owner])

@@ -100,6 +100,9 @@ class Plant:
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self.owner = scenario.pv.owner(scenario.customers)
+        self._alone = scenario.pv.alone
+        pv_buses = scenario.pv.buses(scenario.customers)
+        self._pv_bus = np.array([index[b] for b in pv_buses], dtype=int)
 
     def initial_state(self) -> BatteryState:
         """State before the first step."""
@@ -161,7 +164,7 @@ class Plant:
         p, q = self._injections(
             load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw, powers.battery_kw
         )
-        np.add.at(q, self._customer_bus[self.owner], powers.pv_q_kvar)
+        np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
         soc_end = np.clip(
             state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min, b.soc_max
@@ -187,7 +190,8 @@ class Plant:
     ) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
-        demand = demand_kw[self.owner]
+        # Nobody is behind the meter of a system that stands alone: all of it is exported.
+        demand = np.where(self._alone, 0.0, demand_kw[self.owner])
         rating = self.scenario.pv.s_max_kva
         own = np.minimum(np.minimum(available, demand), rating)
         # The inverter cannot pass more than its rating, whatever was asked for.
@@ -223,7 +227,7 @@ class Plant:
         q = np.zeros_like(p)
         np.add.at(p, self._customer_bus, -demand_kw)
         np.add.at(q, self._customer_bus, -demand_kw * self.scenario.customers.q_per_p)
-        np.add.at(p, self._customer_bus[self.owner], own + export)
+        np.add.at(p, self._pv_bus, own + export)
         np.add.at(p, self.battery_bus, -battery_kw)
         return p, q
 

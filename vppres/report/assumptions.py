@@ -119,7 +119,7 @@ def data_words(run: Trajectory) -> list[tuple[str, str]]:
             f"{len(day.customers)}, {day.load_kw.sum(axis=1).max():,.0f} kW at the "
             f"highest; weights: {weights}",
         ),
-        ("PV", f"{len(day.pv)} systems, {day.pv.p_max_kw.sum():,.0f} kW"),
+        ("generators", f"{day.pv.counted()}, {day.pv.p_max_kw.sum():,.0f} kW"),
         (
             "batteries",
             f"{len(day.batteries)}, {day.batteries.energy_kwh.sum():,.0f} kWh, "

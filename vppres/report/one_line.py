@@ -67,7 +67,7 @@ def drawing(run: Trajectory) -> Drawing:
     x = MARGIN_PX + COLUMN_PX * layout.column
     y = MARGIN_PX + ROW_PX * layout.row
     at_bus = np.array([net.bus_index[bus] for bus in c.bus], dtype=int)
-    with_pv = set(at_bus[day.pv.owner(c)].tolist()) if len(day.pv) else set()
+    with_pv = {net.bus_index[bus] for bus in day.pv.buses(c)}
     battery_bus = np.array([net.bus_index[bus] for bus in day.batteries.bus], dtype=int)
     critical = set(at_bus[c.tier == day.tiers[0]].tolist())
     buses = tuple(

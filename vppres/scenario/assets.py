@@ -58,25 +58,82 @@ class Customers:
         return np.tan(np.arccos(self.power_factor))
 
 
+PV = "pv"
+"""Kind of a photovoltaic system."""
+
+
+def kind_label(kind: str) -> str:
+    """A kind of generator in a sentence.
+
+    >>> kind_label("pv"), kind_label("wind")
+    ('PV', 'wind')
+    """
+    return "PV" if kind == PV else kind
+
+
 @dataclass(frozen=True, eq=False)
 class PVSystems:
-    """PV systems, shape (P,) each; ``customer`` is the owner's identifier."""
+    """PV systems and other generators with a series of available power, shape (P,) each.
+
+    ``customer`` is the owner's identifier. A system that stands alone has none (empty text) and
+    names its ``bus``; owned systems have None there and are at their owner's bus. ``kind`` is
+    ``pv``, ``wind`` or another word; ``pv`` if not given.
+    """
 
     id: Names
     customer: Names
     p_max_kw: Floats
     s_max_kva: Floats
+    kind: Names = field(default_factory=lambda: np.empty(0, dtype=object))
+    bus: Names = field(default_factory=lambda: np.empty(0, dtype=object))
 
     def __post_init__(self) -> None:
-        freeze_fields(self, id=object, customer=object, p_max_kw=float, s_max_kva=float)
+        for name, value in (("kind", PV), ("bus", None)):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(len(self.id), value, dtype=object))
+        freeze_fields(
+            self,
+            id=object,
+            customer=object,
+            p_max_kw=float,
+            s_max_kva=float,
+            kind=object,
+            bus=object,
+        )
 
     def __len__(self) -> int:
         return len(self.id)
 
+    @property
+    def alone(self) -> Flags:
+        """Systems without a customer, (P,): all of their power is exported or curtailed."""
+        return np.array([customer == "" for customer in self.customer], dtype=bool)
+
     def owner(self, customers: Customers) -> Wholes:
-        """Position of each system's owner in the customers' table."""
-        position = {c: i for i, c in enumerate(customers.id)}
+        """Position of each system's owner in the customers' table; 0 for one that stands alone.
+
+        Whoever reads values of the customers with it asks :attr:`alone` too.
+        """
+        position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
         return np.array([position[c] for c in self.customer], dtype=int)
+
+    def buses(self, customers: Customers) -> Names:
+        """Bus of each system, (P,): its own or its owner's."""
+        owners = customers.bus[self.owner(customers)]
+        return np.where(self.alone, self.bus, owners).astype(object)
+
+    def counted(self) -> str:
+        """How many systems there are of each kind.
+
+        >>> kinds = ["pv", "wind"]
+        >>> PVSystems(["a", "b"], ["", ""], [1.0, 1.0], [1.0, 1.0], kinds, [1, 2]).counted()
+        '1 PV system, 1 wind system'
+        """
+        kinds = dict.fromkeys(self.kind) or {PV: None}
+        count = {kind: int((self.kind == kind).sum()) for kind in kinds}
+        return ", ".join(
+            f"{n} {kind_label(kind)} system{'' if n == 1 else 's'}" for kind, n in count.items()
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
     parts = customers.shed_steps
     if (parts == 1).all():
         return scenario
-    pv_parts = parts[pv.owner(customers)]
+    pv_parts = np.where(pv.alone, 1, parts[pv.owner(customers)])
     split_customers = replace(
         customers,
         id=_part_names(customers.id, parts),
@@ -50,6 +50,8 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         customer=_part_names(pv.customer, pv_parts),
         p_max_kw=_shared(pv.p_max_kw, pv_parts),
         s_max_kva=_shared(pv.s_max_kva, pv_parts),
+        kind=np.repeat(pv.kind, pv_parts),
+        bus=np.repeat(pv.bus, pv_parts),
     )
     return replace(
         scenario,

@@ -125,6 +125,7 @@ class Certificate:
         self.stages: list[str] = []
         self.solver_s = 0.0
         self._nothing: Outcome | None = None
+        self._ran_out = False
 
     # The record.
 
@@ -134,6 +135,7 @@ class Certificate:
         optimal = outcome.status == Status.OPTIMAL
         self.stages.append(named if optimal else f"{named}:{outcome.status}")
         self.solver_s += outcome.solve_s
+        self._ran_out |= outcome.status == Status.NO_ANSWER
 
     def ran(self, stage: str) -> bool:
         """Whether a stage ran."""
@@ -207,8 +209,11 @@ class Certificate:
         return self._nothing is not None
 
     def no_answer(self, late: bool) -> Outcome:
-        """Why there is no dispatch: a relaxation's proof if there is one, otherwise the time."""
-        status = Status.NO_ANSWER if late else Status.NUMERICAL
+        """Why there is no dispatch: a relaxation's proof if there is one, otherwise the time.
+
+        A stage may also have had no time before the window is late: to compile what it needs.
+        """
+        status = Status.NO_ANSWER if late or self._ran_out else Status.NUMERICAL
         return self._nothing or Outcome(status, np.nan, np.nan, 0.0)
 
     def service_gap(self) -> float:

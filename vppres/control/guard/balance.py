@@ -81,7 +81,7 @@ def mismatch_kw(
         return None
     usable = np.minimum(readings.pv_kw, site.pv.s_max_kva)
     demand = readings.load_kw * _served(commanded, seen)
-    own = np.minimum(demand[site.owner], usable)
+    own = np.minimum(site.behind_meter(demand), usable)
     # The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
     forced = readings.pv_kw - usable
     curtailed = np.clip(commanded.pv_curtailed_kw, forced, forced + usable - own)

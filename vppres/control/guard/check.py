@@ -176,7 +176,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     """What import has to be, against what the grid gives, and what export has to, likewise."""
     pv = state.site.pv
     usable = state.usable_pv_kw
-    own = np.minimum((state.load_kw * row.served)[state.site.owner], usable)
+    own = np.minimum(state.site.behind_meter(state.load_kw * row.served), usable)
     # The plant lets an owner use its own power first; no more passes than the inverter's rating.
     forced = state.pv_kw - usable
     curtailed = np.clip(row.curtailed_kw, forced, forced + usable - own)

@@ -191,7 +191,8 @@ class Counts:
             if whole.status.has_answer:
                 found = whole
             else:
-                near = True  # the linear bound is all there is
+                near = True  # the linear bound is all there is, and the search was not finished
+                found = replace(found, status=Status.TIME_LIMIT)
         outcome = Outcome(found.status, found.value, found.bound, watch.spent_s, DIRECT)
         none = near or not found.status.has_answer
         return outcome, None if none else self._completed(found, free)

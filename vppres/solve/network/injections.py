@@ -72,7 +72,7 @@ class Reactance:
         self.fed: Floats = fed
         self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
         self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
-        self.pv = self.customer[site.owner]
+        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
 
 
 class Injections:

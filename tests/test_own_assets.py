@@ -1,0 +1,153 @@
+"""Batteries, generators and motors of the source, and what of them has no counterpart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandapower as pp
+import pytest
+
+from vppres.feeders import ImportedFeeder, import_network
+from vppres.feeders.new_options import NewScenarioOptions
+from vppres.feeders.new_scenario import assumptions, new_scenario
+
+
+def feeder_with(*add: Any) -> ImportedFeeder:
+    """Three loads behind one another at the buses 1, 2 and 3; whatever else is added to the net."""
+    net = pp.create_empty_network()
+    pp.create_buses(net, 5, vn_kv=11.0)
+    pp.create_ext_grid(net, 0)
+    for bus in range(4):
+        pp.create_line_from_parameters(
+            net,
+            bus,
+            bus + 1,
+            length_km=1.0,
+            r_ohm_per_km=0.3,
+            x_ohm_per_km=0.2,
+            c_nf_per_km=0.0,
+            max_i_ka=1.0,
+        )
+    for bus in (1, 2, 3):
+        pp.create_load(net, bus, p_mw=0.1, q_mvar=0.03)
+    for create in add:
+        create(net)
+    return import_network(net)
+
+
+def storage(**values: float) -> Any:
+    return lambda net: pp.create_storage(net, 2, **{"p_mw": 0.0, "max_e_mwh": np.nan, **values})
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        # energy and power given: soc limits from the least energy, start from the percentage
+        (
+            {"p_mw": 0.0, "max_e_mwh": 0.4, "min_e_mwh": 0.04, "sn_mva": 0.1, "soc_percent": 50.0},
+            {
+                "energy_kwh": 400,
+                "p_max_kw": 100,
+                "s_max_kva": 100,
+                "soc_min": 0.1,
+                "soc_initial": 0.5,
+            },
+        ),
+        # no energy: two hours of the power; a start that is unknown is the lowest
+        ({"p_mw": 0.05}, {"energy_kwh": 100, "p_max_kw": 50, "s_max_kva": 50, "soc_initial": 0.0}),
+        # no power: emptied in two hours
+        ({"max_e_mwh": 0.3}, {"energy_kwh": 300, "p_max_kw": 150, "s_max_kva": 150}),
+        # the smaller limit of both directions, within the inverter's rating
+        (
+            {"max_e_mwh": 0.3, "max_p_mw": 0.2, "min_p_mw": -0.1, "sn_mva": 0.08},
+            {"energy_kwh": 300, "p_max_kw": 80, "s_max_kva": 80},
+        ),
+        # a limit of 0 in one direction says nothing (SimBench)
+        ({"max_e_mwh": 0.3, "max_p_mw": 0.0, "min_p_mw": -0.1}, {"p_max_kw": 100}),
+    ],
+)
+def test_battery_of_the_source(values: dict[str, float], expected: dict[str, float]) -> None:
+    day = new_scenario(feeder_with(storage(**values)))
+    assert day.batteries.bus.tolist() == [2]
+    found = {name: float(getattr(day.batteries, name)[0]) for name in expected}
+    assert found == pytest.approx(expected)
+
+
+def test_batteries_count_in_the_operating_point() -> None:
+    feeder = feeder_with(storage(p_mw=0.05, q_mvar=0.01, max_e_mwh=0.1))
+    p_kw, q_kvar = feeder.injection
+    assert p_kw.tolist() == pytest.approx([0, -100, -150, -100, 0])
+    assert q_kvar.tolist() == pytest.approx([0, -30, -40, -30, 0])
+    assert feeder.deviation is not None
+    assert feeder.deviation.v_max_pu < 1e-6
+
+
+def test_two_batteries_at_a_bus_and_an_invented_one() -> None:
+    feeder = feeder_with(storage(max_e_mwh=0.1), storage(max_e_mwh=0.2))
+    options = NewScenarioOptions(add_batteries=True)
+    day = new_scenario(feeder, options)
+    assert day.batteries.id.tolist() == ["b2", "b2_2", "b1", "b2_added", "b3"]
+    notes = assumptions(feeder, day, options)
+    assert "2 batteries of 300.0 kWh and 150.0 kW of the source." in notes
+    assert any("3 batteries of 187.5 kWh" in note and "invented" in note for note in notes)
+
+
+def test_generators_by_kind() -> None:
+    feeder = feeder_with(
+        lambda net: pp.create_sgen(net, 2, p_mw=0.02, sn_mva=0.025, type="PV"),
+        lambda net: pp.create_sgen(net, 2, p_mw=0.04, type="WP"),
+        lambda net: pp.create_sgen(net, 4, p_mw=0.06, name="Windpark"),
+        lambda net: pp.create_sgen(net, 3, p_mw=0.07, type="tidal"),
+    )
+    day = new_scenario(feeder)
+    assert day.pv.id.tolist() == ["pv2", "wind2", "wind4", "tidal3"]
+    assert day.pv.customer.tolist() == ["c2", "", "", "c3"]
+    assert day.pv.bus.tolist() == [None, 2, 4, None]
+    assert day.pv.s_max_kva.tolist() == [25.0, 40.0, 60.0, 70.0]
+    assert day.pv.buses(day.customers).tolist() == [2, 2, 4, 3]
+    notes = assumptions(feeder, day, NewScenarioOptions())
+    assert (
+        "1 PV system, 2 wind systems, 1 tidal system, 190.0 kW (the source's); without a customer, "
+        "all exported or curtailed: wind2, wind4." in notes
+    )
+    assert "Without a series, at their largest power in every step: wind2, wind4, tidal3." in notes
+
+
+def test_generators_with_a_fuel_are_named_with_their_size() -> None:
+    feeder = feeder_with(
+        lambda net: pp.create_sgen(net, 2, p_mw=0.31, name="CHP diesel 1", type="CHP diesel"),
+        lambda net: pp.create_sgen(net, 3, p_mw=0.05, type="wye", name="Genset"),
+    )
+    day = new_scenario(feeder)
+    assert len(day.pv) == 0
+    assert (
+        "Generators with a fuel of their own are left out: sgen 0 (CHP diesel 1), chp, 310 kW, sgen 1 "
+        "(Genset), genset, 50 kW. The 360 kW that they give in the source come from the grid here, "
+        "and are missing in an island."
+    ) in assumptions(feeder, day, NewScenarioOptions())
+
+
+def test_motor_is_a_load() -> None:
+    feeder = feeder_with(
+        lambda net: pp.create_motor(
+            net, 2, pn_mech_mw=0.09, cos_phi=0.8, efficiency_percent=90.0, loading_percent=50.0
+        )
+    )
+    # 90 kW at half load and 90 % efficiency draw 50 kW; at a power factor of 0.8, 37.5 kvar.
+    assert feeder.p_load_kw[feeder.network.bus_index[2]] == pytest.approx(150.0)
+    assert feeder.q_load_kvar[feeder.network.bus_index[2]] == pytest.approx(67.5)
+    assert feeder.deviation is not None
+    assert feeder.deviation.v_max_pu < 1e-6
+
+
+def test_flags_and_controllers_are_named() -> None:
+    def controlled(net: Any) -> None:
+        net.load["controllable"] = [True, False, True]
+        pp.create_load(net, 4, p_mw=0.01)
+        trafo = pp.control.ConstControl(net, "load", "p_mw", element_index=[0])
+        assert trafo.index == 0
+
+    notes = feeder_with(controlled).notes
+    assert "Not controllable in the source, and customers like any other: load 1, load 3." in notes
+    assert "Controllers of the source do not act: ConstControl 0 (load)." in notes

@@ -1,0 +1,60 @@
+"""What the source's word for a generator means here."""
+
+from __future__ import annotations
+
+import re
+
+PV = "pv"
+WIND = "wind"
+UNKNOWN = "generator"
+"""Kind of a generator of which the source says nothing."""
+
+_WORDS = (
+    (PV, r"pv|solar|photovolt"),
+    (WIND, r"wind|wka|wea\b|wp\b|wt\b|wtg"),
+    ("hydro", r"hydro|run.?of.?river|small.?water"),
+    ("biomass", r"biomass|biogas|bm\b"),
+    ("chp", r"chp|bhkw|co-?gen|combined.heat"),
+    ("genset", r"diesel|gen.?set|gas|oil\b|coal|nuclear|turbine|engine|synchronous|machine"),
+    ("fuel cell", r"(residential )?fuel.?cell"),
+)
+# The connection of the windings, which pandapower writes where no type is given.
+_NO_WORD = ("", "wye", "delta", "none", "nan", "gen")
+_FUELLED = ("chp", "genset", "fuel cell")
+
+
+def kind_of(word: str, name: str = "") -> str:
+    """Kind of a generator by the source's word, or by the element's name if there is no word.
+
+    Returns
+    -------
+    str
+        ``pv``, ``wind``, ``hydro``, ``biomass``, ``chp``, ``genset``, ``fuel cell``, the
+        source's own word, or ``generator`` where the source says nothing.
+
+    Examples
+    --------
+    >>> kind_of("WP"), kind_of("wye", "PV 3"), kind_of("CHP diesel"), kind_of("tidal")
+    ('wind', 'pv', 'chp', 'tidal')
+    """
+    own = word.strip()
+    if own.lower() in _NO_WORD:
+        return _known(name.strip()) or UNKNOWN
+    return _known(own) or own.lower()
+
+
+def burns_fuel(kind: str) -> bool:
+    """Whether a generator of this kind has a fuel and a control that the model does not know.
+
+    >>> burns_fuel("chp"), burns_fuel("wind")
+    (True, False)
+    """
+    return kind in _FUELLED
+
+
+def _known(text: str) -> str | None:
+    """The first kind whose words begin the text, or a later word of it."""
+    for kind, pattern in _WORDS:
+        if re.search(rf"(?<![a-z])({pattern})", text, re.IGNORECASE):
+            return kind
+    return None
