@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -200,7 +200,7 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(step)
+        self._records.append(_alone(step))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -267,6 +267,15 @@ class Recorder:
                 **changing,
             }
         )
+
+
+def _alone(step: StepRecord) -> StepRecord:
+    """The record without what its arrays are parts of: a row would keep its whole window."""
+    tables: dict[str, Any] = {
+        name: {column: np.array(values) for column, values in getattr(step, name).items()}
+        for name in ITEM_COLUMNS
+    }
+    return replace(step, **tables)
 
 
 def write_tables(trajectory: Trajectory, folder: Path) -> None:

@@ -55,6 +55,7 @@ UNSUPPORTED = (
     "load_dc",
     "source_dc",
 )
+LOOPS_SHOWN = 2
 # Columns of the tables of pandapower's case.
 COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8}
 B = 4
@@ -91,7 +92,7 @@ def feeder_of(
     open_named(net, name, open_branches)
     case = case_of(net)
     joined, stubs, closed = _joined(case)
-    _raise(_check_branches(joined.branches, name) or _check_loops(joined.branches, joined, name))
+    _raise(_check_loops(joined.branches, name) or _check_branches(joined.branches, name))
     ids = _identifiers(joined, bus_ids)
     solved = solve_source(net)
     loads = _loads(net, joined, ids)
@@ -324,27 +325,30 @@ def _check_branches(branches: pd.DataFrame, name: str) -> list[Problem]:
     return []
 
 
-def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
-    """One problem per loop, with the branches of which one has to be opened."""
+def _check_loops(branches: pd.DataFrame, name: str) -> list[Problem]:
+    """One problem for all loops, with the branches of the first ones."""
+    if branches.empty:
+        return []
     merged = parallel_as_one(branches)
-    source = {row: bus for bus, row in reversed([*case.bus_at.items()])}
     between = {
         frozenset((a, b)): branch
         for a, b, branch in zip(merged["from"], merged["to"], merged["label"], strict=True)
     }
-    problems = []
-    for row, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
+    loops = []
+    for _, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
         pairs = zip(loop, [*loop[1:], loop[0]], strict=True)
-        choices = [between[frozenset((int(a), int(b)))] for a, b in pairs]
-        buses = " - ".join(str(source.get(int(bus), "star point")) for bus in loop)
-        problems.append(
-            Problem(
-                name,
-                f"{merged['label'][row]} closes a loop: bus {buses}",
-                f"The feeder must be radial: open one of {few(choices)}.",
-            )
+        loops.append([between[frozenset((int(a), int(b)))] for a, b in pairs])
+    if not loops:
+        return []
+    shown = "; ".join(few(loop) for loop in loops[:LOOPS_SHOWN])
+    return [
+        Problem(
+            name,
+            f"is meshed, with {len(loops)} loop{'s' if len(loops) > 1 else ''}",
+            "The feeder must be radial: let --open-loops open the branches with the least current, "
+            f"or open one of each loop with --open; the first consist of {shown}.",
         )
-    return problems
+    ]
 
 
 def _identifiers(case: NetCase, bus_ids: Mapping[int, BusId] | None) -> dict[int, BusId]:

@@ -24,6 +24,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import StepRecord
+from vppres.live.feed import Feed, extended
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.physics.cold_load import ColdLoad
@@ -31,6 +32,9 @@ from vppres.plant.plant import BatteryState
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
+
+ENDLESS = 2**40
+"""Steps that a controller may be fed with in its life."""
 
 
 class Feeder(Protocol):
@@ -131,6 +135,8 @@ class Controller:
         self.scenario = scenario
         self.options = options
         self._decider = decider
+        # Steps of controllers count on from the very first one; the scenario begins later.
+        self._forgotten = 0
         self._past = _Past.before_the_day(scenario, options)
         self._step_before: tuple[Memory, _Past] | None = None
         self._turn = threading.Lock()
@@ -160,17 +166,59 @@ class Controller:
         )
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
-        return cls(scenario, exact, make_controller(scenario, exact))
+        endless = replace(scenario.grid, n_steps=ENDLESS)
+        return cls(scenario, exact, make_controller(scenario, exact, grid=endless))
 
     @property
     def times(self) -> pd.DatetimeIndex:
-        """Beginnings of the steps that can be decided on."""
+        """Beginnings of the steps that are known: those that can be decided on, and the past."""
         return self.scenario.grid.times
 
     def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
-        """Times for which the decision at ``time`` uses forecasts, ``time`` itself included."""
-        steps = self._decider.horizon_steps(step_at(self.scenario.grid, time))
+        """Times for which the decision at ``time`` uses forecasts, ``time`` itself included.
+
+        A window ends where what is known ends.
+        """
+        steps = self._window(step_at(self.scenario.grid, time))
         return self.times[steps.start : steps.stop]
+
+    def _window(self, row: int) -> range:
+        """Rows of the scenario that a decision looks at, cut where it ends."""
+        stop = self._decider.horizon_steps(row + self._forgotten).stop - self._forgotten
+        return range(row, min(stop, self.scenario.grid.n_steps))
+
+    def extend(
+        self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
+    ) -> None:
+        """Append steps to what is known, so that the controller rolls on; nothing else changes.
+
+        State, duties, plan and operating point go on over the seam. Fed in pieces of any length, a
+        controller decides the same to the last bit as one that was given everything at once,
+        wherever the windows that it looks at are known.
+
+        Parameters
+        ----------
+        more : Scenario or Feed
+            Steps that begin where the known ones end; a scenario of the same site, of which only
+            the series count, or the series alone.
+        replacing : bool, optional
+            Whether ``more`` may begin at any step that is not decided yet, and takes the place of
+            all that was known from there on.
+        forget : bool, optional
+            Whether steps before the last decided one are dropped, so that memory stays bounded.
+
+        Raises
+        ------
+        InputError
+            For another site, gaps, overlaps, steps that are over, and with every value that is
+            wrong. Then nothing has changed.
+        """
+        with self._turn:
+            latest = self._past.t - self._forgotten
+            self.scenario = extended(self.scenario, more, latest + 1, replacing=replacing)
+            if forget and latest > 0:
+                self.scenario = self.scenario.between(latest, self.scenario.grid.n_steps)
+                self._forgotten += latest
 
     def step(self, observation: Measurement) -> SetPoints:
         """Decide on the step that begins now.
@@ -204,10 +252,11 @@ class Controller:
 
     def _step(self, observation: Measurement) -> SetPoints:
         """One step, undone if it fails."""
-        seen = see(self.scenario, observation, self.options.guard, max(self._past.t, 0))
+        earliest = max(self._past.t - self._forgotten, 0)
+        seen = see(self.scenario, observation, self.options.guard, earliest)
         latest = Memory(self._decider)
         start = (latest, self._past)
-        if seen.t == self._past.t and self._step_before is not None:
+        if seen.t + self._forgotten == self._past.t and self._step_before is not None:
             start = self._step_before
         try:
             start[0].restore()
@@ -226,14 +275,17 @@ class Controller:
         return _set_points(scenario, record)
 
     def _decided(self, seen: Seen, past: _Past) -> tuple[Scenario, StepRecord, _Past]:
-        """The scenario as it is believed to be, what was decided, and what to remember of it."""
-        switching, cold_load = past.held_until(seen.t)
-        steps = self._decider.horizon_steps(seen.t)
-        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(seen.t, steps)
+        """The window as it is believed to be, what was decided, and what to remember of it."""
+        t = seen.t + self._forgotten
+        switching, cold_load = past.held_until(t)
+        seen = seen.window(self._window(seen.t))
+        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(
+            0, range(seen.scenario.grid.n_steps)
+        )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
         measured = Observation(
-            seen.t,
+            t,
             replace(
                 forecast,
                 load_kw=_first_row(forecast.load_kw, seen.load_kw),
@@ -266,7 +318,7 @@ class Controller:
             scenario,
             record,
             _Past(
-                seen.t,
+                t,
                 day.operating_point,
                 day.switching,
                 day.plant.cold_load,
