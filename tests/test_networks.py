@@ -218,7 +218,7 @@ def test_a_source_that_does_not_converge_says_so(tmp_path: Path) -> None:
 
 def test_what_differs_needs_to_be_accepted(tmp_path: Path) -> None:
     net = two_buses()
-    net.line["length_km"] = 16.0
+    net.line["length_km"] = 13.5
     net.load[["p_mw", "q_mvar"]] *= 15
     net.load["const_z_p_percent"] = net.load["const_z_q_percent"] = 100.0
     feeder = import_network(net)

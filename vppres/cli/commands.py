@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import sys
 import traceback
@@ -340,6 +341,8 @@ def new(
     add_batteries: cli_new.AddBatteries = False,
     battery_kwh_per_peak_kw: cli_new.BatterySize = None,
     price: cli_new.Price = "time-of-use",
+    export_limit: cli_new.ExportLimit = math.inf,
+    export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
     accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
@@ -367,6 +370,8 @@ def new(
             add_batteries=add_batteries,
             battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
             price=price,
+            export_limit_kw=export_limit,
+            export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
             accept_deviation=accept_deviation,
         )

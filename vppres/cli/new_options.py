@@ -95,6 +95,10 @@ BatterySize = Annotated[
     ),
 ]
 Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+ExportLimit = Annotated[
+    float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
+]
+ExportPrice = Annotated[float, typer.Option(metavar="GBP", help="What an exported kWh earns.")]
 AcceptDeviation = Annotated[
     bool,
     typer.Option(

@@ -136,6 +136,8 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
         temperature_c=np.full(grid.n_steps, TEMPERATURE_C),
         grid_limit_kw=_grid_limit(options, grid),
         tiers=tuple(assets.tiers),
+        export_limit_kw=np.array(options.export_limit_kw),
+        export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
     )
 

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,26 +23,18 @@ from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
+from vppres.day.trajectory import Feeder, StepRecord
+from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
-from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
 ENDLESS = 2**40
 """Steps that a controller may be fed with in its life."""
-
-
-class Feeder(Protocol):
-    """What :func:`vppres.feeders.sources.import_network` yields; only the buses matter here."""
-
-    @property
-    def bus_of(self) -> Mapping[int, BusId]:
-        """Bus of the scenario for every bus of the source."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +61,8 @@ class SetPoints:
         How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
         none was needed) with its ``fallback_reason``; and what was ``estimated``.
+    feeding : Feeding
+        What holds the voltage: the grid, a battery, or nobody.
     """
 
     time: pd.Timestamp
@@ -78,24 +72,31 @@ class SetPoints:
     buses: pd.DataFrame
     import_kw: float
     solve: Mapping[str, Any]
+    feeding: Feeding
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
         """Write the set-points into a pandapower net.
 
-        Loads of the customers get their measured demand (0 if they are off), PV systems become
-        static generators and batteries become storages, named by their identifiers. Everything
-        else in the net stays as it is.
+        What the scenario took over (loads, generators, storages) is switched off. Customers become
+        loads with their measured demand (0 if they are off), PV systems static generators and
+        batteries storages, named by their identifiers and marked in a column ``vppres``. In an
+        outage the grid is opened; where batteries hold the island, a source at the bus of the
+        largest holds its voltage and gives nothing.
 
         Parameters
         ----------
         net : pandapowerNet
-            The net that the feeder was imported from.
+            The net that the feeder was imported from; branches opened for the import are open.
         feeder : ImportedFeeder
             What :func:`vppres.feeders.sources.import_network` made of it.
         """
-        from vppres.feeders.actuate import write_set_points
+        from vppres.feeders.actuate import Powers, put_into_net
 
-        write_set_points(net, feeder.bus_of, self.customers, self.pv, self.batteries)
+        on = self.customers["served"]
+        drawn = self.customers.assign(
+            p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
+        )
+        put_into_net(net, feeder.bus_of, Powers(drawn, self.pv, self.batteries, self.feeding))
 
     def _repr_html_(self) -> str:
         """Heading and tables for a notebook."""
@@ -407,6 +408,12 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
         buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
         import_kw=float(step.steps["p_grid_kw"]),
         solve={**solve, "reason": step.steps["correction_reason"]},
+        feeding=Feeding.of(
+            scenario,
+            bool(scenario.outage[step.t]),
+            str(step.steps["mode"]),
+            np.asarray(step.buses["v_ac_pu"], dtype=float),
+        ),
     )
 
 
