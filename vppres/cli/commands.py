@@ -346,6 +346,7 @@ def new(
     export_limit: cli_new.ExportLimit = math.inf,
     export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
+    accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
@@ -374,6 +375,7 @@ def new(
             export_limit_kw=export_limit,
             export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
+            accept_deviation=accept_deviation,
         )
         feeder = import_network(
             network,
