@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import sys
 import traceback
@@ -28,7 +29,9 @@ from vppres.cli.tables import (
     content_of,
     error_panel,
     figures_table,
+    phases_table,
     problem_record,
+    recheck_lines,
     remarks_text,
     sweep_table,
     validation_text,
@@ -194,19 +197,34 @@ def report(
         Path | None,
         typer.Option(metavar="FILE", help="HTML file; report.html in the run folder if not given."),
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print it as PDF beside the HTML file, with a browser.")
+    ] = False,
+    voll: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GBP_PER_KWH",
+            min=0.0,
+            help="Value of lost load for energy not supplied; the scenario's if not given.",
+        ),
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     with _plain_errors(debug):
         from vppres.io.atomic import check_file
-        from vppres.report.finished import read_finished, rewrite_report
+        from vppres.report.finished import priced, read_finished, rewrite_report
+        from vppres.report.pdf import find_browser
         from vppres.report.run_folder import REPORT_FILE
 
         file = out or run_folder / REPORT_FILE
         if out is not None:
             check_file(out)  # before the work, not after it
-        rewrite_report(read_finished(run_folder), file)
-        typer.echo(f"Written to {file}")
+        browser = find_browser() if pdf else ""
+        done = read_finished(run_folder)
+        done = done if voll is None else priced(done, voll)
+        for written in rewrite_report(done, file, browser):
+            typer.echo(f"Written to {written}")
 
 
 @app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
@@ -309,6 +327,9 @@ def new(
     folder: cli_new.NewFolder,
     source: cli_new.From = None,
     open_branch: cli_new.Open = None,
+    open_loops: cli_new.OpenLoops = False,
+    slack: cli_new.Slack = None,
+    balance: cli_new.Balance = False,
     outage: cli_new.Outages = None,
     start: cli_new.Start = "2025-07-01T00:00Z",
     step_minutes: cli_new.StepMinutes = 60.0,
@@ -322,7 +343,10 @@ def new(
     add_batteries: cli_new.AddBatteries = False,
     battery_kwh_per_peak_kw: cli_new.BatterySize = None,
     price: cli_new.Price = "time-of-use",
+    export_limit: cli_new.ExportLimit = math.inf,
+    export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
+    accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
@@ -348,11 +372,54 @@ def new(
             add_batteries=add_batteries,
             battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
             price=price,
+            export_limit_kw=export_limit,
+            export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
+            accept_deviation=accept_deviation,
         )
-        feeder = import_network(network, source, open_branch or ())
+        feeder = import_network(
+            network,
+            source,
+            open_branch or (),
+            open_loops=open_loops,
+            slack=slack,
+            balance=balance,
+        )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
+        typer.echo(f"Written to {folder}")
+
+
+@app.command(epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
+def recheck(
+    run_folder: RunFolder,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="The .dss file that the scenario is made from.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where to write; RUN_FOLDER/recheck if not given."),
+    ] = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
+    with _plain_errors(debug):
+        from vppres.feeders.recheck import recheck_opendss
+        from vppres.io.atomic import check_target
+        from vppres.report.finished import read_finished
+        from vppres.report.rechecked import write_recheck
+
+        folder = out or run_folder / "recheck"
+        check_target(folder)  # before the work, not after it
+        run = read_finished(run_folder).trajectory
+        summary = write_recheck(run, recheck_opendss(run.tables, source), folder)
+        if as_json:
+            _print_json({"folder": str(folder), **summary})
+            return
+        Console().print(phases_table(summary))
+        for line in recheck_lines(summary):
+            typer.echo(line)
         typer.echo(f"Written to {folder}")
 
 

@@ -28,6 +28,23 @@ Open = Annotated[
         help="Open a branch, as 'line 7' or by its name; may be repeated.",
     ),
 ]
+OpenLoops = Annotated[
+    bool,
+    typer.Option(
+        "--open-loops",
+        help="Open the branches with the least current until the network is radial.",
+    ),
+]
+Slack = Annotated[
+    str | None,
+    typer.Option(
+        metavar="GRID",
+        help="The grid connection of several, by its name or bus, or 'all' to join them.",
+    ),
+]
+Balance = Annotated[
+    bool, typer.Option("--balance", help="Spread loads of single phases over three.")
+]
 Outages = Annotated[
     list[str] | None,
     typer.Option(
@@ -78,6 +95,17 @@ BatterySize = Annotated[
     ),
 ]
 Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+ExportLimit = Annotated[
+    float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
+]
+ExportPrice = Annotated[float, typer.Option(metavar="GBP", help="What an exported kWh earns.")]
+AcceptDeviation = Annotated[
+    bool,
+    typer.Option(
+        "--accept-deviation",
+        help="Import even where voltages are more than 0.005 pu from the source's.",
+    ),
+]
 SlackVoltage = Annotated[
     float | None,
     typer.Option(metavar="PU", help="Voltage of the slack bus; the network's if not given."),

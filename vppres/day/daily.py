@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import tzinfo
-
 import numpy as np
 import pandas as pd
 
@@ -13,7 +11,7 @@ from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
 
 
-def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataFrame:
+def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
     """Figures of each calendar day of a run; energies and costs add up to those of the summary.
 
     A day is one of the clocks of a time zone: where they are changed it has 23 or 25 hours.
@@ -22,15 +20,16 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     ----------
     run : Trajectory
         A finished run.
-    zone : tzinfo or str, optional
-        Whose days; those of the scenario's own times if not given.
+    zone : str, optional
+        Name of the time zone; the scenario's if not given.
 
     Returns
     -------
     DataFrame
         One row per day with ``day`` (ISO 8601), ``hours`` and ``outage_h``; ``resilience`` and
         ``unserved_customer_h``; ``demand_kwh``, ``unserved_kwh``, ``import_kwh``,
-        ``pv_available_kwh``, ``pv_curtailed_kwh`` and ``losses_kwh``; ``cost_gbp``;
+        ``pv_available_kwh``, ``pv_curtailed_kwh`` and ``losses_kwh``; ``cost_gbp`` of the import;
+        ``export_kwh`` and ``export_revenue_gbp``;
         ``stored_start_kwh`` and ``stored_end_kwh`` of all batteries; ``v_min_ac_pu`` and
         ``v_max_ac_pu``; ``switching_actions`` of all customers and ``actions_max`` of one;
         ``fallbacks`` and ``solve_s``. ``resilience`` is NaN where a day has no outage.
@@ -45,6 +44,9 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     outage = steps["outage"].to_numpy(bool)
     connected = ~outage
     p_grid_kw = steps["p_grid_kw"].to_numpy(float) * connected
+    if run.scenario.exports:
+        p_grid_kw = np.maximum(p_grid_kw, 0.0)
+    earned = run.scenario.export_price[: len(steps)]
     demand = demand_kw(run)
     served = run.customers["served"].to_numpy(bool).reshape(len(steps), -1)
     weight = run.scenario.customers.weight
@@ -70,6 +72,8 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
             "pv_curtailed_kwh": dt_h * total(per_step(run, run.pv["curtailed_kw"], run.pv)),
             "losses_kwh": dt_h * total(steps["losses_kw"].to_numpy(float)),
             "cost_gbp": dt_h * total(price * p_grid_kw),
+            "export_kwh": dt_h * total(run.exported_kw),
+            "export_revenue_gbp": dt_h * total(earned * run.exported_kw),
             "stored_start_kwh": stored[first],
             "stored_end_kwh": stored[np.append(first[1:], len(steps))],
             "v_min_ac_pu": np.minimum.reduceat(steps["v_min_ac_pu"].to_numpy(float), first),
@@ -82,18 +86,18 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     )
 
 
-def spans_days(run: Trajectory, zone: tzinfo | str | None = None) -> bool:
+def spans_days(run: Trajectory, zone: str | None = None) -> bool:
     """Whether a run has steps of more than one calendar day."""
     return len(_first_steps(run, zone)) > 1
 
 
-def _times(run: Trajectory, zone: tzinfo | str | None) -> pd.DatetimeIndex:
+def _times(run: Trajectory, zone: str | None) -> pd.DatetimeIndex:
     """Beginnings of the steps as the clocks of a time zone show them."""
     times = pd.DatetimeIndex(run.steps["time"])
-    return times.tz_convert(zone or run.scenario.grid.start.tzinfo)
+    return times.tz_convert(zone or run.scenario.grid.zone)
 
 
-def _first_steps(run: Trajectory, zone: tzinfo | str | None) -> Wholes:
+def _first_steps(run: Trajectory, zone: str | None) -> Wholes:
     """The first step of each day."""
     midnight = _times(run, zone).tz_localize(None).normalize()
     return np.flatnonzero(np.append(True, midnight[1:] != midnight[:-1]))

@@ -38,7 +38,12 @@ Table = list[dict[str, Any]]
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
-    commands = job["commands"]
+    problems = build(job["commands"])
+    return {"problems": problems} if problems else _tables()
+
+
+def build(commands: list[str]) -> Problems:
+    """Build the circuit; what is wrong with it."""
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
@@ -50,17 +55,14 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
             dss.Text.Command(command)
             done += 1
     except Exception as error:  # the engine's own class has no public name
-        return {
-            "problems": [
-                {
-                    "message": f"OpenDSS refuses the file ({str(error).strip()})",
-                    "cure": CURE,
-                    "command": done if done < len(commands) else None,
-                }
-            ]
-        }
-    problems = [p for name in _elements() if (p := _problem(name))] or _check_levels()
-    return {"problems": problems} if problems else _tables()
+        return [
+            {
+                "message": f"OpenDSS refuses the file ({str(error).strip()})",
+                "cure": CURE,
+                "command": done if done < len(commands) else None,
+            }
+        ]
+    return [p for name in _elements() if (p := _problem(name))] or _check_levels()
 
 
 @cache
@@ -168,6 +170,7 @@ def _tables() -> dict[str, Any]:
         "lines": list(_lines()),
         "transformers": list(_transformers()),
         "powers": list(_powers()),
+        "single_phases": _single_phases(),
         "notes": list(_notes()),
     }
 
@@ -223,6 +226,7 @@ def _powers() -> Iterator[dict[str, Any]]:
     for kind in ("load", "generator", "pvsystem"):
         for name in _of(kind):
             bus = _buses()[0]
+            nodes = _phases_of_active()
             if kind == "pvsystem":
                 dss.PVsystems.Name(name)
                 p_kw = float(dss.PVsystems.Pmpp())
@@ -232,7 +236,31 @@ def _powers() -> Iterator[dict[str, Any]]:
                 table.Name(name)
                 p_kw = float(table.kW())
                 q_kvar = float(table.kvar())
-            yield {"kind": kind, "name": name, "bus": bus, "p_kw": p_kw, "q_kvar": q_kvar}
+            yield {
+                "kind": kind,
+                "name": name,
+                "bus": bus,
+                "p_kw": p_kw,
+                "q_kvar": q_kvar,
+                "nodes": nodes,
+            }
+
+
+def _phases_of_active() -> list[int]:
+    """Phases that the active element's first terminal is at, from 1 to 3."""
+    nodes = dss.CktElement.NodeOrder()[: dss.CktElement.NumConductors()]
+    return sorted({int(node) for node in nodes} & {1, 2, 3})
+
+
+def _single_phases() -> dict[str, list[int]]:
+    """Of each kind, how many elements have fewer than three phases, and how many there are."""
+    found = {}
+    for kind in ("line", "transformer", "load", "generator", "pvsystem"):
+        phases = [dss.CktElement.NumPhases() for _ in _of(kind)]
+        few = sum(count < THREE_PHASES for count in phases)
+        if few:
+            found[kind] = [few, len(phases)]
+    return found
 
 
 def _notes() -> Iterator[str]:

@@ -12,19 +12,19 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
-_WITHOUT_EFFECT = {"source", "zone"}
+_WITHOUT_EFFECT = {"source", "voll_gbp_per_kwh", "zone"}
 
 
 def scenario_digest(scenario: Scenario) -> str:
     """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
 
     The file format, the order of the lines and the way a number was written (``60`` or ``60.0``)
-    do not matter; every value, identifier and name does. Where the feeder comes from and the zone
-    of its clocks do not: no result depends on them.
+    do not matter; every value, identifier and name does. Where the feeder comes from, the zone
+    of its clocks and the value of lost load do not: no decision depends on them.
     """
     text = json.dumps(_canonical(scenario), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -41,6 +41,9 @@ def _canonical(value: Any) -> Any:
         # A connection that imports only keeps the digest from before there was another.
         if isinstance(value, Scenario) and not value.exports:
             left_out = left_out | _EXPORT
+        # So does a run whose batteries may end empty.
+        if isinstance(value, ControllerDefaults) and value.soc_end is None:
+            left_out = left_out | {"soc_end"}
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):

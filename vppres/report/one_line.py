@@ -16,6 +16,7 @@ from matplotlib.colors import to_hex
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.tree_layout import tree_layout
 
 COLUMN_PX = 50
@@ -149,10 +150,10 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(n_steps, -1)
     served = run.customers["served"].to_numpy(bool).reshape(n_steps, -1)
     soc = run.batteries["soc_end"].to_numpy(float).reshape(n_steps, -1)
-    times = run.steps["time"].dt.tz_convert("UTC")
+    clock = Clock.of(run)
     return {
         "start": worst_step(run),
-        "time": [f"{time:%d %b %H:%M}" for time in times],
+        "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
         "bus": _digits(_voltage_classes(run, v)),
@@ -201,10 +202,17 @@ def _info(run: Trajectory) -> list[str]:
     shares = service_by_tier(run)
     lines = []
     for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
-        grid = "outage" if step["outage"] else f"import {step['p_grid_kw']:,.0f} kW"
+        grid = "outage" if step["outage"] else _exchange(float(step["p_grid_kw"]))
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         lines.append(f"{grid}; served: {tiers}; lowest voltage {step['v_min_ac_pu']:.4f} pu")
     return lines
+
+
+def _exchange(p_grid_kw: float) -> str:
+    """Import or export in words."""
+    if p_grid_kw < -0.5:
+        return f"export {-p_grid_kw:,.0f} kW"
+    return f"import {p_grid_kw:,.0f} kW"
 
 
 def _digits(classes: Wholes) -> list[str]:
