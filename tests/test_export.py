@@ -306,7 +306,8 @@ def test_the_report_and_the_reasons_name_the_limit(tiny: Scenario) -> None:
     )
     summary = summarise(run)
     assert any(
-        "and exported 240 kWh, which earned 24" in line for line in sentences_of(run, summary)
+        "and exported 240 kWh, which earned 23.99 GBP" in line
+        for line in sentences_of(run, summary)
     )
     figure = import_load_pv({"run": run})
     assert figure.axes[0].get_ylim()[0] < -60.0
