@@ -182,7 +182,6 @@ def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
         exporting=True,
         one_way=True,
         ending=data.ending,
-        ending=data.ending,
     )
     model.fill(data)
     model.service_min.value = units_min * model.grid
