@@ -21,7 +21,7 @@ from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kva_to_a, mw_to_kw
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
 from vppres.feeders.feeder import Deviation, ImportedFeeder
-from vppres.feeders.net_assets import generators_of, motors_as_loads, storages_of
+from vppres.feeders.net_assets import generators_of, loads_of, motors_as_loads, storages_of
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva, shared_rating
 from vppres.io.messages import did_you_mean
@@ -101,6 +101,7 @@ def feeder_of(
         tier=loads.tier,
         generators=generators_of(net, case, ids),
         storages=storages,
+        loads=loads_of(net, case, ids),
         bus_of={bus: ids[row] for bus, row in case.bus_at.items()},
         notes=(*notes_of(net, case, stubs), *storage_notes),
     )

@@ -12,8 +12,9 @@ from types import ModuleType
 from typing import Any, Literal, get_args
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.reduce import feeder_of
+from vppres.feeders.source_series import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean
 from vppres.scenario.network import BusId
 
@@ -40,6 +41,7 @@ class _Net:
     net: Any
     bus_ids: Mapping[int, BusId] | None = None
     notes: tuple[str, ...] = ()
+    profiles: tuple[Profile, ...] = ()
 
 
 def import_network(
@@ -68,7 +70,8 @@ def import_network(
     """
     if not isinstance(name_or_file, (str, Path)):
         with _quiet():
-            return feeder_of(name_or_file, "pandapower net", open_branches)
+            feeder = feeder_of(name_or_file, "pandapower net", open_branches)
+            return _with_profiles(feeder, profiles_of(name_or_file))
     text = str(name_or_file)
     if source not in (None, *get_args(Source)):
         raise InputError(
@@ -84,7 +87,14 @@ def import_network(
         read = NAMED[text] if source is None and text in NAMED else _reader(text, source)
         found = read()
         feeder = feeder_of(found.net, Path(text).name, open_branches, found.bus_ids)
+        feeder = _with_profiles(feeder, found.profiles or profiles_of(found.net))
     return replace(feeder, notes=found.notes + feeder.notes)
+
+
+def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:
+    """The feeder with the series of the elements that it has."""
+    known = {*feeder.loads.id, *feeder.generators.id, *feeder.storages.id}
+    return replace(feeder, profiles=tuple(p for p in profiles if p.name in known))
 
 
 @contextmanager
@@ -151,12 +161,13 @@ def _pandapower(path: Path) -> _Net:
     from vppres.feeders.pandapower_json import read_pandapower
 
     try:
-        net, notes = read_pandapower(path)
+        net, notes, constants = read_pandapower(path)
+        profiles = control_profiles(net, controls_in_json(constants))
     except InputError:
         raise
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         raise _unreadable(path, "pandapower JSON", error) from None
-    return _Net(net, notes=notes)
+    return _Net(net, notes=notes, profiles=profiles)
 
 
 def _matpower(path: Path) -> _Net:
