@@ -212,18 +212,23 @@ def test_set_points_in_a_pandapower_net(net: Any) -> None:
         # Nothing of this net is simplified: both power flows are of the same circuit.
         expected = decision.buses["v_ac_pu"].loc[[feeder.bus_of[i] for i in net.bus.index]]
         assert net.res_bus["vm_pu"].to_numpy() == pytest.approx(expected.to_numpy(), abs=1e-7)
-        assert net.res_ext_grid["p_mw"][0] * 1000 == pytest.approx(decision.import_kw, abs=1e-3)
+        from_grid = net.res_ext_grid["p_mw"].sum() * 1000
+        assert from_grid == pytest.approx(decision.import_kw, abs=1e-3)
+        assert net.ext_grid["in_service"][0] == decision.feeding.from_grid
     assert not decision.customers.empty
+    # What the scenario stands in for is kept, and off.
     assert (len(net.sgen), len(net.storage)) == (1 + len(day.pv), len(day.batteries))
-    assert not net.sgen["in_service"][0]  # the scenario's PV system stands in its place
-    assert net.load["p_mw"].tolist() == [0.2, 0.1, 0.3, 0.1, 9.0]
+    assert len(net.load) == 5 + len(day.customers)
+    assert net.load["p_mw"].tolist()[:5] == [0.2, 0.1, 0.3, 0.1, 9.0]
+    assert not net.load["in_service"][:5].any()
+    assert not net.sgen["in_service"][0]
 
 
 def test_set_points_of_another_net_are_refused(tiny: Scenario, net: Any) -> None:
     feeder = vppres.import_network(net)
     controller = Controller.of(tiny, RunOptions(horizon_h=0))
     decision = controller.step(Measurement(controller.times[0], SOC))
-    net.load["in_service"] = net.load["bus"] != 2
+    net.load = net.load[net.load["bus"] != 2]
     before = net.load.copy()
     with pytest.raises(InputError) as caught:
         decision.apply_to(net, feeder)

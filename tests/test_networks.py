@@ -221,20 +221,8 @@ def test_impedances_by_hand() -> None:
             "lines, or take it out of service.",
         ),
         (
-            lambda net: pp.create_ext_grid(net, 1, name="north"),
-            "pandapower net: has 2 external grids: ext_grid 0, ext_grid 1 (north). Keep the one that "
-            "feeds the feeder and take the others out of service.",
-        ),
-        (
             lambda net: net.ext_grid.drop(0, inplace=True),
             "pandapower net: has no external grid. Add one at the bus of the grid connection.",
-        ),
-        (
-            lambda net: (
-                net.ext_grid.drop(0, inplace=True),
-                pp.create_gen(net, 0, p_mw=0.0, slack=True),
-            ),
-            "pandapower net: gen 0 is the grid connection. Replace it by an external grid.",
         ),
         (
             lambda net: net.line.__setitem__("r_ohm_per_km", 0.0),
@@ -272,15 +260,6 @@ def test_refusals_name_the_element(change: Callable[[Any], object], message: str
     assert str(caught.value) == message
 
 
-def test_loops_are_listed_with_what_to_open() -> None:
-    with pytest.raises(InputError) as caught:
-        import_network(three_buses_in_a_ring())
-    assert str(caught.value) == (
-        "pandapower net: line 2 (west) closes a loop: bus 2 - 0 - 1. The feeder must be radial: "
-        "open one of line 1 (east), line 0 (feeder), line 2 (west)."
-    )
-
-
 @pytest.mark.parametrize(("opened", "fed_by"), [("line 1", 1), ("west", 0)])
 def test_a_loop_can_be_opened(opened: str, fed_by: int) -> None:
     network = import_network(three_buses_in_a_ring(), open_branches=[opened]).network
@@ -296,9 +275,8 @@ def test_an_unknown_branch_to_open_is_named() -> None:
 def test_loops_of_closed_tie_switches() -> None:
     net = pp_networks.create_cigre_network_mv()
     net.switch["closed"] = True
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="is meshed, with 3 loops"):
         import_network(net)
-    assert len(caught.value.problems) == 3
     feeder = import_network(net, open_branches=["Line 6-7", "Line 11-4", "Line 14-8"])
     assert feeder.network.n_lines == feeder.network.n_buses - 1 == 14
 
@@ -436,7 +414,8 @@ def test_opendss_states_what_single_phases_lose(tmp_path: Path) -> None:
             tmp_path,
             "new line.drop bus1=c.1 bus2=d.1 phases=1 r1=0.1 x1=0.1 r0=0.1 x0=0.1 c1=0 c0=0\n"
             "new capacitor.bank bus1=a phases=3 kv=11 kvar=50\n",
-        )
+        ),
+        balance=True,
     )
     assert (
         "1 of 3 lines have fewer than three phases; the equivalent understates their voltage "
@@ -508,8 +487,7 @@ def test_opendss_levels_that_were_not_named(tmp_path: Path) -> None:
 def test_opendss_loops_are_listed(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match=r"line 3 \(ring2\) closes a loop: .* open one of line 2 "
-        r"\(ring\), line 0 \(head\), line 3 \(ring2\)\.",
+        match=r"is meshed, with 1 loop\. .* line 2 \(ring\), line 0 \(head\), line 3 \(ring2\)\.",
     ):
         import_network(
             dss_file(

@@ -31,7 +31,17 @@ from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
 from vppres.scenario.network import Network
 
-KEYS = ["overview", "timeline", "service", "feeder", "energy", "network", "solver", "assumptions"]
+KEYS = [
+    "overview",
+    "timeline",
+    "service",
+    "feeder",
+    "energy",
+    "network",
+    "figures",
+    "solver",
+    "assumptions",
+]
 
 
 @pytest.fixture(scope="module")
@@ -312,7 +322,7 @@ def test_states_by_hand() -> None:
     assert states["outage"] == [0, 1, 1, 0]
     assert states["v"][0] == [10000, 9800, 10000, 10000]
     assert states["soc"] == [[15]] * 4
-    assert states["time"][1] == "19 Jul 00:30"
+    assert states["time"][1] == "19 Jul 00:30 UTC"
     # Step 2 serves b alone, of weight 0.1; step 1 serves a, of weight 1.
     assert states["start"] == worst_step(small_run()) == 2
 

@@ -17,6 +17,7 @@ _HOME_OF = {
     "Controller": "vppres.live.controller",
     "ForecastErrors": "vppres.contract.forecast",
     "InputError": "vppres.core.errors",
+    "Feed": "vppres.live.feed",
     "Measurement": "vppres.live.measurement",
     "NewScenarioOptions": "vppres.feeders.new_options",
     "RunOptions": "vppres.day.options",

@@ -194,19 +194,34 @@ def report(
         Path | None,
         typer.Option(metavar="FILE", help="HTML file; report.html in the run folder if not given."),
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print it as PDF beside the HTML file, with a browser.")
+    ] = False,
+    voll: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GBP_PER_KWH",
+            min=0.0,
+            help="Value of lost load for energy not supplied; the scenario's if not given.",
+        ),
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     with _plain_errors(debug):
         from vppres.io.atomic import check_file
-        from vppres.report.finished import read_finished, rewrite_report
+        from vppres.report.finished import priced, read_finished, rewrite_report
+        from vppres.report.pdf import find_browser
         from vppres.report.run_folder import REPORT_FILE
 
         file = out or run_folder / REPORT_FILE
         if out is not None:
             check_file(out)  # before the work, not after it
-        rewrite_report(read_finished(run_folder), file)
-        typer.echo(f"Written to {file}")
+        browser = find_browser() if pdf else ""
+        done = read_finished(run_folder)
+        done = done if voll is None else priced(done, voll)
+        for written in rewrite_report(done, file, browser):
+            typer.echo(f"Written to {written}")
 
 
 @app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
@@ -309,6 +324,9 @@ def new(
     folder: cli_new.NewFolder,
     source: cli_new.From = None,
     open_branch: cli_new.Open = None,
+    open_loops: cli_new.OpenLoops = False,
+    slack: cli_new.Slack = None,
+    balance: cli_new.Balance = False,
     outage: cli_new.Outages = None,
     start: cli_new.Start = None,
     date: cli_new.Date = None,
@@ -361,7 +379,14 @@ def new(
             price=price,
             v_slack_pu=v_slack,
         )
-        feeder = import_network(network, source, open_branch or ())
+        feeder = import_network(
+            network,
+            source,
+            open_branch or (),
+            open_loops=open_loops,
+            slack=slack,
+            balance=balance,
+        )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
         typer.echo(f"Written to {folder}")

@@ -28,6 +28,23 @@ Open = Annotated[
         help="Open a branch, as 'line 7' or by its name; may be repeated.",
     ),
 ]
+OpenLoops = Annotated[
+    bool,
+    typer.Option(
+        "--open-loops",
+        help="Open the branches with the least current until the network is radial.",
+    ),
+]
+Slack = Annotated[
+    str | None,
+    typer.Option(
+        metavar="GRID",
+        help="The grid connection of several, by its name or bus, or 'all' to join them.",
+    ),
+]
+Balance = Annotated[
+    bool, typer.Option("--balance", help="Spread loads of single phases over three.")
+]
 Outages = Annotated[
     list[str] | None,
     typer.Option(

@@ -23,7 +23,7 @@ class Export:
 
     Examples
     --------
-    >>> Export([50.0, 0.0], [0.1, 0.1]).first(1).limit_kw
+    >>> Export([50.0, 0.0], [0.1, 0.1]).part(slice(1)).limit_kw
     array([50.])
     """
 
@@ -44,9 +44,9 @@ class Export:
             return None
         return cls(scenario.export_max_kw[rows], scenario.export_price[rows])
 
-    def first(self, n_steps: int) -> Export:
-        """The first steps."""
-        return Export(self.limit_kw[:n_steps], self.price_gbp_per_kwh[:n_steps])
+    def part(self, steps: slice) -> Export:
+        """Some of the steps."""
+        return Export(self.limit_kw[steps], self.price_gbp_per_kwh[steps])
 
     def followed_by_none(self, n_steps: int) -> Export:
         """The same with steps behind it in which nothing is taken."""

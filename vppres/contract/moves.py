@@ -35,9 +35,9 @@ class Moves:
         beyond = np.full((n_steps - len(known), plan_kw.shape[1]), np.nan)
         return cls(np.vstack([known, beyond]), weight)
 
-    def first(self, n_steps: int) -> Moves:
-        """Those of the first steps."""
-        return replace(self, planned_kw=self.planned_kw[:n_steps])
+    def part(self, steps: slice) -> Moves:
+        """Those of some of the steps."""
+        return replace(self, planned_kw=self.planned_kw[steps])
 
     def targets(self, p_max_kw: Floats) -> tuple[Floats, Floats]:
         """Factors on the battery powers and what their products are to be near, (W, B) each.

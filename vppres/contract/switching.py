@@ -74,12 +74,12 @@ class SwitchingData:
     cold_before: Flags
     day: Wholes
 
-    def first(self, n_steps: int) -> SwitchingData:
-        """The rules of the window's first steps."""
+    def part(self, steps: slice) -> SwitchingData:
+        """The rules of some of the window's steps."""
         return replace(
             self,
             **{
-                name: getattr(self, name)[:n_steps]
+                name: getattr(self, name)[steps]
                 for name in ("served_min", "served_max", "cold_before", "day")
             },
         )

@@ -207,6 +207,7 @@ class ConvergedPlanner:
     def _remember(self, t0: int, data: WindowData) -> None:
         """Keep what each step was linearised at; the next window starts there."""
         physics = data.require_physics()
+        self._forget(t0)
         drawn = data.drawn or self._nothing(data.n_steps)
         for row in range(data.n_steps):
             line = _Line(
@@ -217,6 +218,13 @@ class ConvergedPlanner:
                 drawn.kvar[row],
             )
             self._known[t0 + row] = (bool(physics.reference[row] > 0), line)
+
+    def _forget(self, t0: int) -> None:
+        """Drop what is over, but for the last step of each kind: later guesses need no more."""
+        last = {self._known[step][0]: step for step in sorted(self._known) if step < t0}
+        over = [step for step in self._known if step < t0 and step not in last.values()]
+        for step in over:
+            del self._known[step]
 
 
 def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:

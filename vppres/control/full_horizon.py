@@ -83,14 +83,18 @@ class FullHorizonController:
         self.first = 0
 
     def horizon_steps(self, t0: int) -> range:
-        """The rest of the day while there is no plan, then the step itself."""
-        return range(t0, self.grid.n_steps if self.plan is None else t0 + 1)
+        """The rest of the day while there is no plan for it, then the step itself."""
+        return range(t0, t0 + 1 if self._has_planned(t0) else self.grid.n_steps)
+
+    def _has_planned(self, t0: int) -> bool:
+        """Whether the plan reaches the step: a live controller may know more by now."""
+        return self.plan is not None and t0 < self.first + self.plan.n_steps
 
     def decide(self, observation: Observation) -> Decision:
         """Follow the plan if it passes the checks, otherwise correct the step."""
         info = SolveInfo(status="planned")
         window = WindowData.of(observation, self.solver.site, self.centre)
-        if self.plan is None:
+        if self.plan is None or not self._has_planned(observation.t0):
             solution = self.planner.plan(observation)
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw

@@ -73,6 +73,15 @@ def joule_loss_kw(power_kw: ArrayLike, resistance_ohm: ArrayLike, voltage_v: Arr
     return np.asarray(current_a**2 * np.asarray(resistance_ohm, dtype=float) / W_PER_KW)
 
 
+def h_to_minutes(hours: float) -> float:
+    """Hours to minutes.
+
+    >>> h_to_minutes(0.5)
+    30.0
+    """
+    return 60.0 * hours
+
+
 def minutes_to_h(minutes: float) -> float:
     """Minutes to hours."""
     return minutes / 60.0

@@ -17,6 +17,7 @@ from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
 from vppres.solve.ladder import WindowSolver
 
@@ -25,7 +26,10 @@ PLANNED_LOSSES = 0.1
 
 
 def make_controller(
-    scenario: Scenario, options: RunOptions, faults: FaultInjector | None = None
+    scenario: Scenario,
+    options: RunOptions,
+    faults: FaultInjector | None = None,
+    grid: TimeGrid | None = None,
 ) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
@@ -37,7 +41,10 @@ def make_controller(
         Which controller, and whether it is guarded.
     faults : FaultInjector, optional
         What befalls its solvers.
+    grid : TimeGrid, optional
+        Steps that there may be, where they are not the scenario's.
     """
+    grid = grid or scenario.grid
     options = options.on(scenario)
     site = Site.of(scenario)
     make = IsolatedSolver if options.isolate else WindowSolver
@@ -47,7 +54,7 @@ def make_controller(
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:
-        return _plain_controller(part, scenario, options, solver_of)
+        return _plain_controller(part, grid, scenario.tiers, options, solver_of)
 
     if not options.guard:
         return controller_of(site)
@@ -65,15 +72,18 @@ def make_controller(
 
 
 def _plain_controller(
-    site: Site, scenario: Scenario, options: RunOptions, solver_of: Callable[[Site], WindowSolver]
+    site: Site,
+    grid: TimeGrid,
+    tiers: tuple[str, ...],
+    options: RunOptions,
+    solver_of: Callable[[Site], WindowSolver],
 ) -> Decider:
     """A controller without guard for the whole fleet or a part of it."""
-    grid = scenario.grid
     centre = options.centre
     if options.controller == "idle":
-        return IdleController(site, scenario.tiers, centre)
+        return IdleController(site, tiers, centre)
     if options.controller == "reserve":
-        return ReserveController(site, grid, scenario.tiers, options.reserve, centre)
+        return ReserveController(site, grid, tiers, options.reserve, centre)
     solver = solver_of(site)
     planner = (
         ConvergedPlanner(solver, options.headroom, options.passes)

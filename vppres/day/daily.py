@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import tzinfo
-
 import numpy as np
 import pandas as pd
 
@@ -13,7 +11,7 @@ from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
 
 
-def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataFrame:
+def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
     """Figures of each calendar day of a run; energies and costs add up to those of the summary.
 
     A day is one of the clocks of a time zone: where they are changed it has 23 or 25 hours.
@@ -22,8 +20,8 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     ----------
     run : Trajectory
         A finished run.
-    zone : tzinfo or str, optional
-        Whose days; those of the scenario's own times if not given.
+    zone : str, optional
+        Name of the time zone; the scenario's if not given.
 
     Returns
     -------
@@ -82,18 +80,18 @@ def daily_figures(run: Trajectory, zone: tzinfo | str | None = None) -> pd.DataF
     )
 
 
-def spans_days(run: Trajectory, zone: tzinfo | str | None = None) -> bool:
+def spans_days(run: Trajectory, zone: str | None = None) -> bool:
     """Whether a run has steps of more than one calendar day."""
     return len(_first_steps(run, zone)) > 1
 
 
-def _times(run: Trajectory, zone: tzinfo | str | None) -> pd.DatetimeIndex:
+def _times(run: Trajectory, zone: str | None) -> pd.DatetimeIndex:
     """Beginnings of the steps as the clocks of a time zone show them."""
     times = pd.DatetimeIndex(run.steps["time"])
-    return times.tz_convert(zone or run.scenario.grid.start.tzinfo)
+    return times.tz_convert(zone or run.scenario.grid.zone)
 
 
-def _first_steps(run: Trajectory, zone: tzinfo | str | None) -> Wholes:
+def _first_steps(run: Trajectory, zone: str | None) -> Wholes:
     """The first step of each day."""
     midnight = _times(run, zone).tz_localize(None).normalize()
     return np.flatnonzero(np.append(True, midnight[1:] != midnight[:-1]))

@@ -11,6 +11,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.units import kva_to_a
+from vppres.day.reliability import reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
 from vppres.io.digest import scenario_digest
@@ -47,6 +48,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **switching_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
+        **reliability_figures(trajectory),
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),
         **{name: trajectory.options[name] for name in OPTIONS},

@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -23,6 +23,9 @@ from vppres.day.phases import phases, returning_steps
 from vppres.io.scenario_folder import read_scenario
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from vppres.feeders.actuate import Powers
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
@@ -113,6 +116,14 @@ def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
     }
 
 
+class Feeder(Protocol):
+    """What :func:`vppres.feeders.sources.import_network` yields; only the buses matter here."""
+
+    @property
+    def bus_of(self) -> Mapping[int, BusId]:
+        """Bus of the scenario for every bus of the source."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A finished run: the scenario, one tidy table for each kind of item, and how it was made.
@@ -154,6 +165,90 @@ class Trajectory:
         """The six tables by name, and those of the explanation if there is one."""
         found = {name: getattr(self, name) for name in (*TABLES, *EXPLAINING_TABLES)}
         return {name: table for name, table in found.items() if table is not None}
+
+    def apply_to(self, net: Any, feeder: Feeder, time: pd.Timestamp | str) -> None:
+        """Put what happened in a step into the pandapower net that the scenario was made from.
+
+        What the scenario took over (loads, generators, storages) is switched off in the net, and
+        customers, PV systems and batteries are put back with their powers. In an outage the grid is
+        opened; where batteries hold the island, a source at the bus of the largest holds its
+        voltage and gives nothing; in the dark there is none. A power flow of the net is then that
+        of the record, as far as the feeder is exact.
+
+        Parameters
+        ----------
+        net : pandapowerNet
+            The net, changed in place; branches that were opened for the import have to be open.
+        feeder : ImportedFeeder
+            What :func:`vppres.feeders.sources.import_network` made of it.
+        time : pandas.Timestamp or str
+            Beginning of a step, with time zone.
+
+        Raises
+        ------
+        InputError
+            If there is no such step, or the net is not that of the scenario.
+        """
+        from vppres.feeders.actuate import put_into_net
+
+        known = {str(bus): bus for bus in self.scenario.network.buses}
+        bus_of = {source: known.get(str(bus), bus) for source, bus in feeder.bus_of.items()}
+        put_into_net(net, bus_of, self._powers(self._step_at(time)))
+
+    def _step_at(self, time: pd.Timestamp | str) -> int:
+        """The step that begins at a time."""
+        times = pd.DatetimeIndex(self.steps["time"])
+        try:
+            found = np.flatnonzero(times == pd.Timestamp(time))
+        except (ValueError, TypeError):
+            found = np.empty(0, dtype=int)
+        if not len(found):
+            raise InputError(
+                Problem(
+                    "run",
+                    "is not the beginning of a step",
+                    f"Give one of {times[0].isoformat()} to {times[-1].isoformat()}, with its "
+                    "time zone.",
+                    field="time",
+                    value=time,
+                )
+            )
+        return int(found[0])
+
+    def _powers(self, t: int) -> Powers:
+        """Powers of a step by identifier."""
+        from vppres.feeders.actuate import Feeding, Powers
+
+        day = self.scenario
+        rows = {name: self._rows(name, t) for name in ("customers", "pv", "batteries")}
+        c, pv, b = rows["customers"], rows["pv"], rows["batteries"]
+        on = c["served"].to_numpy(bool)
+        return Powers(
+            _powers(
+                day.customers.id, day.customers.bus, c["p_load_kw"] * on, c["q_load_kvar"] * on
+            ),
+            _powers(
+                day.pv.id,
+                day.pv.buses(day.customers),
+                pv["self_kw"] + pv["export_kw"],
+                pv["q_kvar"],
+            ),
+            _powers(
+                day.batteries.id, day.batteries.bus, b["charge_kw"] - b["discharge_kw"], b["q_kvar"]
+            ),
+            Feeding.of(
+                day,
+                bool(self.steps["outage"].iloc[t]),
+                str(self.options.get("mode", "paper")),
+                self._rows("buses", t)["v_ac_pu"].to_numpy(float),
+            ),
+        )
+
+    def _rows(self, name: str, t: int) -> pd.DataFrame:
+        """The rows of a table that belong to a step."""
+        table: pd.DataFrame = getattr(self, name)
+        count = len(table) // len(self.steps)
+        return table.iloc[t * count : (t + 1) * count]
 
     def _repr_html_(self) -> str:
         """The run in a few figures, for a notebook."""
@@ -200,7 +295,7 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(step)
+        self._records.append(_alone(step))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -269,6 +364,15 @@ class Recorder:
         )
 
 
+def _alone(step: StepRecord) -> StepRecord:
+    """The record without what its arrays are parts of: a row would keep its whole window."""
+    tables: dict[str, Any] = {
+        name: {column: np.array(values) for column, values in getattr(step, name).items()}
+        for name in ITEM_COLUMNS
+    }
+    return replace(step, **tables)
+
+
 def write_tables(trajectory: Trajectory, folder: Path) -> None:
     """Write the tables as Parquet, options and plan as JSON, into an existing folder."""
     for name, table in trajectory.tables.items():
@@ -319,6 +423,12 @@ def json_safe(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _powers(names: Names, buses: Names, p_kw: Any, q_kvar: Any) -> pd.DataFrame:
+    """Powers by identifier."""
+    columns = {"bus": buses, "p_kw": np.asarray(p_kw), "q_kvar": np.asarray(q_kvar)}
+    return pd.DataFrame(columns, index=pd.Index(names, name="id"))
 
 
 def _table_file(folder: Path, name: str) -> Path:

@@ -1,46 +1,139 @@
-"""Set-points back into a pandapower net."""
+"""A step of a run, or the set-points of one, put into the pandapower net that the feeder came from.
+
+What the scenario took over is switched off in the net, and put back as the scenario has it; lines,
+transformers and shunts stay as they are. So a power flow of the net is that of the scenario.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
-from vppres.feeders.elements import in_service
 from vppres.scenario.network import BusId
+from vppres.scenario.scenario import Scenario
+
+OURS = "vppres"
+"""Column of the net that marks what was put into it; with ``opened``, a grid that was opened."""
+
+REPLACED = ("load", "sgen", "gen", "storage", "motor", "asymmetric_load", "asymmetric_sgen")
+DEMAND = ("load", "motor", "asymmetric_load", "ward", "xward")
+_PUT, _OPENED = "put", "opened"
 
 
-def write_set_points(
-    net: Any,
-    bus_of: Mapping[int, BusId],
-    customers: pd.DataFrame,
-    pv: pd.DataFrame,
-    batteries: pd.DataFrame,
-) -> None:
-    """Write the set-points of a step into a net, in place; a second call replaces the first.
+@dataclass(frozen=True, eq=False)
+class Feeding:
+    """What feeds the feeder in a step, and what its buses draw that nobody owns.
+
+    Parameters
+    ----------
+    bus : int or str or None
+        The bus whose voltage is held; None where the feeder is dark.
+    v_pu : float
+        That voltage.
+    from_grid : bool
+        Whether the grid holds it. In the paper's islands nobody does: a source stands at the grid's
+        bus all the same, and gives their losses.
+    fixed : DataFrame
+        ``bus``, ``p_kw`` and ``q_kvar`` of constant power.
+    """
+
+    bus: BusId | None
+    v_pu: float
+    from_grid: bool
+    fixed: pd.DataFrame
+
+    @classmethod
+    def of(cls, scenario: Scenario, outage: bool, mode: str, v_ac_pu: Floats) -> Feeding:
+        """Who holds the voltage of a step.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Its batteries and its network.
+        outage : bool
+            Whether the grid is away.
+        mode : {"paper", "physical"}
+            What holds an island.
+        v_ac_pu : array, shape (N,)
+            Voltages of the AC power flow; NaN in the dark.
+        """
+        net = scenario.network
+        b = scenario.batteries
+        bus = net.slack_bus
+        if outage and mode == "physical" and b.formers.any():
+            # The island gets and gives nothing: any bus may hold the voltage that it has.
+            bus = b.bus[int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))]
+        v_pu = float(v_ac_pu[net.bus_index[bus]])
+        dark = bool(np.isnan(v_pu))
+        draws = (net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0)
+        fixed = pd.DataFrame(
+            {
+                "bus": net.buses[draws],
+                "p_kw": net.p_fixed_kw[draws],
+                "q_kvar": net.q_fixed_kvar[draws],
+            },
+            index=[f"fixed at {name}" for name in net.buses[draws]],
+        )
+        return cls(None if dark else bus, v_pu, not outage, fixed.iloc[:0] if dark else fixed)
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
+
+    What ``customers`` and ``batteries`` take is positive in kW, what ``pv`` feeds likewise; kvar
+    are drawn by customers and injected by PV systems and batteries.
+    """
+
+    customers: pd.DataFrame
+    pv: pd.DataFrame
+    batteries: pd.DataFrame
+    feeding: Feeding
+
+
+def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
+    """Put a step into a net, in place; a second call replaces the first.
 
     Parameters
     ----------
     net : pandapowerNet
-        The net.
+        The net; branches that were opened for the import have to be open.
     bus_of : mapping
-        Bus of the scenario for every bus of the net.
-    customers, pv, batteries : DataFrame
-        By identifier, as :class:`vppres.live.controller.SetPoints` has them: powers in kW and
-        kvar; the loads of a customer are scaled to its demand, and to 0 if it is off.
+        Bus of the scenario for every supplied bus of the net.
+    powers : Powers
+        The step.
 
     Raises
     ------
     InputError
-        If a bus of the set-points is not in the net, or a customer has no load there.
+        If a bus of the step is not in the net, or a customer has no load there.
     """
     bus_in_net = {bus: source for source, bus in reversed([*bus_of.items()])}
-    items = pd.concat([table["bus"] for table in (customers, pv, batteries)])
-    problems = [
+    problems = _unknown_buses(powers, bus_in_net) + _without_load(net, bus_of, powers.customers)
+    if problems:
+        raise InputError(problems)
+    _switch_off(net, bus_of)
+    _feed(net, bus_of, bus_in_net, powers.feeding)
+    drawn = pd.concat([powers.customers, powers.feeding.fixed])
+    # A storage counts consumption as positive, reactive power too.
+    batteries = powers.batteries.assign(q_kvar=-powers.batteries["q_kvar"])
+    for table, rows in (("load", drawn), ("sgen", powers.pv), ("storage", batteries)):
+        for name, row in rows.iterrows():
+            _write(net, table, str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
+
+
+def _unknown_buses(powers: Powers, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
+    """Buses of the step that the net does not have."""
+    tables = (powers.customers, powers.pv, powers.batteries, powers.feeding.fixed)
+    items = pd.concat([table["bus"] for table in tables])
+    return [
         Problem(
             "set-points",
             "is not a bus of the net",
@@ -51,28 +144,17 @@ def write_set_points(
         for name, bus in items.items()
         if bus not in bus_in_net
     ]
-    scaling, found = _load_scaling(net, bus_of, customers)
-    problems += found
-    if problems:
-        raise InputError(problems)
-    net.load.loc[scaling.index, "scaling"] = scaling
-    _replace_own_pv(net, bus_of, pv)
-    for name, row in pv.iterrows():
-        _write(net, "sgen", str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
-    for name, row in batteries.iterrows():
-        # A storage counts consumption as positive, reactive power too.
-        _write(net, "storage", str(name), bus_in_net[row["bus"]], row["p_kw"], -row["q_kvar"])
 
 
-def _load_scaling(
-    net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame
-) -> tuple[pd.Series[float], list[Problem]]:
-    """Scaling of the loads at the customers' buses, so that each bus has its demand."""
-    loads = in_service(net, "load")
-    bus = loads["bus"].map(bus_of)
-    peak_mw = loads["p_mw"].groupby(bus).sum()
-    without = customers[~customers["bus"].isin(peak_mw.index[peak_mw > 0])]
-    problems = [
+def _without_load(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame) -> list[Problem]:
+    """Customers at buses where the net never had a load."""
+    loaded = {
+        bus_of.get(int(bus))
+        for table in DEMAND
+        if table in net
+        for bus in net[table].loc[~_ours(net[table], _PUT), "bus"]
+    }
+    return [
         Problem(
             "set-points",
             "the net has no load at this bus",
@@ -80,32 +162,79 @@ def _load_scaling(
             field=f"bus of {name}",
             value=bus,
         )
-        for name, bus in without["bus"].items()
+        for name, bus in customers["bus"].items()
+        if bus not in loaded
     ]
-    demand_mw = (
-        (kw_to_mw(customers["load_kw"]) * customers["served"]).groupby(customers["bus"]).sum()
-    )
-    ratio = demand_mw / peak_mw
-    return bus[bus.isin(customers["bus"])].map(ratio).astype(float), problems
 
 
-def _replace_own_pv(net: Any, bus_of: Mapping[int, BusId], pv: pd.DataFrame) -> None:
-    """Take the source's PV out of service where the scenario has a PV system in its place."""
-    own = net.sgen["type"].fillna("").astype(str).str.upper().str.startswith("PV")
-    taken = net.sgen["bus"].map(bus_of).isin(pv["bus"]) & ~net.sgen["name"].isin(pv.index)
-    net.sgen.loc[own & taken, "in_service"] = False
+def _switch_off(net: Any, bus_of: Mapping[int, BusId]) -> None:
+    """Take what the scenario took over, and what was put in before, out of service."""
+    for table in REPLACED:
+        if table in net and len(net[table]):
+            net[table].loc[net[table]["bus"].isin(bus_of), "in_service"] = False
+    for table in ("ward", "xward"):
+        if table in net and len(net[table]):
+            net[table].loc[net[table]["bus"].isin(bus_of), ["ps_mw", "qs_mvar"]] = 0.0
+
+
+def _feed(
+    net: Any,
+    bus_of: Mapping[int, BusId],
+    bus_in_net: Mapping[BusId, int],
+    feeding: Feeding,
+) -> None:
+    """Close or open the grid, and put a source of its own where a battery holds the voltage."""
+    import pandapower as pp
+
+    grids = net.ext_grid
+    grids.loc[_ours(grids, _PUT), "in_service"] = False
+    opened = _ours(grids, _OPENED)
+    closed = grids["bus"].isin(bus_of) & grids["in_service"].astype(bool)
+    if feeding.from_grid:
+        at_slack = grids["bus"].map(bus_of) == feeding.bus
+        grids.loc[opened, "in_service"] = True
+        grids.loc[closed & ~at_slack, "in_service"] = False
+        grids.loc[(opened | closed) & at_slack, "vm_pu"] = feeding.v_pu
+        return
+    grids.loc[closed, "in_service"] = False
+    _mark(net, "ext_grid", grids.index[closed], _OPENED)
+    if feeding.bus is not None:
+        source = pp.create_ext_grid(
+            net, bus_in_net[feeding.bus], vm_pu=feeding.v_pu, name="holds the island"
+        )
+        _mark(net, "ext_grid", [source], _PUT)
 
 
 def _write(net: Any, table: str, name: str, bus: int, p_kw: float, q_kvar: float) -> None:
-    """Power of the element of that name; it is made if there is none."""
+    """Power of our own element of that name; it is made if there is none."""
     import pandapower as pp
 
     p_mw = float(kw_to_mw(p_kw))
     q_mvar = float(kw_to_mw(q_kvar))
-    found = np.flatnonzero(net[table]["name"] == name)
+    found = np.flatnonzero((net[table]["name"] == name) & _ours(net[table], _PUT))
     if len(found):
-        net[table].loc[net[table].index[found[0]], ["p_mw", "q_mvar"]] = p_mw, q_mvar
+        row = net[table].index[found[0]]
+        net[table].loc[row, ["p_mw", "q_mvar"]] = p_mw, q_mvar
+        net[table].loc[row, "in_service"] = True
+        return
+    if table == "load":
+        made = pp.create_load(net, bus, p_mw=p_mw, q_mvar=q_mvar, name=name)
     elif table == "sgen":
-        pp.create_sgen(net, bus, p_mw=p_mw, q_mvar=q_mvar, name=name, type="PV")
+        made = pp.create_sgen(net, bus, p_mw=p_mw, q_mvar=q_mvar, name=name, type="PV")
     else:
-        pp.create_storage(net, bus, p_mw=p_mw, q_mvar=q_mvar, max_e_mwh=np.nan, name=name)
+        made = pp.create_storage(net, bus, p_mw=p_mw, q_mvar=q_mvar, max_e_mwh=np.nan, name=name)
+    _mark(net, table, [made], _PUT)
+
+
+def _ours(table: pd.DataFrame, word: str) -> pd.Series[bool]:
+    """Rows that bear a mark of ours."""
+    if OURS not in table:
+        return pd.Series(False, table.index)
+    return table[OURS] == word
+
+
+def _mark(net: Any, table: str, rows: Any, word: str) -> None:
+    """Mark rows of a table as ours."""
+    if OURS not in net[table]:
+        net[table][OURS] = pd.Series("", net[table].index, dtype=object)
+    net[table].loc[rows, OURS] = word

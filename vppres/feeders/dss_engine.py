@@ -168,6 +168,7 @@ def _tables() -> dict[str, Any]:
         "lines": list(_lines()),
         "transformers": list(_transformers()),
         "powers": list(_powers()),
+        "single_phases": _single_phases(),
         "notes": list(_notes()),
     }
 
@@ -223,6 +224,7 @@ def _powers() -> Iterator[dict[str, Any]]:
     for kind in ("load", "generator", "pvsystem"):
         for name in _of(kind):
             bus = _buses()[0]
+            nodes = _phases_of_active()
             if kind == "pvsystem":
                 dss.PVsystems.Name(name)
                 p_kw = float(dss.PVsystems.Pmpp())
@@ -232,7 +234,31 @@ def _powers() -> Iterator[dict[str, Any]]:
                 table.Name(name)
                 p_kw = float(table.kW())
                 q_kvar = float(table.kvar())
-            yield {"kind": kind, "name": name, "bus": bus, "p_kw": p_kw, "q_kvar": q_kvar}
+            yield {
+                "kind": kind,
+                "name": name,
+                "bus": bus,
+                "p_kw": p_kw,
+                "q_kvar": q_kvar,
+                "nodes": nodes,
+            }
+
+
+def _phases_of_active() -> list[int]:
+    """Phases that the active element's first terminal is at, from 1 to 3."""
+    nodes = dss.CktElement.NodeOrder()[: dss.CktElement.NumConductors()]
+    return sorted({int(node) for node in nodes} & {1, 2, 3})
+
+
+def _single_phases() -> dict[str, list[int]]:
+    """Of each kind, how many elements have fewer than three phases, and how many there are."""
+    found = {}
+    for kind in ("line", "transformer", "load", "generator", "pvsystem"):
+        phases = [dss.CktElement.NumPhases() for _ in _of(kind)]
+        few = sum(count < THREE_PHASES for count in phases)
+        if few:
+            found[kind] = [few, len(phases)]
+    return found
 
 
 def _notes() -> Iterator[str]:

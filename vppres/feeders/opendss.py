@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
 from vppres.feeders import dss_text
+from vppres.feeders.balance import PHASES, PhasePowers
 from vppres.feeders.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
 
 A_PER_KA = 1000.0
-Contents = tuple[Any, dict[int, BusId], tuple[str, ...]]
+Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None]
 
 
 def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
@@ -41,6 +43,8 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
         OpenDSS's name of each bus.
     notes : tuple of str
         What the balanced equivalent leaves out.
+    phases : PhasePowers, optional
+        What is not balanced, if anything has fewer than three phases.
 
     Raises
     ------
@@ -54,7 +58,23 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
     if found["problems"]:
         raise InputError([_located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
-    return net, ids, (*script.notes, *found["notes"])
+    return net, ids, (*script.notes, *found["notes"]), _phase_powers(found)
+
+
+def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
+    """Power of the loads less that of generators on each phase, by bus."""
+    counts = found["single_phases"]
+    if not counts:
+        return None
+    words = [f"{few} of {count} {kind}s" for kind, (few, count) in counts.items()]
+    rows = []
+    for power in found["powers"]:
+        sign = 1.0 if power["kind"] == "load" else -1.0
+        share_kw = sign * power["p_kw"] / max(len(power["nodes"]), 1)
+        at = [share_kw if phase in power["nodes"] else 0.0 for phase in (1, 2, 3)]
+        rows.append(pd.Series(at, list(PHASES), name=power["bus"]))
+    p_kw = pd.DataFrame(rows, columns=list(PHASES), dtype=float)
+    return PhasePowers(f"fewer than three phases have {', '.join(words)}", p_kw)
 
 
 def _located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:

@@ -48,22 +48,19 @@ def timed(
         If times need a zone, or rows a length, that was not given.
     """
     problems: list[Problem] = []
-    indices: dict[tuple[str, int], pd.DatetimeIndex] = {}
     done: list[Profile] = []
     for profile in profiles:
         index = profile.values.index
-        key = (profile.where, id(index))
-        if key not in indices:
-            if isinstance(index, pd.DatetimeIndex):
-                indices[key], found = in_utc(index, zone, profile.where)
-            else:
-                indices[key], found = _rows_in_utc(index, grid, row_minutes, profile.where)
-            problems += found
-        if len(indices[key]) == len(index):
-            values = pd.Series(profile.values.to_numpy(float), indices[key])
+        if isinstance(index, pd.DatetimeIndex):
+            times, found = in_utc(index, zone, profile.where)
+        else:
+            times, found = _rows_in_utc(index, grid, row_minutes, profile.where)
+        problems += found
+        if not found:
+            values = pd.Series(profile.values.to_numpy(float), times)
             done.append(replace(profile, values=values))
     if problems:
-        raise InputError(folded(problems))
+        raise InputError(folded(dict.fromkeys(problems)))
     return done
 
 

@@ -46,6 +46,7 @@ UNSUPPORTED = (
     "load_dc",
     "source_dc",
 )
+LOOPS_SHOWN = 2
 FROM, TO, R, X, B, TAP = 0, 1, 2, 3, 4, 8  # columns of the branch table of pandapower's case
 
 
@@ -85,10 +86,10 @@ def feeder_of(
     """
     net = copy.deepcopy(net)
     _raise(_check_elements(net, name) + _check_slack(net, name))
-    _open(net, name, open_branches)
-    case = _case_of(net)
-    branches, stubs = _without_stubs(case)
-    _raise(_check_branches(branches, name) or _check_loops(branches, case, name))
+    open_named(net, name, open_branches)
+    case = case_of(net)
+    branches, stubs = without_stubs(case)
+    _raise(_check_loops(branches, name) or _check_branches(branches, name))
     ids = _identifiers(case, bus_ids)
     network = _network(_merged(branches), case, ids)
     loads = _loads(net, case, ids, network)
@@ -170,7 +171,7 @@ def _check_slack(net: Any, name: str) -> list[Problem]:
     return []
 
 
-def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
+def open_named(net: Any, name: str, wanted: Sequence[str]) -> None:
     """Take branches out of service."""
     found = {}
     for table in BRANCHES:
@@ -193,7 +194,7 @@ def _open(net: Any, name: str, wanted: Sequence[str]) -> None:
         net[table].loc[i, "in_service"] = False
 
 
-def _case_of(net: Any) -> NetCase:
+def case_of(net: Any) -> NetCase:
     """The branch model of pandapower, for a net that passed the checks."""
     from pandapower.converter.pypower.to_ppc import to_ppc
 
@@ -223,6 +224,8 @@ def _case_of(net: Any) -> NetCase:
     branches = pd.DataFrame(
         {
             **columns,
+            "table": [table for table, _ in inside],
+            "element": [i for _, i in inside],
             "label": [label(net, *o) for o in inside],
             "rating_mva": [rating_mva(net, *o) for o in inside],
         }
@@ -238,7 +241,7 @@ def _case_of(net: Any) -> NetCase:
     )
 
 
-def _without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
+def without_stubs(case: NetCase) -> tuple[pd.DataFrame, list[str]]:
     """Branches without the open ends that pandapower gives a bus of their own, and their labels."""
     branches = case.branches
     stubs: list[str] = []
@@ -299,27 +302,30 @@ def _merged(branches: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _check_loops(branches: pd.DataFrame, case: NetCase, name: str) -> list[Problem]:
-    """One problem per loop, with the branches of which one has to be opened."""
+def _check_loops(branches: pd.DataFrame, name: str) -> list[Problem]:
+    """One problem for all loops, with the branches of the first ones."""
+    if branches.empty:
+        return []
     merged = _merged(branches)
-    source = {row: bus for bus, row in reversed([*case.bus_at.items()])}
     between = {
         frozenset((a, b)): branch
         for a, b, branch in zip(merged["from"], merged["to"], merged["label"], strict=True)
     }
-    problems = []
-    for row, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
+    loops = []
+    for _, loop in find_loops(merged["from"].to_numpy(object), merged["to"].to_numpy(object)):
         pairs = zip(loop, [*loop[1:], loop[0]], strict=True)
-        choices = [between[frozenset((int(a), int(b)))] for a, b in pairs]
-        buses = " - ".join(str(source.get(int(bus), "star point")) for bus in loop)
-        problems.append(
-            Problem(
-                name,
-                f"{merged['label'][row]} closes a loop: bus {buses}",
-                f"The feeder must be radial: open one of {few(choices)}.",
-            )
+        loops.append([between[frozenset((int(a), int(b)))] for a, b in pairs])
+    if not loops:
+        return []
+    shown = "; ".join(few(loop) for loop in loops[:LOOPS_SHOWN])
+    return [
+        Problem(
+            name,
+            f"is meshed, with {len(loops)} loop{'s' if len(loops) > 1 else ''}",
+            "The feeder must be radial: let --open-loops open the branches with the least current, "
+            f"or open one of each loop with --open; the first consist of {shown}.",
         )
-    return problems
+    ]
 
 
 def _identifiers(case: NetCase, bus_ids: Mapping[int, BusId] | None) -> dict[int, BusId]:

@@ -12,6 +12,8 @@ from types import ModuleType
 from typing import Any, Literal, get_args
 
 from vppres.core.errors import InputError, Problem
+from vppres.feeders.balance import PhasePowers, balanced
+from vppres.feeders.changes import Changes, changed
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.reduce import feeder_of
 from vppres.feeders.source_series import control_profiles, controls_in_json, profiles_of
@@ -36,16 +38,26 @@ NEVER = {
 
 @dataclass(frozen=True)
 class _Net:
-    """A pandapower net, the identifiers of its buses, and what its reader simplified."""
+    """A pandapower net, the identifiers of its buses, and what its reader simplified.
+
+    ``phases`` says where the source is not balanced; None if it is, or the net holds it itself.
+    """
 
     net: Any
     bus_ids: Mapping[int, BusId] | None = None
     notes: tuple[str, ...] = ()
+    phases: PhasePowers | None = None
     profiles: tuple[Profile, ...] = ()
 
 
 def import_network(
-    name_or_file: str | Path | Any, source: Source | None = None, open_branches: Sequence[str] = ()
+    name_or_file: str | Path | Any,
+    source: Source | None = None,
+    open_branches: Sequence[str] = (),
+    *,
+    open_loops: bool = False,
+    slack: str | None = None,
+    balance: bool = False,
 ) -> ImportedFeeder:
     """Import a network.
 
@@ -58,6 +70,13 @@ def import_network(
         Where the network comes from; by the file's suffix if not given.
     open_branches : sequence of str
         Branches to take out of service, as ``line 7`` or by their name.
+    open_loops : bool, optional
+        Of a meshed network, open the branches with the least current until it is radial.
+    slack : str, optional
+        The grid connection, where there are several external grids: one by table and index, by its
+        name or its bus, or ``all`` for those that hold the same voltage together.
+    balance : bool, optional
+        Spread loads of single phases over three; without it a network with any is refused.
 
     Returns
     -------
@@ -68,10 +87,10 @@ def import_network(
     InputError
         If there is no such network, its library is missing, or it cannot be a radial feeder.
     """
+    changes = Changes(tuple(open_branches), open_loops, slack, balance)
     if not isinstance(name_or_file, (str, Path)):
         with _quiet():
-            feeder = feeder_of(name_or_file, "pandapower net", open_branches)
-            return _with_profiles(feeder, profiles_of(name_or_file))
+            return _feeder(_Net(name_or_file), "pandapower net", changes)
     text = str(name_or_file)
     if source not in (None, *get_args(Source)):
         raise InputError(
@@ -85,10 +104,18 @@ def import_network(
         )
     with _quiet():
         read = NAMED[text] if source is None and text in NAMED else _reader(text, source)
-        found = read()
-        feeder = feeder_of(found.net, Path(text).name, open_branches, found.bus_ids)
-        feeder = _with_profiles(feeder, found.profiles or profiles_of(found.net))
-    return replace(feeder, notes=found.notes + feeder.notes)
+        return _feeder(read(), Path(text).name, changes)
+
+
+def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
+    """The feeder of a net, after the changes that were asked for."""
+    notes = found.notes
+    if found.phases is not None:
+        notes += (balanced(found.phases, name, changes.balance),)
+    net, made = changed(found.net, name, changes, found.bus_ids)
+    feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    feeder = _with_profiles(feeder, found.profiles or profiles_of(net))
+    return replace(feeder, notes=notes + made + feeder.notes)
 
 
 def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:

@@ -103,14 +103,19 @@ def scratch_folder() -> Iterator[Path]:
 
 def atomic_write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 text file so that a reader sees the old or the new text, never a part."""
+    atomic_write_bytes(path, text.encode("utf-8"))
+
+
+def atomic_write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file so that a reader sees the old or the new content, never a part."""
     path = Path(path).absolute()
     remove_leftovers(path.parent)
     aside, descriptor = _locked(
         path, lambda name: os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     )
     try:
-        with open(descriptor, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with open(descriptor, "wb") as file:
+            file.write(content)
             file.flush()
             os.replace(aside, path)
     finally:

@@ -16,15 +16,15 @@ from vppres.scenario.scenario import Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
-_WITHOUT_EFFECT = {"source", "zone"}
+_WITHOUT_EFFECT = {"source", "voll_gbp_per_kwh", "zone"}
 
 
 def scenario_digest(scenario: Scenario) -> str:
     """SHA-256 of everything in a scenario, as 64 hexadecimal digits.
 
     The file format, the order of the lines and the way a number was written (``60`` or ``60.0``)
-    do not matter; every value, identifier and name does. Where the feeder comes from and the zone
-    of its clocks do not: no result depends on them.
+    do not matter; every value, identifier and name does. Where the feeder comes from, the zone
+    of its clocks and the value of lost load do not: no decision depends on them.
     """
     text = json.dumps(_canonical(scenario), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -305,6 +305,7 @@ def _assemble(
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
+        voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
     )
 
 

@@ -22,7 +22,7 @@ from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, Scenario
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import UTC, TimeGrid
 
@@ -95,6 +95,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
         }
+    if scenario.voll_gbp_per_kwh != DEFAULT_VOLL_GBP_PER_KWH:
+        document["reliability"] = {"voll_gbp_per_kwh": float(scenario.voll_gbp_per_kwh)}
     if scenario.source:
         document["source"] = _source(scenario.source)
     try:

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
-from vppres.scenario.scenario import ObjectiveWeights
+from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ObjectiveWeights
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
 from vppres.scenario.timegrid import UTC, is_zone
 
@@ -573,6 +573,18 @@ else:
     )
 
 
+class ReliabilitySection(Section):
+    """What the report counts lost supply as; it changes no decision."""
+
+    voll_gbp_per_kwh: float = Field(
+        default=DEFAULT_VOLL_GBP_PER_KWH,
+        ge=0,
+        le=MAX_PRICE,
+        description="value of lost load",
+        json_schema_extra=GBP_PER_KWH,
+    )
+
+
 class DeviationSection(Section):
     """Largest difference of a bus voltage from the AC power flow of the source."""
 
@@ -657,6 +669,9 @@ class ScenarioFile(Section):
         default=ControllerSection(), description="table [controller]"
     )
     switching: SwitchingSection = Field(default=SwitchingSection(), description="table [switching]")
+    reliability: ReliabilitySection = Field(
+        default=ReliabilitySection(), description="table [reliability]"
+    )
     source: SourceSection = Field(default=SourceSection(), description="table [source]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
@@ -669,6 +684,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [[outages]]": OutageSection,
     "scenario.toml, [controller]": ControllerSection,
     "scenario.toml, [switching]": SwitchingSection,
+    "scenario.toml, [reliability]": ReliabilitySection,
     "scenario.toml, [source]": SourceSection,
     "scenario.toml, [source.deviation]": DeviationSection,
     "scenario.toml, [files]": FilesSection,

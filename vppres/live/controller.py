@@ -6,7 +6,7 @@ import threading
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,22 +23,18 @@ from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
+from vppres.day.trajectory import Feeder, StepRecord
+from vppres.feeders.actuate import Feeding
+from vppres.live.feed import Feed, extended
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
-from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
-
-class Feeder(Protocol):
-    """What :func:`vppres.feeders.sources.import_network` yields; only the buses matter here."""
-
-    @property
-    def bus_of(self) -> Mapping[int, BusId]:
-        """Bus of the scenario for every bus of the source."""
+ENDLESS = 2**40
+"""Steps that a controller may be fed with in its life."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +61,8 @@ class SetPoints:
         How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
         none was needed) with its ``fallback_reason``; and what was ``estimated``.
+    feeding : Feeding
+        What holds the voltage: the grid, a battery, or nobody.
     """
 
     time: pd.Timestamp
@@ -74,24 +72,31 @@ class SetPoints:
     buses: pd.DataFrame
     import_kw: float
     solve: Mapping[str, Any]
+    feeding: Feeding
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
         """Write the set-points into a pandapower net.
 
-        Loads of the customers get their measured demand (0 if they are off), PV systems become
-        static generators and batteries become storages, named by their identifiers. Everything
-        else in the net stays as it is.
+        What the scenario took over (loads, generators, storages) is switched off. Customers become
+        loads with their measured demand (0 if they are off), PV systems static generators and
+        batteries storages, named by their identifiers and marked in a column ``vppres``. In an
+        outage the grid is opened; where batteries hold the island, a source at the bus of the
+        largest holds its voltage and gives nothing.
 
         Parameters
         ----------
         net : pandapowerNet
-            The net that the feeder was imported from.
+            The net that the feeder was imported from; branches opened for the import are open.
         feeder : ImportedFeeder
             What :func:`vppres.feeders.sources.import_network` made of it.
         """
-        from vppres.feeders.actuate import write_set_points
+        from vppres.feeders.actuate import Powers, put_into_net
 
-        write_set_points(net, feeder.bus_of, self.customers, self.pv, self.batteries)
+        on = self.customers["served"]
+        drawn = self.customers.assign(
+            p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
+        )
+        put_into_net(net, feeder.bus_of, Powers(drawn, self.pv, self.batteries, self.feeding))
 
     def _repr_html_(self) -> str:
         """Heading and tables for a notebook."""
@@ -131,6 +136,8 @@ class Controller:
         self.scenario = scenario
         self.options = options
         self._decider = decider
+        # Steps of controllers count on from the very first one; the scenario begins later.
+        self._forgotten = 0
         self._past = _Past.before_the_day(scenario, options)
         self._step_before: tuple[Memory, _Past] | None = None
         self._turn = threading.Lock()
@@ -160,17 +167,59 @@ class Controller:
         )
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
-        return cls(scenario, exact, make_controller(scenario, exact))
+        endless = replace(scenario.grid, n_steps=ENDLESS)
+        return cls(scenario, exact, make_controller(scenario, exact, grid=endless))
 
     @property
     def times(self) -> pd.DatetimeIndex:
-        """Beginnings of the steps that can be decided on."""
+        """Beginnings of the steps that are known: those that can be decided on, and the past."""
         return self.scenario.grid.times
 
     def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
-        """Times for which the decision at ``time`` uses forecasts, ``time`` itself included."""
-        steps = self._decider.horizon_steps(step_at(self.scenario.grid, time))
+        """Times for which the decision at ``time`` uses forecasts, ``time`` itself included.
+
+        A window ends where what is known ends.
+        """
+        steps = self._window(step_at(self.scenario.grid, time))
         return self.times[steps.start : steps.stop]
+
+    def _window(self, row: int) -> range:
+        """Rows of the scenario that a decision looks at, cut where it ends."""
+        stop = self._decider.horizon_steps(row + self._forgotten).stop - self._forgotten
+        return range(row, min(stop, self.scenario.grid.n_steps))
+
+    def extend(
+        self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
+    ) -> None:
+        """Append steps to what is known, so that the controller rolls on; nothing else changes.
+
+        State, duties, plan and operating point go on over the seam. Fed in pieces of any length, a
+        controller decides the same to the last bit as one that was given everything at once,
+        wherever the windows that it looks at are known.
+
+        Parameters
+        ----------
+        more : Scenario or Feed
+            Steps that begin where the known ones end; a scenario of the same site, of which only
+            the series count, or the series alone.
+        replacing : bool, optional
+            Whether ``more`` may begin at any step that is not decided yet, and takes the place of
+            all that was known from there on.
+        forget : bool, optional
+            Whether steps before the last decided one are dropped, so that memory stays bounded.
+
+        Raises
+        ------
+        InputError
+            For another site, gaps, overlaps, steps that are over, and with every value that is
+            wrong. Then nothing has changed.
+        """
+        with self._turn:
+            latest = self._past.t - self._forgotten
+            self.scenario = extended(self.scenario, more, latest + 1, replacing=replacing)
+            if forget and latest > 0:
+                self.scenario = self.scenario.between(latest, self.scenario.grid.n_steps)
+                self._forgotten += latest
 
     def step(self, observation: Measurement) -> SetPoints:
         """Decide on the step that begins now.
@@ -204,10 +253,11 @@ class Controller:
 
     def _step(self, observation: Measurement) -> SetPoints:
         """One step, undone if it fails."""
-        seen = see(self.scenario, observation, self.options.guard, max(self._past.t, 0))
+        earliest = max(self._past.t - self._forgotten, 0)
+        seen = see(self.scenario, observation, self.options.guard, earliest)
         latest = Memory(self._decider)
         start = (latest, self._past)
-        if seen.t == self._past.t and self._step_before is not None:
+        if seen.t + self._forgotten == self._past.t and self._step_before is not None:
             start = self._step_before
         try:
             start[0].restore()
@@ -226,14 +276,17 @@ class Controller:
         return _set_points(scenario, record)
 
     def _decided(self, seen: Seen, past: _Past) -> tuple[Scenario, StepRecord, _Past]:
-        """The scenario as it is believed to be, what was decided, and what to remember of it."""
-        switching, cold_load = past.held_until(seen.t)
-        steps = self._decider.horizon_steps(seen.t)
-        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(seen.t, steps)
+        """The window as it is believed to be, what was decided, and what to remember of it."""
+        t = seen.t + self._forgotten
+        switching, cold_load = past.held_until(t)
+        seen = seen.window(self._window(seen.t))
+        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(
+            0, range(seen.scenario.grid.n_steps)
+        )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
         measured = Observation(
-            seen.t,
+            t,
             replace(
                 forecast,
                 load_kw=_first_row(forecast.load_kw, seen.load_kw),
@@ -266,7 +319,7 @@ class Controller:
             scenario,
             record,
             _Past(
-                seen.t,
+                t,
                 day.operating_point,
                 day.switching,
                 day.plant.cold_load,
@@ -355,6 +408,12 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
         buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
         import_kw=float(step.steps["p_grid_kw"]),
         solve={**solve, "reason": step.steps["correction_reason"]},
+        feeding=Feeding.of(
+            scenario,
+            bool(scenario.outage[step.t]),
+            str(step.steps["mode"]),
+            np.asarray(step.buses["v_ac_pu"], dtype=float),
+        ),
     )
 
 

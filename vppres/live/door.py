@@ -77,8 +77,13 @@ RANGES = {
     "price_gbp_per_kwh": Range(
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
     ),
+    "export_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
+    "export_price_gbp_per_kwh": Range(
+        -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
+    ),
     "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
+    "temperature_c": Range(-50.0, 60.0, "must lie between -50 and 60", _CORRECT),
     "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
     "eta_discharge": Range(
         0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."
@@ -99,13 +104,19 @@ class Door:
         Beginning of the step that is measured.
     estimates : bool
         Whether readings of now may be missing, since somebody estimates them.
+    where : str
+        What is read, as problems name it.
     """
 
-    def __init__(self, grid: TimeGrid, time: Any, estimates: bool = False) -> None:
+    def __init__(
+        self, grid: TimeGrid, time: Any, estimates: bool = False, where: str = WHERE
+    ) -> None:
         self.grid = grid
         self.estimates = estimates
+        self.where = where
         self.problems = list[Problem]()
-        self._steps_at = {moment: t for t, moment in enumerate(grid.times)}
+        self._start = pd.Timestamp(grid.start)
+        self._length = pd.Timedelta(minutes=grid.step_minutes)
         self._counts: Counter[str] = Counter()
         self.t = int(self._steps("time", [time])[0])
 
@@ -119,7 +130,7 @@ class Door:
         """
         more = [
             Problem(
-                WHERE,
+                self.where,
                 f"has {count - MOST_OF_A_KIND} more problems",
                 "Cure those above first.",
                 field=field,
@@ -217,7 +228,7 @@ class Door:
         if self._counts[kind] <= MOST_OF_A_KIND:
             self.problems.append(
                 Problem(
-                    WHERE,
+                    self.where,
                     message,
                     cure,
                     field=field,
@@ -314,9 +325,9 @@ class Door:
         if moment.tzinfo is None:
             self.problem(field, "has no time zone", WRITE_A_TIME, field, time)
             return -1
-        step = self._steps_at.get(moment, -1)
+        grid = self.grid
+        step = self._steps_after_start(moment)
         if step < 0:
-            grid = self.grid
             self.problem(
                 field,
                 "is not the beginning of a step",
@@ -326,6 +337,15 @@ class Door:
                 time,
             )
         return step
+
+    def _steps_after_start(self, moment: pd.Timestamp) -> int:
+        """Steps between the first step and a time, -1 where no step begins then."""
+        try:
+            step, rest = divmod(moment - self._start, self._length)
+        except (OverflowError, ValueError):  # centuries away
+            return -1
+        begins = rest == pd.Timedelta(0) and 0 <= step < self.grid.n_steps
+        return int(step) if begins else -1
 
     def _positions(self, field: str, names: Iterable[Any], ids: Names) -> Wholes:
         """Positions of identifiers, each once; -1 for those that the scenario does not have."""

@@ -112,6 +112,10 @@ class Seen:
     online: Flags
     import_kw: float | None
 
+    def window(self, rows: range) -> Seen:
+        """The same of some steps alone, of which the first is the present one."""
+        return replace(self, t=0, scenario=self.scenario.between(rows.start, rows.stop))
+
     def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
         """The scenario with what is taken for true of the step, (C,) and (P,)."""
         return replace(

@@ -39,9 +39,9 @@ class Physics:
     headroom_kw: Floats
     soc_reserve: Floats
 
-    def first(self, n_steps: int) -> Physics:
-        """The first steps."""
-        return Physics(*(getattr(self, f.name)[:n_steps] for f in fields(self)))
+    def part(self, steps: slice) -> Physics:
+        """Some of the steps."""
+        return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,18 +138,22 @@ class WindowData:
 
     def first(self, n_steps: int) -> WindowData:
         """The first steps of the window."""
+        return self.part(slice(n_steps))
+
+    def part(self, steps: slice) -> WindowData:
+        """Some steps of the window; ``soc`` stays that of its beginning."""
         cut = {
-            name: getattr(self, name)[:n_steps]
+            name: getattr(self, name)[steps]
             for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")
         }
         return replace(
             self,
             **cut,
-            physics=self.physics and self.physics.first(n_steps),
-            switching=self.switching and self.switching.first(n_steps),
-            moves=self.moves and self.moves.first(n_steps),
-            export=self.export and self.export.first(n_steps),
-            drawn=self.drawn and self.drawn.first(n_steps),
+            physics=self.physics and self.physics.part(steps),
+            switching=self.switching and self.switching.part(steps),
+            moves=self.moves and self.moves.part(steps),
+            export=self.export and self.export.part(steps),
+            drawn=self.drawn and self.drawn.part(steps),
         )
 
     @property

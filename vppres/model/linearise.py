@@ -69,9 +69,9 @@ class Drawn:
     kw: Floats
     kvar: Floats
 
-    def first(self, n_steps: int) -> Drawn:
-        """The first steps."""
-        return Drawn(self.kw[:n_steps], self.kvar[:n_steps])
+    def part(self, steps: slice) -> Drawn:
+        """Some of the steps."""
+        return Drawn(self.kw[steps], self.kvar[steps])
 
     def where(self, steps: Flags) -> Drawn:
         """The same in some steps, (W,), and nothing in the others."""

@@ -18,6 +18,7 @@ from plotly.offline import get_plotlyjs
 from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.plots import (
     BLACK,
     BLUE,
@@ -42,7 +43,9 @@ from vppres.report.plots import (
 )
 
 ROW_PX = 190
-FRAME_PX = 110
+FRAME_PX = 150
+TOP_PX = 36
+LEGEND_PX = 48  # below the axis, its times and its name
 GAP = 0.06  # between two rows, as a share of the height
 DASHES = ("solid", "dash", "dashdot", "dot")
 
@@ -189,6 +192,7 @@ def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:
             for curve in row.curves
         ]
     )
+    plot_px = ROW_PX * len(rows)
     height = (1.0 - GAP * (len(rows) - 1)) / len(rows)
     axes = {
         _axis("yaxis", number): {
@@ -212,13 +216,14 @@ def _chart(run: Trajectory, rows: Sequence[Row]) -> go.Figure:
             "type": "date",
             "anchor": _axis("y", len(rows)),
             "gridcolor": "#E8E8E8",
-            "title": {"text": "Time (UTC)"},
+            "title": {"text": Clock.of(run).axis},
             "range": [times[0], times[-1]],
             "hoverformat": "%d %b %H:%M",
         },
-        legend={"orientation": "h", "yref": "container", "yanchor": "top", "y": 1, "x": 0},
-        margin={"l": 80, "r": 20, "t": 60, "b": 50},
-        height=ROW_PX * len(rows) + FRAME_PX,
+        # The toolbar has the top to itself, whatever the width.
+        legend={"orientation": "h", "yanchor": "top", "y": -LEGEND_PX / plot_px, "x": 0},
+        margin={"l": 80, "r": 20, "t": TOP_PX, "b": 50},
+        height=plot_px + FRAME_PX,
         shapes=[_cursor(times[0]), *_shades(run, times), *_limit_lines(rows)],
         annotations=list(_notes(run, rows, times)),
         font={"size": 12},

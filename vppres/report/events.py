@@ -12,6 +12,7 @@ import pandas as pd
 from vppres.day.metrics import service_by_customer
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
 NAMES_SHOWN = 6
@@ -27,7 +28,7 @@ class Event:
     t : int
         Step; ``T`` for the end of the day.
     time : str
-        Its beginning, UTC.
+        Its beginning, UTC, and local where the scenario names the zone.
     words : str
         What happened.
     """
@@ -43,19 +44,18 @@ def events_of(run: Trajectory) -> list[Event]:
         [*_outage_events(run), *_service_events(run), *_battery_events(run)],
         key=lambda entry: entry[0],
     )
-    return [Event(t, clock_words(run, t), words) for t, words in found]
+    clock = Clock.of(run)
+    return [Event(t, clock.at(t), words) for t, words in found]
 
 
 def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     """The day in a few sentences: its length, the outage, who was served, energy, voltages."""
-    return [_day(run), *_outage(run, summary), *_service(run), _import(summary), _voltage(run)]
+    return [*opening_of(run, summary), *_service(run), _import(summary), _voltage(run)]
 
 
-def clock_words(run: Trajectory, t: int) -> str:
-    """Beginning of a step, or the end of the day, as text in UTC."""
-    grid = run.scenario.grid
-    time = grid.start + t * pd.Timedelta(minutes=grid.step_minutes)
-    return f"{time.tz_convert('UTC'):%d %b %H:%M}"
+def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
+    """The length of the day, and its outage."""
+    return [_day(run), *_outage(run, summary)]
 
 
 def named(names: Sequence[str], most: int = NAMES_SHOWN) -> str:
@@ -107,11 +107,11 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def _day(run: Trajectory) -> str:
-    grid = run.scenario.grid
+    clock = Clock.of(run)
     n_steps = len(run.steps)
     return (
-        f"{n_steps} steps of {grid.step_minutes:g} min from {clock_words(run, 0)} to "
-        f"{clock_words(run, n_steps)} UTC."
+        f"{n_steps} steps of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
+        f"{clock.full(clock.grid.end)}."
     )
 
 
@@ -119,7 +119,8 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     spans = outage_spans(run)
     if not spans:
         return ["The grid was there all the time."]
-    when = " and ".join(f"from {clock_words(run, a)} to {clock_words(run, b)}" for a, b in spans)
+    clock = Clock.of(run)
+    when = " and ".join(f"from {clock.at(a)} to {clock.at(b)}" for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
     shares = ", ".join(
         f"{tier} {number(share, '.0%')}"
@@ -154,11 +155,13 @@ def _voltage(run: Trajectory) -> str:
     """The lowest voltage, and where and when."""
     net = run.scenario.network
     live = run.buses[run.buses["v_ac_pu"] > 0]
+    if live.empty:
+        return "No bus had voltage at any time."
     row = live.iloc[int(live["v_ac_pu"].to_numpy().argmin())]
-    time = pd.Timestamp(row["time"]).tz_convert("UTC")
+    time = Clock.of(run).words(pd.Timestamp(row["time"]))
     return (
         f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "
-        f"{time:%d %b %H:%M}; the limit is {net.v_min_ac_pu:g} pu."
+        f"{time}; the limit is {net.v_min_ac_pu:g} pu."
     )
 
 

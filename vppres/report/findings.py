@@ -10,6 +10,8 @@ import pandas as pd
 from vppres.day.metrics import island_figures, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
+from vppres.report.clock import Clock
+from vppres.scenario.remarks import darkness
 
 LIMIT_TOLERANCE_PU = 1e-6
 PROVEN = "optimal"
@@ -45,7 +47,7 @@ def _voltages(run: Trajectory) -> Iterator[str]:
                 f"Voltage {words} the AC limit of {limit:g} pu in "
                 f"{_steps(wrong['time'].nunique())} at {n_buses} "
                 f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
-                f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(row['time'])}."
+                f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(run, row['time'])}."
             )
 
 
@@ -58,7 +60,7 @@ def _loadings(run: Trajectory) -> Iterator[str]:
         yield (
             f"Lines above their rating in {_steps(int((loading > 1).any(axis=1).sum()))}: at "
             f"most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
-            f"{_time(run.steps['time'].iloc[int(t)])}."
+            f"{_time(run, run.steps['time'].iloc[int(t)])}."
         )
 
 
@@ -109,6 +111,8 @@ def _answers(run: Trajectory) -> Iterator[str]:
 def _unlit(run: Trajectory) -> Iterator[str]:
     """Islands that went dark, AC power flows without a solution, and guessed measurements."""
     steps = run.steps
+    if told := darkness(run.scenario, run.options.get("mode")):
+        yield told
     if "dark" in steps and steps["dark"].any():
         dark = steps[steps["dark"] > 0]
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
@@ -134,5 +138,5 @@ def _steps(count: int) -> str:
     return "1 step" if count == 1 else f"{count} steps"
 
 
-def _time(time: object) -> str:
-    return f"{pd.Timestamp(str(time)).tz_convert('UTC'):%d %b %H:%M} UTC"
+def _time(run: Trajectory, time: object) -> str:
+    return Clock.of(run).full(pd.Timestamp(str(time)))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import summarise
+from vppres.day.reliability import reliability_figures
 from vppres.day.trajectory import Trajectory, read_run
 from vppres.io.atomic import remove_leftovers, scratch_folder
 from vppres.report.pages import write_page
+from vppres.report.pdf import write_pdf
 from vppres.report.plots import save_figures
 from vppres.report.run_folder import SUMMARY_FILE, render_report
 
@@ -64,12 +66,42 @@ def read_finished(folder: Path) -> FinishedRun:
     return FinishedRun(folder, trajectory, summary)
 
 
-def rewrite_report(run: FinishedRun, file: Path) -> None:
-    """Draw the figures of a run again and write its report into a file."""
+def priced(run: FinishedRun, voll_gbp_per_kwh: float) -> FinishedRun:
+    """The run with its energy not supplied at another value of lost load."""
+    scenario = replace(run.trajectory.scenario, voll_gbp_per_kwh=voll_gbp_per_kwh)
+    trajectory = replace(run.trajectory, scenario=scenario)
+    summary = {**run.summary, **reliability_figures(trajectory)}
+    return FinishedRun(run.folder, trajectory, summary)
+
+
+def rewrite_report(run: FinishedRun, file: Path, browser: str = "") -> list[Path]:
+    """Draw the figures of a run again and write its report into a file.
+
+    Parameters
+    ----------
+    run : FinishedRun
+        The run.
+    file : Path
+        HTML file.
+    browser : str
+        From :func:`vppres.report.pdf.find_browser`, to print the report beside the file as PDF;
+        not printed without.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
     with scratch_folder() as aside:
         save_figures(run.trajectory, aside)
         text = render_report(run.trajectory, dict(run.summary), aside)
+        paper = render_report(run.trajectory, dict(run.summary), aside, False) if browser else ""
     write_page(file, text)
+    if not browser:
+        return [file]
+    printed = file.with_suffix(".pdf")
+    write_pdf(paper, printed, browser)
+    return [file, printed]
 
 
 def _read_summary(file: Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from matplotlib.colors import to_hex
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.tree_layout import tree_layout
 
 COLUMN_PX = 50
@@ -149,10 +150,10 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     v = run.buses["v_ac_pu"].to_numpy(float).reshape(n_steps, -1)
     served = run.customers["served"].to_numpy(bool).reshape(n_steps, -1)
     soc = run.batteries["soc_end"].to_numpy(float).reshape(n_steps, -1)
-    times = run.steps["time"].dt.tz_convert("UTC")
+    clock = Clock.of(run)
     return {
         "start": worst_step(run),
-        "time": [f"{time:%d %b %H:%M}" for time in times],
+        "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
         "bus": _digits(_voltage_classes(run, v)),

@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from vppres.core.errors import InputError, Problem, StorageError
-from vppres.io.atomic import atomic_write_text, full_disk, is_full
+from vppres.io.atomic import atomic_write_bytes, full_disk, is_full
 from vppres.report.plots import SVG_HASH_SALT
 
 
@@ -48,7 +48,7 @@ def embedded_svg(svg: Path) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(svg.read_bytes()).decode("ascii")
 
 
-def write_page(file: Path, text: str) -> None:
+def write_page(file: Path, content: str | bytes) -> None:
     """Write a page, whole or not at all; its folder is made if missing.
 
     Raises
@@ -60,7 +60,7 @@ def write_page(file: Path, text: str) -> None:
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write_text(file, text)
+        atomic_write_bytes(file, content.encode() if isinstance(content, str) else content)
     except OSError as error:
         if is_full(error):
             raise StorageError(full_disk(str(file), file.exists())) from error

@@ -16,6 +16,7 @@ from vppres.day.metrics import summarise
 from vppres.day.trajectory import Trajectory, write_tables
 from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
+from vppres.report.clock import Clock
 from vppres.report.pages import page
 from vppres.report.plots import save_figures
 from vppres.report.sections import SECTIONS
@@ -136,6 +137,8 @@ def render_report(
         {
             "title": trajectory.scenario.title,
             "summary": summary,
+            "mode": trajectory.options.get("mode", ""),
+            "clock_note": Clock.of(trajectory).note,
             "sections": [section for section in made if section is not None],
             "plotly": Markup(_plotly()) if interactive else "",
         },

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,11 @@ from vppres.scenario.option_table import default_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
+
+DEFAULT_VOLL_GBP_PER_KWH = 16.94
+"""Value of lost load of British homes and small businesses on a winter weekday's peak, in prices of
+2013: London Economics, "The Value of Lost Load (VoLL) for Electricity in Great Britain", for Ofgem
+and DECC, 2013."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,8 @@ class Scenario:
         What exported energy earns; 0 where nothing is given, negative where it costs.
     source : Source
         Where the feeder comes from; it changes no result.
+    voll_gbp_per_kwh : float
+        Value of lost load, at which the report prices energy that was not supplied.
     """
 
     name: str
@@ -108,6 +116,7 @@ class Scenario:
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
+    voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -138,13 +147,44 @@ class Scenario:
 
     @cached_property
     def exports(self) -> bool:
-        """Whether the grid takes anything in any step; the paper's connection imports only."""
-        return bool((self.export_max_kw > 0.0).any())
+        """Whether the grid takes anything when it is there; the paper's connection imports only.
+
+        Outages do not matter, so that the steps of a long outage are of the same kind as the rest.
+        """
+        return bool((self.export_limit_kw > 0.0).any())
 
     @cached_property
     def load_kvar(self) -> Floats:
         """Reactive demand of each customer if served, shape (T, C)."""
         return self.load_kw * self.customers.q_per_p
+
+    @property
+    def series(self) -> dict[str, Floats]:
+        """What changes with the steps, by the names of the fields, (T, ...) each."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: value
+            for name, value in values.items()
+            if isinstance(value, np.ndarray) and value.shape[:1] == (self.grid.n_steps,)
+        }
+
+    def between(self, first: int, last: int) -> Scenario:
+        """The same scenario from step ``first`` on, up to but without step ``last``.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> noon = load_scenario("uk-heatwave-2022").between(12, 14)
+        >>> noon.grid.start.hour, noon.load_kw.shape
+        (12, (2, 32))
+        """
+        grid = replace(
+            self.grid,
+            start=self.grid.start + first * pd.Timedelta(minutes=self.grid.step_minutes),
+            n_steps=last - first,
+        )
+        rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}
+        return replace(self, grid=grid, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
         """The same scenario with one outage over the half-open interval ``[start, end)``."""

@@ -14,9 +14,11 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
+from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import all_terms, everyone_served, service_then_cost
 from vppres.solve.network.decide import enter_network
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -105,7 +107,13 @@ class WindowSolver:
         SolveError
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
-        task = self._task(data)
+        if self.method == "decomposed" and falls_apart(self.site, data):
+            return solve_apart(data, self.limits, self._solve)
+        return self._solve(data, self.limits)
+
+    def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """Solve a window as one problem."""
+        task = self._task(data, limits)
         known = task.certificate
         if self.method == "decomposed":
             climb(task)
@@ -118,7 +126,7 @@ class WindowSolver:
     @one_at_a_time
     def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none; no bound."""
-        task = self._task(data)
+        task = self._task(data, self.limits)
         keep_dispatch_in_network(task, served)
         return task.solution() if task.certificate.answered else None
 
@@ -133,9 +141,9 @@ class WindowSolver:
         """
         return least_slack(self.site, data, self.limits.time_s)
 
-    def _task(self, data: WindowData) -> WindowTask:
+    def _task(self, data: WindowData, limits: SolveLimits) -> WindowTask:
         """A window whose time begins now."""
-        return WindowTask.begin(data, self.cache, self.limits, self.spec, self.sides)
+        return WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
 
 
 def climb(task: WindowTask) -> None:
@@ -143,12 +151,20 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
-    if (task.data.grid_limit_kw > 0.0).all():
+    if worth_everyone(task):
         everyone_served(task)
     for rung in rungs(task):
         if task.goes_on and not task.search.passed:
             rung(task)
     enter_network(task)
+
+
+def worth_everyone(task: WindowTask) -> bool:
+    """Whether to try to serve everyone before any search: connected throughout, or in reach."""
+    data = task.data
+    if (data.grid_limit_kw > 0.0).all():
+        return True
+    return data.switching is None and everyone_in_reach(task.site, data)
 
 
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:

@@ -10,14 +10,17 @@ from typing import Any, Literal
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, DateFormatter
+from matplotlib.dates import AutoDateLocator, DateFormatter, num2date
 from matplotlib.figure import Figure
+from matplotlib.ticker import Formatter, FuncFormatter
 
 from vppres.core.arrays import Floats
 from vppres.day.metrics import horizon_h
 from vppres.day.series import edges_of, outage_spans
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 
 Runs = Trajectory | Mapping[str, Trajectory]
 
@@ -192,12 +195,22 @@ def clock(ax: Axes, run: Trajectory, max_ticks: int = 13) -> None:
     plain = hours <= HOURS_OF_PLAIN_CLOCK
     ax.set_xlim(edges[0], edges[-1])
     text = "%H:%M" if plain else "%d %b\n%H:%M"
+    times = Clock.of(run)
     # Two classes of matplotlib's that carry no annotations yet.
     locator = AutoDateLocator(tz=UTC, minticks=4, maxticks=max_ticks)  # type: ignore[no-untyped-call]
-    formatter = DateFormatter(text, tz=UTC)  # type: ignore[no-untyped-call]
+    formatter: Formatter = DateFormatter(text, tz=UTC)  # type: ignore[no-untyped-call]
+    if times.has_local:
+        formatter = FuncFormatter(lambda value, _: _both_clocks(times, value, text))
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(formatter)
-    ax.set_xlabel(f"Time (UTC), from {edges[0]:%d %B %Y}")
+    below = f", {times.grid.zone} below" if times.has_local else ""
+    ax.set_xlabel(f"Time (UTC{below}), from {edges[0]:%d %B %Y}")
+
+
+def _both_clocks(clock: Clock, value: float, text: str) -> str:
+    """A tick in UTC, and below it the hour of the clocks on the feeder."""
+    utc = pd.Timestamp(num2date(value, tz=UTC))  # type: ignore[no-untyped-call]
+    return f"{utc:{text}}\n({clock.grid.local(utc):%H:%M})"
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:

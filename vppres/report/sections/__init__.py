@@ -14,6 +14,7 @@ from vppres.report.sections.days import days_section
 from vppres.report.sections.energy import energy_section
 from vppres.report.sections.explain import explain_section
 from vppres.report.sections.feeder import feeder_section
+from vppres.report.sections.figures import figures_section
 from vppres.report.sections.network import network_section
 from vppres.report.sections.overview import overview_section
 from vppres.report.sections.service import service_section
@@ -30,6 +31,7 @@ SECTIONS: tuple[SectionMaker, ...] = (
     feeder_section,
     energy_section,
     network_section,
+    figures_section,
     solver_section,
     assumptions_section,
 )

@@ -16,5 +16,6 @@ def assumptions_section(run: Run) -> Section:
             "data": data_words(run.trajectory),
             "options": option_words(run.trajectory.options),
             "summary": run.summary,
+            "source": run.trajectory.scenario.source,
         },
     )

@@ -6,11 +6,13 @@ from typing import Any
 
 import pandas as pd
 
+from vppres.day.trajectory import Trajectory
 from vppres.explain.words import figure, money
+from vppres.report.clock import Clock
 from vppres.report.pages import embedded
-from vppres.report.sections.base import Run, Section, section
+from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 from vppres.report.sections.explain_figure import draw_worth
-from vppres.report.sections.narrative import DRIVERS, clock, episodes
+from vppres.report.sections.narrative import DRIVERS, episodes
 
 Row = dict[str, Any]
 
@@ -51,9 +53,10 @@ def explain_section(run: Run) -> Section | None:
         "What happened when, and why",
         {
             "episodes": episodes(trajectory, explanations, prices),
-            "steps": _steps(trajectory.steps, prices, _counts(run)),
+            "steps": _steps(trajectory, prices, _counts(run)),
             "reasons": _reasons(explanations),
-            "people": _people(explanations),
+            "folded_above": FOLDED_ABOVE,
+            "people": _people(explanations, Clock.of(trajectory)),
             "figure": embedded(draw_worth(trajectory)),
         },
     )
@@ -69,14 +72,15 @@ def _counts(run: Run) -> dict[str, int]:
     }
 
 
-def _steps(steps: pd.DataFrame, prices: pd.DataFrame, counts: dict[str, int]) -> list[Row]:
+def _steps(run: Trajectory, prices: pd.DataFrame, counts: dict[str, int]) -> list[Row]:
     """One row for each step: limits that bound, and what one more unit was worth."""
+    clock = Clock.of(run)
     rows = []
-    for step in steps[["time", "phase", "outage"]].to_dict("records"):
+    for step in run.steps[["time", "phase", "outage"]].to_dict("records"):
         now = prices[prices["time"] == step["time"]]
         rows.append(
             {
-                "time": clock(step["time"]),
+                "time": clock.words(step["time"]),
                 "phase": step["phase"],
                 "outage": bool(step["outage"]),
                 "limits": _limits(now, counts),
@@ -132,10 +136,10 @@ def _reasons(explanations: pd.DataFrame) -> list[Row]:
     return sorted(rows, key=lambda row: (row["action"], -int(row["count"])))
 
 
-def _people(explanations: pd.DataFrame) -> list[Row]:
+def _people(explanations: pd.DataFrame, clock: Clock) -> list[Row]:
     """Every customer and step without service, with its reason."""
     rows = explanations[explanations["item"] == "customer"]
     return [
-        {"time": clock(row["time"]), "id": row["id"], "words": row["words"]}
+        {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
         for row in rows.to_dict("records")
     ]

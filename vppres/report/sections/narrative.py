@@ -10,6 +10,7 @@ import pandas as pd
 
 from vppres.day.trajectory import Trajectory
 from vppres.explain.words import figure, money
+from vppres.report.clock import Clock
 
 DRIVERS = {
     "energy": "stored energy",
@@ -89,6 +90,7 @@ def episodes(
     """
     of_steps = explanations[explanations["item"] == "step"].to_dict("records")
     step = pd.Timedelta(minutes=run.scenario.grid.step_minutes)
+    clock = Clock.of(run)
     found = []
     for phase, group in groupby(of_steps, key=itemgetter("phase")):
         rows = list(group)
@@ -97,22 +99,13 @@ def episodes(
         found.append(
             Episode(
                 phase,
-                clock(times[0]),
-                clock(times[-1] + step),
+                clock.words(times[0]),
+                clock.words(times[-1] + step),
                 told(tables),
-                [(clock(row["time"]), row["words"]) for row in rows],
+                [(clock.words(row["time"]), row["words"]) for row in rows],
             )
         )
     return found
-
-
-def clock(time: pd.Timestamp) -> str:
-    """A time as text in UTC, as everywhere in the report.
-
-    >>> clock(pd.Timestamp("2022-07-19T14:00:00+01:00"))
-    '19 Jul 13:00'
-    """
-    return f"{time.tz_convert('UTC'):%d %b %H:%M}"
 
 
 def told(tables: Tables) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import Run, Section, section
 
@@ -23,6 +24,7 @@ def network_section(run: Run) -> Section:
             "chart": run.chart("grid"),
             "lines": _top_lines(run.trajectory),
             "number": number,
+            "heading": Clock.of(run.trajectory).heading,
             "figures": [run.figure("voltages"), run.figure("line_loadings")],
             "maps": run.figure("feeder_maps"),
             "rated": run.trajectory.scenario.network.has_ratings,
@@ -39,7 +41,7 @@ def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     peak = current.max(axis=0)
     share = np.where(rated, peak / net.i_max_a, np.nan)
     order = np.argsort(-np.where(rated, share, -1.0) if rated.any() else -peak, kind="stable")
-    times = run.steps["time"].dt.tz_convert("UTC").dt.strftime("%d %b %H:%M").tolist()
+    times = run.steps["time"].map(Clock.of(run).words).tolist()
     return [
         {
             "line": f"{net.from_bus[i]} to {net.to_bus[i]}",

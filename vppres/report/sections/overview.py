@@ -1,21 +1,36 @@
-"""The report's first section: warnings, the day in words, key figures."""
+"""The report's first section, one page on paper: what happened, to whom, why, and at what price."""
 
 from __future__ import annotations
 
-from vppres.report.events import sentences_of
+from vppres.report.events import opening_of
 from vppres.report.findings import findings
-from vppres.report.key_figures import key_figures
+from vppres.report.first_page import (
+    energy_rows,
+    first_notes,
+    limit_rows,
+    money_sentence,
+    price_sentence,
+    supply_rows,
+    who_and_why,
+)
 from vppres.report.sections.base import Run, Section, section
 
 
 def overview_section(run: Run) -> Section:
-    """What is not as it should be, the day in sentences, and key figures."""
+    """What is not as it should be, the day in sentences and a strip, and four small tables."""
+    trajectory = run.trajectory
     return section(
         "overview",
         "Summary",
         {
-            "findings": findings(run.trajectory),
-            "key_figures": key_figures(run.summary),
-            "sentences": sentences_of(run.trajectory, run.summary),
+            "findings": findings(trajectory),
+            "sentences": [*opening_of(trajectory, run.summary), *who_and_why(trajectory)],
+            "strip": run.figure("timeline"),
+            "supply": supply_rows(trajectory, run.summary),
+            "energy": energy_rows(trajectory, run.summary),
+            "limits": limit_rows(trajectory),
+            "money": money_sentence(run.summary),
+            "price": price_sentence(run.summary),
+            "notes": first_notes(trajectory),
         },
     )

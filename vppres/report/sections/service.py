@@ -6,6 +6,7 @@ from typing import Any
 
 from vppres.day.metrics import service_by_customer, service_by_tier
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 
@@ -33,14 +34,15 @@ def service_section(run: Run) -> Section:
 def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Time, outage and the share served of each tier, one row per step."""
     shares = service_by_tier(trajectory)
+    clock = Clock.of(trajectory)
     return [
         {
-            "time": f"{time:%d %b %H:%M}",
+            "time": clock.words(time),
             "outage": bool(outage),
             "shares": [row.get(tier) for tier in trajectory.scenario.tiers],
         }
         for time, outage, row in zip(
-            trajectory.steps["time"].dt.tz_convert("UTC"),
+            trajectory.steps["time"],
             trajectory.steps["outage"],
             shares.to_dict("records"),
             strict=True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import Run, Section, section
 
@@ -25,7 +26,7 @@ def solver_section(run: Run) -> Section:
 
 def _rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """The steps table with the time as text."""
-    times = trajectory.steps["time"].dt.tz_convert("UTC").dt.strftime("%d %b %H:%M")
+    times = trajectory.steps["time"].map(Clock.of(trajectory).words)
     return [
         {str(name): value for name, value in row.items()}
         for row in trajectory.steps.assign(time=times).to_dict("records")

@@ -39,7 +39,7 @@
     slider.value = step;
     svg.dataset.step = step;
     svg.classList.toggle("dead-grid", data.outage[step] === 1);
-    words.querySelector("strong").textContent = data.time[step] + " UTC";
+    words.querySelector("strong").textContent = data.time[step];
     words.lastChild.textContent = ": " + data.info[step];
     circles.forEach((circle) => {
       setClass(circle, "v", data.bus[step][Number(circle.dataset.voltage)]);
@@ -66,13 +66,10 @@
   document.getElementById("step-worst").addEventListener("click", () => show(data.start));
   document.addEventListener("vppres-show", (event) => show(event.detail));
 
-  let before = data.start;  // paper has no slider: it shows the worst step, and tables are open
+  let before = data.start;  // paper has no slider: it shows the worst step
   window.addEventListener("beforeprint", () => {
     before = Number(slider.value);
     show(data.start);
-    if (data.time.length <= 100) {
-      document.querySelectorAll("details").forEach((details) => { details.open = true; });
-    }
   });
   window.addEventListener("afterprint", () => show(before));
   show(data.start);

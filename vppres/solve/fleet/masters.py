@@ -171,7 +171,9 @@ def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
-    """Whether batteries are lumped, in the order of trial."""
+    """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet."""
+    if len(data.soc) == 0:
+        return (True,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
 

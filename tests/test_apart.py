@@ -1,0 +1,105 @@
+"""Windows whose steps nothing joins: solved one by one, and equal to what one problem finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.random_feeders import random_window
+from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import (
+    CHECKER_TOLERANCE,
+    DARK,
+    OPEN,
+    battery,
+    two_buses,
+    window,
+    with_pv,
+)
+from vppres.contract.switching import SwitchingState
+from vppres.core.errors import InfeasibleError
+from vppres.io import find_scenario, read_scenario
+from vppres.model.site import Site
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+from vppres.solve.apart import falls_apart
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, Status
+from vppres.studies.sweep_parameters import scenario_changes
+
+RANDOM = [(seed, stressed) for stressed in (False, True) for seed in range(60)]
+"""Of these, the windows without batteries are taken."""
+
+
+def two_dark_steps() -> Scenario:
+    """PV of 10 kW at noon and of 4 kW later; customers of 3, 4 and 6 kW."""
+    day = two_buses([[3.0, 4.0, 6.0], [3.0, 4.0, 6.0], [3.0, 4.0, 6.0]], [1.0, 0.9, 0.8], [0, 0, 0])
+    return replace(with_pv(day, [10.0, 4.0, 0.0]), grid_limit_kw=np.array([DARK, DARK, OPEN]))
+
+
+def test_each_step_serves_what_its_own_sun_carries() -> None:
+    scenario = two_dark_steps()
+    answer = WindowSolver(Site.of(scenario)).solve(window(scenario))
+    # 10 kW: 4 + 6 loses nothing and serves 1.7; 3 + 6 would lose a kW (0.1) for 1.8, which is equal,
+    # 3 + 4 serve 1.9 and lose 3 kW (0.3). 4 kW: the second alone (0.9) beats the first less its
+    # lost kW (1.0 - 0.1) by nothing. With the grid everyone is served.
+    assert answer.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(1.7 + 0.9 + 2.7, abs=1e-5)
+    assert answer.bound == pytest.approx(answer.objective, abs=1e-5)
+    assert answer.dispatch.served[2].all()
+    assert answer.dispatch.soc.shape == (4, 0)
+    assert check_dispatch(scenario, window(scenario), answer.dispatch).worst[1] < CHECKER_TOLERANCE
+
+
+def test_batteries_and_rules_join_steps() -> None:
+    scenario = two_dark_steps()
+    data = window(scenario)
+    assert falls_apart(Site.of(scenario), data)
+    assert not falls_apart(Site.of(scenario), data.first(1))
+    stored = replace(scenario, batteries=battery())
+    assert not falls_apart(Site.of(stored), window(stored))
+    rules = SwitchingRules(min_served_h=2.0)
+    state = SwitchingState.start(rules, scenario.grid.dt_h, len(scenario.customers))
+    assert not falls_apart(Site.of(scenario), replace(data, switching=state.window(3)))
+
+
+@pytest.mark.monolith
+def test_random_windows_without_batteries_equal_the_monolith() -> None:
+    cases = [case for case in (random_window(*key) for key in RANDOM) if not len(case.data.soc)]
+    wrong = []
+    for case in cases:
+        site = Site.of(case.scenario)
+        apart, whole = (
+            WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
+        )
+        gap = SolveLimits().gap_at(whole.objective)
+        sound = (
+            apart.status == Status.OPTIMAL
+            and apart.bound >= whole.objective - 1e-6
+            and abs(apart.objective - whole.objective) <= 2 * gap
+        )
+        if not sound:
+            wrong.append((case.scenario.name, apart.objective, whole.objective))
+    assert len(cases) >= 10
+    assert not wrong
+
+
+def test_a_step_without_dispatch_is_told() -> None:
+    scenario = two_dark_steps()
+    # What an owner uses of its own power is an equality: 10 kW do not pass an inverter of 2 kVA.
+    narrow = with_pv(scenario, [10.0, 4.0, 0.0], s_max_kva=2.0)
+    heavy = replace(narrow, pv_kw=np.full((3, 1), 10.0))
+    low = replace(heavy.network, v_slack_pu=0.5)
+    with pytest.raises(InfeasibleError):
+        WindowSolver(Site.of(replace(heavy, network=low))).solve(window(heavy))
+
+
+def test_the_packaged_day_without_batteries_is_certified_in_the_outage() -> None:
+    day = read_scenario(find_scenario("uk-heatwave-2022"))
+    packaged = scenario_changes(day)["scale.batteries"](day, 0.0)
+    data = window(packaged, slice(11, 14))
+    answer = WindowSolver(Site.of(packaged)).solve(data)
+    assert answer.status == Status.OPTIMAL
+    assert answer.gap_abs <= SolveLimits().gap_at(answer.objective)

@@ -1,0 +1,250 @@
+"""The page that is read first: its sums by hand, both clocks, the price, and the file on paper."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import stat
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.command_line import call
+from tests.support.made_up_runs import small_run, small_scenario, without_devices
+from vppres.core.errors import InputError, ReportError
+from vppres.day.metrics import summarise
+from vppres.day.reliability import reliability_by_tier, reliability_figures
+from vppres.io import read_scenario, write_scenario
+from vppres.report.clock import Clock
+from vppres.report.events import events_of
+from vppres.report.findings import findings
+from vppres.report.finished import priced, read_finished
+from vppres.report.first_page import (
+    energy_rows,
+    first_notes,
+    limit_rows,
+    price_sentence,
+    supply_rows,
+    who_and_why,
+)
+from vppres.report.pdf import BROWSERS, find_browser, write_pdf
+from vppres.report.run_folder import write_run
+from vppres.scenario.source import Source
+from vppres.scenario.timegrid import TimeGrid
+
+LONDON = "Europe/London"
+
+
+def test_reliability_by_hand() -> None:
+    # Of a, b and c each loses supply once: for 30, 30 and 60 min, 5 + 10 + 40 kWh.
+    figures = reliability_figures(small_run())
+    assert figures == {
+        "customer_interruptions": 3.0,
+        "interruptions_per_customer": 1.0,
+        "customer_minutes_lost": 120.0,
+        "minutes_lost_per_customer": 40.0,
+        "energy_not_supplied_kwh": 55.0,
+        "voll_gbp_per_kwh": 16.94,
+        "energy_not_supplied_gbp": pytest.approx(55 * 16.94),
+    }
+    low = reliability_by_tier(small_run()).loc["low"]
+    assert low.tolist() == [2.0, 2.0, 2.0, 90.0, 120.0, 50.0]
+
+
+def test_two_interruptions_of_a_customer_count_twice() -> None:
+    run = small_run()
+    served = run.customers["served"].to_numpy(bool).reshape(4, 3).copy()
+    served[:, 0] = [False, True, False, True]
+    run = replace(run, customers=run.customers.assign(served=served.ravel()))
+    critical = reliability_by_tier(run).loc["critical"]
+    assert critical[["interrupted", "interruptions", "minutes_lost"]].tolist() == [1.0, 2.0, 60.0]
+
+
+def test_parts_are_parts_of_one_customer() -> None:
+    day = small_scenario()
+    customers = replace(day.customers, id=["a", "b/1", "b/2"])
+    run = small_run(replace(day, customers=customers, pv=replace(day.pv, customer=["b/1"])))
+    run = replace(run, options={**run.options, "parts": {"b": 2}})
+    figures = reliability_figures(run)
+    # a loses 30 min; half of b loses 30 min, the other half 60.
+    assert figures["customer_minutes_lost"] == 75.0
+    assert figures["minutes_lost_per_customer"] == 37.5
+    assert figures["interruptions_per_customer"] == 1.0
+
+
+def test_supply_in_words() -> None:
+    run = small_run()
+    rows = {row.tier: row for row in supply_rows(run, summarise(run))}
+    assert list(rows) == ["critical", "low", "all"]
+    assert (rows["all"].customers, rows["all"].interruptions, rows["all"].minutes) == (
+        "3",
+        "100.0",
+        "40.0",
+    )
+    assert (rows["low"].unserved, rows["low"].share) == ("50.0", "25.0%")
+
+
+def test_who_was_off_and_why() -> None:
+    told = who_and_why(small_run())
+    assert told[0] == (
+        "3 of 3 customers lost supply at some time. Most important first: a (critical) 30 min, "
+        "c (low) 1 h, b (low) 30 min."
+    )
+    assert told[1].startswith("Reasons are not on record")
+    quiet = small_run(small_scenario(outage=False))
+    quiet = replace(quiet, customers=quiet.customers.assign(served=True))
+    assert who_and_why(quiet) == ["All 3 customers were supplied at all times."]
+
+
+def test_energy_adds_up() -> None:
+    run = small_run()
+    rows = {words: float(text.replace(",", "")) for words, text in energy_rows(run, summarise(run))}
+    assert rows["Demand"] == 140  # 70 kW for two hours
+    assert rows["Demand"] == rows["Supplied"] + rows["Not supplied"]
+    assert "Exported" not in rows
+    sold = {**summarise(run), "export_kwh": 12.0}
+    assert ("Exported", "12") in energy_rows(run, sold)
+    bare = small_run(without_devices(small_scenario()))
+    assert "PV available" not in dict(energy_rows(bare, summarise(bare)))
+
+
+def test_limits_that_are_exceeded_say_so() -> None:
+    run = small_run()
+    lowest, highest, line = limit_rows(run)
+    assert (lowest.value, lowest.limit, lowest.exceeded) == ("0.9500 pu", "0.94 pu", False)
+    assert highest.what == "Highest voltage"
+    assert line.limit == "no line has a rating"
+    low = run.buses.assign(v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 3, 0.93))
+    assert limit_rows(replace(run, buses=low))[0].exceeded
+    dark = run.buses.assign(v_ac_pu=np.nan)
+    assert limit_rows(replace(run, buses=dark))[0].where == "no bus was live"
+
+
+def test_price_follows_the_scenario(tmp_path: Path) -> None:
+    day = replace(small_scenario(), voll_gbp_per_kwh=6.0)
+    write_scenario(day, tmp_path / "day")
+    assert read_scenario(tmp_path / "day").voll_gbp_per_kwh == 6.0
+    words = price_sentence(summarise(small_run(day)))
+    assert "55 kWh not supplied at 6 GBP/kWh" in words
+    assert words.endswith("given by the scenario or with --voll): 330 GBP.")
+    assert "London Economics" in price_sentence(summarise(small_run()))
+
+
+def test_notes_of_the_import_are_on_the_first_page() -> None:
+    source = Source.of("net.json", "pandapower", [f"Note {i}." for i in range(6)])
+    run = small_run(replace(small_scenario(), source=source))
+    told = first_notes(run)
+    assert told[0].startswith("Made from net.json (pandapower).")
+    assert told[-1] == "2 more under Assumptions and provenance."
+    assert first_notes(small_run()) == []
+
+
+def test_darkness_is_read_first() -> None:
+    day = without_devices(small_scenario())
+    run = small_run(day)
+    run = replace(run, options={**run.options, "mode": "physical"})
+    assert findings(run)[0].startswith("There is no battery that could form a grid")
+
+
+# ---------------------------------------------------------------------------------------- clocks
+
+
+def test_local_time_stands_beside_utc() -> None:
+    day = small_scenario()
+    run = small_run(replace(day, grid=replace(day.grid, zone=LONDON)))
+    assert events_of(run)[0].time == "19 Jul 00:30 (01:30 BST)"
+    clock = Clock.of(run)
+    assert clock.note == "Times are UTC, in brackets local: Europe/London, UTC+1 h."
+    assert clock.full(run.steps["time"].iloc[0]) == "19 Jul 00:00 UTC (01:00 BST)"
+
+
+@pytest.mark.parametrize(
+    ("start", "shown", "axis"),
+    [
+        # Clocks go forward at 01:00 UTC: local time jumps from 01:00 to 02:00.
+        (
+            "2026-03-29T00:00Z",
+            ["00:00 GMT", "02:00 BST", "03:00 BST"],
+            "Time (UTC; Europe/London is UTC+0 h, UTC+1 h from 29 Mar 01:00)",
+        ),
+        # Clocks go back at 01:00 UTC: 01:00 comes twice.
+        (
+            "2026-10-25T00:00Z",
+            ["01:00 BST", "01:00 GMT", "02:00 GMT"],
+            "Time (UTC; Europe/London is UTC+1 h, UTC+0 h from 25 Oct 01:00)",
+        ),
+    ],
+)
+def test_days_of_23_and_25_hours(start: str, shown: list[str], axis: str) -> None:
+    clock = Clock(TimeGrid(pd.Timestamp(start), 60, 24, LONDON))
+    words = [clock.at(t) for t in range(3)]
+    assert [re.sub(r".*\((.*)\)", r"\1", text) for text in words] == shown
+    assert clock.axis == axis
+
+
+def test_another_date_on_the_feeder_is_written() -> None:
+    clock = Clock(TimeGrid(pd.Timestamp("2026-07-01T20:00Z"), 60, 2, "Asia/Tokyo"))
+    assert clock.at(0) == "01 Jul 20:00 (02 Jul 05:00 JST)"
+
+
+# ------------------------------------------------------------------------------------------- paper
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path) -> Path:
+    write_run(small_run(), tmp_path / "run", figures=False)
+    return tmp_path / "run"
+
+
+def test_another_value_of_lost_load_prices_a_finished_run(run_folder: Path) -> None:
+    done = priced(read_finished(run_folder), 2.0)
+    assert done.summary["energy_not_supplied_gbp"] == 110.0
+    assert done.summary["resilience"] == summarise(small_run())["resilience"]
+
+
+def test_without_a_browser_nothing_is_begun(
+    run_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(run_folder))
+    result = call("report", str(run_folder), "--pdf")
+    assert result.exit_code == 2
+    assert "there is no browser that could print the PDF" in result.stderr
+    assert "Install Chromium or Chrome" in result.stderr
+    assert not (run_folder / "report.html").exists()
+
+
+def test_a_browser_that_fails_leaves_the_older_file(tmp_path: Path) -> None:
+    broken = tmp_path / "browser"
+    broken.write_text("#!/bin/sh\necho 'no display' >&2\nexit 1\n", encoding="utf-8")
+    broken.chmod(broken.stat().st_mode | stat.S_IXUSR)
+    older = tmp_path / "report.pdf"
+    older.write_bytes(b"%PDF-older")
+    with pytest.raises(ReportError, match=r"did not print the report \(no display\)"):
+        write_pdf("<p>page</p>", older, str(broken))
+    assert older.read_bytes() == b"%PDF-older"
+    assert [file.name for file in tmp_path.glob("*.part*")] == []
+
+
+def test_browsers_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(InputError, match="no browser"):
+        find_browser()
+    program = tmp_path / "google-chrome"
+    program.touch(mode=0o755)
+    assert find_browser() == str(program)
+
+
+@pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="no browser on the path")
+def test_the_report_is_printed(run_folder: Path) -> None:
+    result = call("report", str(run_folder), "--pdf", "--voll", "2")
+    assert result.exit_code == 0, result.stderr
+    printed = run_folder / "report.pdf"
+    assert f"Written to {printed}" in result.stdout
+    content = printed.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert content.rstrip().endswith(b"%%EOF")
+    assert 2 <= len(re.findall(rb"/MediaBox", content)) <= 12
+    assert "at 2 GBP/kWh" in (run_folder / "report.html").read_text(encoding="utf-8")

@@ -1,0 +1,91 @@
+"""What an outage cost the customers: interruptions, minutes lost, energy and its worth.
+
+The indices are those of IEEE Std 1366 (SAIFI, SAIDI) and of British regulation (CI, CML), taken
+over one run instead of a year.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.core.units import h_to_minutes
+from vppres.day.trajectory import Trajectory
+
+
+def reliability_figures(run: Trajectory) -> dict[str, float]:
+    """Interruptions, minutes lost and energy not supplied of all customers together.
+
+    Returns
+    -------
+    dict
+        ``customer_interruptions`` (CI): every loss of supply of every customer;
+        ``interruptions_per_customer`` (SAIFI): the same per customer;
+        ``customer_minutes_lost``, and per customer ``minutes_lost_per_customer`` (CML, SAIDI);
+        ``energy_not_supplied_kwh``; ``voll_gbp_per_kwh``, the value of lost load of the scenario,
+        and ``energy_not_supplied_gbp`` at that value. A customer in K parts counts as one, of which
+        a part may be off.
+    """
+    table = reliability_by_tier(run)
+    total = table.sum()
+    customers = max(float(total["customers"]), 1.0)
+    voll = run.scenario.voll_gbp_per_kwh
+    return {
+        "customer_interruptions": float(total["interruptions"]),
+        "interruptions_per_customer": float(total["interruptions"]) / customers,
+        "customer_minutes_lost": float(total["minutes_lost"]),
+        "minutes_lost_per_customer": float(total["minutes_lost"]) / customers,
+        "energy_not_supplied_kwh": float(total["unserved_kwh"]),
+        "voll_gbp_per_kwh": voll,
+        "energy_not_supplied_gbp": voll * float(total["unserved_kwh"]),
+    }
+
+
+def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
+    """The sums behind the indices, tier by tier.
+
+    Returns
+    -------
+    DataFrame
+        By tier, in the scenario's order: ``customers``; ``interrupted``, those that lost supply at
+        least once; ``interruptions``; ``minutes_lost``; ``demand_kwh`` and ``unserved_kwh``.
+    """
+    c = run.scenario.customers
+    dt_h = run.scenario.grid.dt_h
+    off = ~_per_customer(run, "served").astype(bool)
+    demand_kw = _per_customer(run, "p_load_kw").astype(float)
+    share = _shares_of_a_customer(run)
+    of_customers = pd.DataFrame(
+        {
+            "customers": share,
+            "interrupted": share * off.any(axis=0),
+            "interruptions": share * _losses_of_supply(off),
+            "minutes_lost": share * off.sum(axis=0) * h_to_minutes(dt_h),
+            "demand_kwh": demand_kw.sum(axis=0) * dt_h,
+            "unserved_kwh": (demand_kw * off).sum(axis=0) * dt_h,
+        }
+    )
+    present = [tier for tier in run.scenario.tiers if (c.tier == tier).any()]
+    return of_customers.groupby(np.asarray(c.tier)).sum().reindex(present)
+
+
+def _per_customer(run: Trajectory, column: str) -> Floats:
+    """A column of the customers' table, shape (T, C)."""
+    return run.customers[column].to_numpy().reshape(len(run.steps), -1)
+
+
+def _losses_of_supply(off: Flags) -> Floats:
+    """How often each customer lost supply, (C,): the day before it had some."""
+    before = np.vstack([np.zeros_like(off[:1]), off[:-1]])
+    return np.asarray((off & ~before).sum(axis=0), dtype=float)
+
+
+def _shares_of_a_customer(run: Trajectory) -> Floats:
+    """1 for each customer, 1 / K for each of K parts, (C,)."""
+    parts: Mapping[str, Any] = run.options.get("parts", {})
+    of_part = {f"{name}/{k}": 1.0 / n for name, n in parts.items() for k in range(1, int(n) + 1)}
+    return np.array([of_part.get(str(name), 1.0) for name in run.scenario.customers.id])

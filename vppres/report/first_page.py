@@ -1,0 +1,223 @@
+"""The page that is read first: what happened, who was off and why, energy, limits, price."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.units import h_to_minutes
+from vppres.day.metrics import line_current_a, line_loading, service_by_customer
+from vppres.day.reliability import reliability_by_tier
+from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
+from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
+from vppres.report.events import named
+from vppres.report.findings import LIMIT_TOLERANCE_PU
+from vppres.report.key_figures import number
+from vppres.report.sections.narrative import DRIVERS
+from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
+
+NAMES_SHOWN = 5
+REASONS_SHOWN = 4
+NOTES_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class TierRow:
+    """One tier's supply in words; the last row is that of all customers."""
+
+    tier: str
+    customers: str
+    interrupted: str
+    interruptions: str
+    minutes: str
+    unserved: str
+    share: str
+
+
+@dataclass(frozen=True)
+class LimitRow:
+    """How near a quantity came to its limit."""
+
+    what: str
+    value: str
+    where: str
+    limit: str
+    exceeded: bool
+
+
+def supply_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[TierRow]:
+    """Interruptions, minutes lost and energy not supplied, by tier and in all."""
+    table = reliability_by_tier(run)
+    rows = [
+        _tier_row(str(tier), row, summary["served_share"].get(tier))
+        for tier, row in table.iterrows()
+    ]
+    if len(rows) > 1:
+        everyone = run.customers.loc[
+            run.customers["time"].isin(run.steps.loc[run.steps["outage"], "time"]), "served"
+        ]
+        share = float(everyone.mean()) if len(everyone) else None
+        rows.append(_tier_row("all", table.sum(), share))
+    return rows
+
+
+def _tier_row(tier: str, row: pd.Series[Any], share: float | None) -> TierRow:
+    customers = max(float(row["customers"]), 1e-9)
+    return TierRow(
+        tier,
+        number(row["customers"], ",.6g"),
+        number(row["interrupted"], ",.6g"),
+        number(100.0 * row["interruptions"] / customers, ",.1f"),
+        number(row["minutes_lost"] / customers, ",.1f"),
+        number(row["unserved_kwh"], ",.1f"),
+        number(share, ".1%"),
+    )
+
+
+def who_and_why(run: Trajectory) -> list[str]:
+    """Who was without supply for longest, and what decided it."""
+    table = service_by_customer(run).assign(weight=run.scenario.customers.weight)
+    lost = table[table["unserved_h"] > 0]
+    if lost.empty:
+        return [f"All {len(table)} customers were supplied at all times."]
+    longest = lost.sort_values(["weight", "unserved_h"], ascending=False, kind="stable")
+    names = [
+        f"{row['id']} ({row['tier']}) {_duration(row['unserved_h'])}"
+        for row in longest.to_dict("records")
+    ]
+    return [
+        f"{len(lost)} of {len(table)} customers lost supply at some time. Most important first: "
+        f"{named(names, NAMES_SHOWN)}.",
+        *_reasons(run),
+    ]
+
+
+def _reasons(run: Trajectory) -> Iterator[str]:
+    """What left customers without supply, most frequent first."""
+    if run.explanations is None:
+        yield "Reasons are not on record: the run was made without them."
+        return
+    out = run.explanations[run.explanations["action"] == "not_served"]
+    counts = out["driver"].value_counts()
+    told = [f"{DRIVERS[str(driver)]} {count}" for driver, count in counts.items()]
+    if told:
+        yield f"What decided it, in {len(out):,} customer steps: {named(told, REASONS_SHOWN)}."
+
+
+def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Where energy came from and went, in kWh."""
+    dt_h = run.scenario.grid.dt_h
+    demand_kwh = float(demand_kw(run).sum()) * dt_h
+    unserved_kwh = summary["energy_not_supplied_kwh"]
+    rows = [
+        ("Demand", demand_kwh),
+        ("Not supplied", unserved_kwh),
+        ("Supplied", demand_kwh - unserved_kwh),
+        ("Imported", summary["import_kwh"]),
+    ]
+    if summary.get("export_kwh"):
+        rows.append(("Exported", summary["export_kwh"]))
+    if len(run.scenario.pv):
+        rows.append(("PV available", float(pv_available_kw(run).sum()) * dt_h))
+        rows.append(("PV curtailed", summary["pv_curtailed_kwh"]))
+    if len(run.scenario.batteries):
+        charged = per_step(run, run.batteries["charge_kw"], run.batteries)
+        given = per_step(run, run.batteries["discharge_kw"], run.batteries)
+        stored = stored_energy_kwh(run)
+        rows.append(("Batteries took in", float(charged.sum()) * dt_h))
+        rows.append(("Batteries gave", float(given.sum()) * dt_h))
+        rows.append(("Stored at the start", float(stored[0])))
+        rows.append(("Stored at the end", float(stored[-1])))
+    rows.append(("Losses of the lines", float(run.steps["losses_kw"].sum()) * dt_h))
+    return [(words, number(value, ",.0f")) for words, value in rows]
+
+
+def limit_rows(run: Trajectory) -> list[LimitRow]:
+    """Lowest and highest voltage, and the line nearest to its rating."""
+    return [*_voltage_rows(run), *_line_rows(run)]
+
+
+def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
+    net = run.scenario.network
+    clock = Clock.of(run)
+    live = run.buses[run.buses["v_ac_pu"] > 0]
+    if live.empty:
+        yield LimitRow("Voltage", "none", "no bus was live", "", exceeded=False)
+        return
+    v = live["v_ac_pu"].to_numpy(float)
+    for what, at, limit, sign in (
+        ("Lowest voltage", int(v.argmin()), net.v_min_ac_pu, 1.0),
+        ("Highest voltage", int(v.argmax()), net.v_max_ac_pu, -1.0),
+    ):
+        row = live.iloc[at]
+        yield LimitRow(
+            what,
+            f"{v[at]:.4f} pu",
+            f"bus {row['bus']}, {clock.words(row['time'])}",
+            f"{limit:g} pu",
+            bool(sign * (limit - v[at]) > LIMIT_TOLERANCE_PU),
+        )
+
+
+def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
+    net = run.scenario.network
+    rated = net.has_ratings
+    values = np.nan_to_num(line_loading(run) if rated else line_current_a(run))
+    if not values.size:
+        return
+    t, line = np.unravel_index(int(values.argmax()), values.shape)
+    largest = float(values[t, line])
+    yield LimitRow(
+        "Largest line loading" if rated else "Largest line current",
+        f"{largest:.0%}" if rated else f"{largest:,.1f} A",
+        f"{net.from_bus[line]} to {net.to_bus[line]}, "
+        f"{Clock.of(run).words(run.steps['time'].iloc[int(t)])}",
+        f"{net.i_max_a[line]:,.0f} A" if rated else "no line has a rating",
+        rated and largest > 1.0,
+    )
+
+
+def price_sentence(summary: Mapping[str, Any]) -> str:
+    """What the energy that was not supplied is worth, and by whose reckoning."""
+    voll = summary["voll_gbp_per_kwh"]
+    origin = (
+        "homes and small businesses in Great Britain, winter peak, prices of 2013; London "
+        "Economics for Ofgem and DECC, 2013"
+        if voll == DEFAULT_VOLL_GBP_PER_KWH
+        else "given by the scenario or with --voll"
+    )
+    return (
+        f"{summary['energy_not_supplied_kwh']:,.0f} kWh not supplied at {voll:g} GBP/kWh, the "
+        f"value of lost load ({origin}): {summary['energy_not_supplied_gbp']:,.0f} GBP."
+    )
+
+
+def money_sentence(summary: Mapping[str, Any]) -> str:
+    """What the exchange with the grid cost."""
+    text = f"{summary['import_kwh']:,.0f} kWh imported for {summary['cost_gbp']:,.2f} GBP"
+    if summary.get("export_kwh"):
+        text += (
+            f", {summary['export_kwh']:,.0f} kWh exported for "
+            f"{summary.get('export_gbp') or 0.0:,.2f} GBP"
+        )
+    return f"{text}."
+
+
+def first_notes(run: Trajectory) -> list[str]:
+    """Where the feeder comes from, how exact it is, and the first notes of its import."""
+    source = run.scenario.source
+    if not source:
+        return []
+    more = len(source.notes) - NOTES_SHOWN
+    rest = [f"{more} more under Assumptions and provenance."] if more > 0 else []
+    return [str(source), *source.notes[:NOTES_SHOWN], *rest]
+
+
+def _duration(hours: float) -> str:
+    """Hours without supply, or minutes below one."""
+    return f"{hours:g} h" if hours >= 1.0 else f"{h_to_minutes(hours):g} min"
