@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import sys
 import traceback
@@ -346,6 +347,8 @@ def new(
     profile_step: cli_new.ProfileStep = None,
     max_gap: cli_new.MaxGap = 120.0,
     price: cli_new.Price = "time-of-use",
+    export_limit: cli_new.ExportLimit = math.inf,
+    export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
     debug: Debug = False,
 ) -> None:
@@ -377,6 +380,8 @@ def new(
             profile_step_minutes=profile_step,
             max_gap_minutes=max_gap,
             price=price,
+            export_limit_kw=export_limit,
+            export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
         )
         feeder = import_network(

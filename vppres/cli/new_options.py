@@ -130,6 +130,10 @@ MaxGap = Annotated[
     float, typer.Option(metavar="M", help="Minutes of the longest gap of a series that is filled.")
 ]
 Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+ExportLimit = Annotated[
+    float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
+]
+ExportPrice = Annotated[float, typer.Option(metavar="GBP", help="What an exported kWh earns.")]
 SlackVoltage = Annotated[
     float | None,
     typer.Option(metavar="PU", help="Voltage of the slack bus; the network's if not given."),

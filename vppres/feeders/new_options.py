@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isclose
+from math import inf, isclose
 from pathlib import Path
 from typing import Literal
 from zoneinfo import ZoneInfo
@@ -68,6 +68,10 @@ class NewScenarioOptions:
         ``time-of-use`` or ``flat``.
     v_slack_pu : float, optional
         Voltage of the slack bus; the feeder's if not given.
+    export_limit_kw : float
+        Largest export of the connection; infinite without limit, 0 imports only.
+    export_price_gbp_per_kwh : float
+        What exported energy earns.
     seed : int
         Seed of what is drawn: who is in which tier, and who has PV.
     time_zone : str, optional
@@ -97,6 +101,8 @@ class NewScenarioOptions:
     battery_kwh_per_peak_kw: float | None = None
     price: PriceRule = "time-of-use"
     v_slack_pu: float | None = None
+    export_limit_kw: float = inf
+    export_price_gbp_per_kwh: float = 0.0
     seed: int = 0
     time_zone: str | None = None
     profiles: str | Path | None = None
@@ -245,6 +251,20 @@ def check_options(options: NewScenarioOptions) -> list[Problem]:
             options.battery_kwh_per_peak_kw,
             "must lie between 0 and 100",
             "Give kWh per kW of peak load, for example 0.625.",
+        ),
+        (
+            not options.export_limit_kw >= 0,
+            "export_limit_kw",
+            options.export_limit_kw,
+            "must be at least 0",
+            "Give kW; 0 imports only.",
+        ),
+        (
+            not abs(options.export_price_gbp_per_kwh) <= schema.MAX_PRICE,
+            "export_price_gbp_per_kwh",
+            options.export_price_gbp_per_kwh,
+            f"must lie between -{schema.MAX_PRICE:g} and {schema.MAX_PRICE:g}",
+            "Give GBP per kWh, for example 0.05.",
         ),
         (options.seed < 0, "seed", options.seed, "must be at least 0", "Give another seed."),
         (

@@ -138,6 +138,8 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         temperature_c=series.system.get("temperature_c", constant_c),
         grid_limit_kw=_grid_limit(options, grid),
         tiers=tuple(assets.tiers),
+        export_limit_kw=np.array(options.export_limit_kw),
+        export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
     )
     return scenario, [*assets.notes, *series.notes, *_told_constants(options, series)]

@@ -203,6 +203,14 @@ class WindowData:
         """Whether export is part of the window's problem."""
         return self.export is not None
 
+    @property
+    def both_ways_earn(self) -> bool:
+        """Whether importing and exporting at once would earn in a step with grid."""
+        if self.export is None:
+            return False
+        open_ = (self.grid_limit_kw > 0.0) & (self.export.limit_kw > 0.0)
+        return bool((open_ & (self.export.price_gbp_per_kwh > self.price_gbp_per_kwh)).any())
+
     def export_max_kw(self, site: Site) -> Floats:
         """Largest export that there can ever be, or the limit where that is smaller, (W,).
 

@@ -48,8 +48,10 @@ class AggregateModel:
     switching : RuleSteps, optional
         Shape of the switching rules; None has none.
     exporting : bool
-        Whether export is part of it. Its direction is never a binary here, so that serving one more
-        customer is always met by more import.
+        Whether export is part of it. Without a binary for its direction more import can always
+        meet one more customer.
+    one_way : bool
+        Whether the direction is a binary, for bounds on cost where both at once would earn.
 
     Attributes
     ----------
@@ -72,6 +74,7 @@ class AggregateModel:
         physical: bool = False,
         switching: RuleSteps | None = None,
         exporting: bool = False,
+        one_way: bool = False,
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -80,7 +83,9 @@ class AggregateModel:
         self.x = cp.Variable((n_steps, len(site.customers)), name="x_served", boolean=integer)
         self.v = self._variables()
         self.p = self._parameters()
-        self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
+        self.export: ExportToGrid | None = None
+        if exporting:
+            self.export = ExportToGrid.create(n_steps, "integer" if one_way else "relaxed")
         self.room = self._room_parameters() if physical else {}
         self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
         self.service_min = cp.Parameter(name="service_min")
