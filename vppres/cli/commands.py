@@ -29,7 +29,9 @@ from vppres.cli.tables import (
     content_of,
     error_panel,
     figures_table,
+    phases_table,
     problem_record,
+    recheck_lines,
     remarks_text,
     sweep_table,
     validation_text,
@@ -350,6 +352,7 @@ def new(
     export_limit: cli_new.ExportLimit = math.inf,
     export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
+    accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
@@ -383,6 +386,7 @@ def new(
             export_limit_kw=export_limit,
             export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
+            accept_deviation=accept_deviation,
         )
         feeder = import_network(
             network,
@@ -394,6 +398,39 @@ def new(
         )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
+        typer.echo(f"Written to {folder}")
+
+
+@app.command(epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
+def recheck(
+    run_folder: RunFolder,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="The .dss file that the scenario is made from.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where to write; RUN_FOLDER/recheck if not given."),
+    ] = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
+    with _plain_errors(debug):
+        from vppres.feeders.recheck import recheck_opendss
+        from vppres.io.atomic import check_target
+        from vppres.report.finished import read_finished
+        from vppres.report.rechecked import write_recheck
+
+        folder = out or run_folder / "recheck"
+        check_target(folder)  # before the work, not after it
+        run = read_finished(run_folder).trajectory
+        summary = write_recheck(run, recheck_opendss(run.tables, source), folder)
+        if as_json:
+            _print_json({"folder": str(folder), **summary})
+            return
+        Console().print(phases_table(summary))
+        for line in recheck_lines(summary):
+            typer.echo(line)
         typer.echo(f"Written to {folder}")
 
 

@@ -134,6 +134,13 @@ ExportLimit = Annotated[
     float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
 ]
 ExportPrice = Annotated[float, typer.Option(metavar="GBP", help="What an exported kWh earns.")]
+AcceptDeviation = Annotated[
+    bool,
+    typer.Option(
+        "--accept-deviation",
+        help="Import even where voltages are more than 0.005 pu from the source's.",
+    ),
+]
 SlackVoltage = Annotated[
     float | None,
     typer.Option(metavar="PU", help="Voltage of the slack bus; the network's if not given."),

@@ -166,3 +166,39 @@ def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
             f"{figures['solve_s']['total']:.1f}",
         )
     return table
+
+
+PHASE_COLUMNS = (
+    ("buses", "buses", ".0f"),
+    ("difference_max_pu", "largest difference", ".4f"),
+    ("difference_mean_pu", "mean difference", ".4f"),
+    ("v_min_pu", "lowest voltage", ".4f"),
+    ("v_min_plan_pu", "in the plan", ".4f"),
+)
+
+
+def phases_table(summary: Mapping[str, Any]) -> Table:
+    """Voltages per phase of a recheck, in steps with grid."""
+    table = Table(title="Original feeder against the plan, steps with grid (pu)")
+    table.add_column("phase")
+    for _, words, _ in PHASE_COLUMNS:
+        table.add_column(words, justify="right")
+    for phase, row in summary["phases"].items():
+        cells = [
+            "-" if row[key] is None else format(row[key], form) for key, _, form in PHASE_COLUMNS
+        ]
+        table.add_row(phase, *cells)
+    return table
+
+
+def recheck_lines(summary: Mapping[str, Any]) -> list[str]:
+    """The largest difference, its cause, and what the comparison assumes."""
+    largest = summary["largest"]
+    head = (
+        "No step with grid can be compared."
+        if largest is None
+        else f"Largest difference: {largest['difference_pu']:+.4f} pu at bus {largest['bus']}, "
+        f"phase {largest['phase']}, {largest['time']}: {largest['v_pu']:.4f} in OpenDSS, "
+        f"{largest['v_plan_pu']:.4f} in the plan."
+    )
+    return [visible(line) for line in (head, summary["cause"], *summary["notes"])]

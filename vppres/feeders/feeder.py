@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -127,21 +128,41 @@ class Deviation:
     Parameters
     ----------
     v_max_pu : float
-        Largest difference of a bus voltage.
+        Largest difference of a bus voltage with the loads and generators of the source.
     losses_source_kw, losses_kw : float
-        Active losses of the source and of the feeder.
+        Active losses of the source and of the feeder, shunts included.
+    no_load_pu : float, optional
+        Largest difference of a bus voltage without them; None where it is not known.
     """
 
     v_max_pu: float
     losses_source_kw: float
     losses_kw: float
+    no_load_pu: float | None = None
 
     def __str__(self) -> str:
         return (
             f"AC power flow against the source: voltages differ by at most "
-            f"{self.v_max_pu:.2g} pu; losses {self.losses_kw:.3f} kW, in the source "
-            f"{self.losses_source_kw:.3f} kW"
+            f"{self.v_max_pu:.2g} pu{_at_no_load(self.no_load_pu)}; losses "
+            f"{self.losses_kw:.3f} kW, in the source {self.losses_source_kw:.3f} kW"
         )
+
+
+class SourceFlow(Protocol):
+    """AC power flow of a source, its branches and shunts as they are, for powers at its buses."""
+
+    def v_pu(
+        self, buses: Names, p_kw: Floats, q_kvar: Floats, v_slack_pu: float | None = None
+    ) -> dict[int, float] | None:
+        """Voltage of every bus of the source for net injections at buses of the feeder.
+
+        None where it does not converge.
+        """
+        ...
+
+
+def _at_no_load(v_pu: float | None) -> str:
+    return "" if v_pu is None else f", at no load by {v_pu:.2g} pu"
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +193,10 @@ class ImportedFeeder:
         What was simplified, one sentence each; empty if nothing was.
     deviation : Deviation, optional
         What the simplifications change; None if the source's power flow does not converge.
+    causes : tuple of str, optional
+        What the voltages may differ by, the largest first.
+    source_flow : SourceFlow, optional
+        AC power flow of the source for other powers.
     """
 
     name: str
@@ -186,6 +211,8 @@ class ImportedFeeder:
     storages: Storages = field(default_factory=Storages.none)
     loads: Loads = field(default_factory=Loads.none)
     profiles: tuple[Profile, ...] = ()
+    causes: tuple[str, ...] = ()
+    source_flow: SourceFlow | None = None
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

@@ -21,7 +21,7 @@ ETA = 0.95
 
 
 def generators_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators:
-    """Static generators, and generators without their voltage control."""
+    """Static generators, and generators with the reactive power that the last flow gave them."""
     tables = [_generators(net, table, case, ids) for table in ("sgen", "gen")]
     # An empty frame has no say in the types of the columns.
     filled = [table for table in tables if len(table)] or tables[:1]
@@ -34,7 +34,10 @@ def _generators(net: Any, table: str, case: NetCase, ids: Mapping[int, BusId]) -
     frame = supplied(net, table, case)
     scaling = frame["scaling"].fillna(1.0)
     p_mw = frame["p_mw"] * scaling
-    q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
+    if table == "sgen":
+        q_mvar = frame["q_mvar"] * scaling
+    else:
+        q_mvar = net.res_gen.reindex(frame.index)["q_mvar"].astype(float).fillna(0.0)
     rating_mva = _positive(frame, "sn_mva")
     largest_mw = _positive(frame, "max_p_mw")
     return pd.DataFrame(

@@ -24,6 +24,8 @@ from vppres.io import schema
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 
 DECIMALS = 6
+POWER_FACTOR_DECIMALS = 9
+"""Near 1 a power factor needs them: 1 - 1e-9 still has 0.004 % of reactive power."""
 
 TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
 """Weights of the tiers (paper, Parameter Selection)."""
@@ -150,29 +152,27 @@ def _customers(
     """One customer per bus with a load."""
     bus = feeder.network.buses[loaded]
     p_kw = feeder.p_load_kw[loaded]
-    # The model's power factors lag: a load that feeds reactive power counts as purely active.
-    q_kvar = np.maximum(feeder.q_load_kvar[loaded], 0.0)
+    q_kvar = feeder.q_load_kvar[loaded]
+    leading = np.where(q_kvar < 0, -1.0, 1.0)
     return Customers(
         id=_ids("c", bus),
         bus=bus,
         tier=tier,
         weight=np.array([tiers[t] for t in tier]),
-        power_factor=np.round(p_kw / np.hypot(p_kw, q_kvar), 6),
+        power_factor=leading * np.round(p_kw / np.hypot(p_kw, q_kvar), POWER_FACTOR_DECIMALS),
     )
 
 
 def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
-    """Loads of the feeder that the scenario does not have as they are."""
-    buses = feeder.network.buses
-    reactive = buses[(feeder.p_load_kw <= 0) & (feeder.q_load_kvar != 0)]
-    if len(reactive):
-        yield f"Loads without active power are left out: bus {', '.join(map(str, reactive))}."
-    leading = buses[(feeder.p_load_kw > 0) & (feeder.q_load_kvar < 0)]
-    if len(leading):
-        yield (
-            "Loads that feed reactive power count as purely active: bus "
-            f"{', '.join(map(str, leading))}."
-        )
+    """What the feeder draws that no customer of the scenario owns."""
+    net = feeder.network
+    fixed = np.flatnonzero((net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0))
+    if len(fixed):
+        sizes = [
+            f"{net.buses[n]} ({net.p_fixed_kw[n]:.4g} kW, {net.q_fixed_kvar[n]:.4g} kvar)"
+            for n in fixed
+        ]
+        yield f"Drawn in every step and owned by no customer: bus {few(sizes)}."
 
 
 def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:

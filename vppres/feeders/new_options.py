@@ -72,6 +72,8 @@ class NewScenarioOptions:
         Largest export of the connection; infinite without limit, 0 imports only.
     export_price_gbp_per_kwh : float
         What exported energy earns.
+    accept_deviation : bool
+        Whether voltages may be more than 0.005 pu away from those of the source.
     seed : int
         Seed of what is drawn: who is in which tier, and who has PV.
     time_zone : str, optional
@@ -103,6 +105,7 @@ class NewScenarioOptions:
     v_slack_pu: float | None = None
     export_limit_kw: float = inf
     export_price_gbp_per_kwh: float = 0.0
+    accept_deviation: bool = False
     seed: int = 0
     time_zone: str | None = None
     profiles: str | Path | None = None

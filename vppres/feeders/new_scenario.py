@@ -15,6 +15,12 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.feeders.closeness import (
+    check_deviation,
+    source_deviation,
+    told_causes,
+    told_deviation,
+)
 from vppres.feeders.elements import few
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new_assets import TIER_WEIGHTS, NewAssets, new_assets, written
@@ -27,7 +33,7 @@ from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
-from vppres.scenario.source import Source, SourceDeviation
+from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
 NOTES_FILE = "notes.md"
@@ -193,11 +199,15 @@ def write_new_scenario(
     Raises
     ------
     InputError
-        As :func:`new_scenario`, or if the folder holds something.
+        As :func:`new_scenario`, if the folder holds something, or if the voltages are further
+        from the source's than the options accept.
     """
     scenario, chosen = _built(feeder, options)
-    notes = [*_told_source(feeder), *chosen]
-    scenario = replace(scenario, source=_source(feeder, notes))
+    deviation = source_deviation(feeder, scenario)
+    check_deviation(feeder, deviation, options.accept_deviation)
+    told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
+    scenario = replace(scenario, source=Source.of(feeder.name, notes=told, deviation=deviation))
+    notes = list(dict.fromkeys([*told, told_deviation(feeder, deviation)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
@@ -208,12 +218,7 @@ def write_new_scenario(
 
 def assumptions(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[str]:
     """What was simplified and what was chosen by rule, in sentences."""
-    return [*_told_source(feeder), *_built(feeder, options)[1]]
-
-
-def _told_source(feeder: ImportedFeeder) -> list[str]:
-    """What the import simplified, and how close it is."""
-    return [*feeder.notes, *([f"{feeder.deviation}."] if feeder.deviation else [])]
+    return [*feeder.notes, *_built(feeder, options)[1]]
 
 
 def _told_bundled(pv: PVSystems) -> Iterator[str]:
@@ -235,13 +240,6 @@ def _told_constants(options: NewScenarioOptions, series: Series) -> Iterator[str
         words.append(f"the temperature, {TEMPERATURE_C:g} °C")
     if words:
         yield f"Invented: {' and '.join(words)}."
-
-
-def _source(feeder: ImportedFeeder, notes: list[str]) -> Source:
-    """What the scenario says of where it comes from."""
-    as_given_pu = None if feeder.deviation is None else feeder.deviation.v_max_pu
-    told = [note for note in notes if note != f"{feeder.deviation}."]  # it has a field of its own
-    return Source.of(feeder.name, notes=told, deviation=SourceDeviation(as_given_pu=as_given_pu))
 
 
 def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Problem]:

@@ -159,6 +159,7 @@ def relaxation_of(
         physical=data.physical,
         switching=rule_steps(data),
         exporting=data.exporting,
+        ending=data.ending,
     )
 
 
@@ -180,6 +181,7 @@ def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
         switching=rule_steps(data),
         exporting=True,
         one_way=True,
+        ending=data.ending,
     )
     model.fill(data)
     model.service_min.value = units_min * model.grid
@@ -194,6 +196,7 @@ def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
         lumped=lumped,
         physical=data.physical,
         exporting=data.exporting,
+        ending=data.ending,
     )
 
 
