@@ -280,6 +280,7 @@ def sweep(
     values: cli_sweep.Values = None,
     range_: cli_sweep.Range = None,
     jobs: cli_sweep.Jobs = None,
+    scheduler: cli_sweep.Scheduler = None,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -292,6 +293,7 @@ def sweep(
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
+        from vppres.studies.side_by_side import Where
         from vppres.studies.sweep import cases_of, outcome_records, run_cases
         from vppres.studies.sweep_page import write_sweep_page
         from vppres.studies.sweep_parameters import chosen_values, find_parameter
@@ -307,7 +309,7 @@ def sweep(
             outcomes = run_cases(
                 cases,
                 out,
-                jobs,
+                Where(jobs, scheduler),
                 lambda done, _: bar.update(task, completed=done),
                 lambda found, folder: write_sweep_page(parameter.name, day, found, folder),
             )
