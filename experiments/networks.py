@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +29,7 @@ from vppres.feeders.new_scenario import write_new_scenario
 from vppres.io.atomic import atomic_write_text
 from vppres.io.scenario_folder import read_scenario
 from vppres.report.run_folder import write_run
+from vppres.scenario.source import SourceDeviation
 
 CIRCUIT = re.compile(r"^\s*new\s+(object=)?circuit\.", re.IGNORECASE | re.MULTILINE)
 BEGIN, END = "<!-- networks: begin -->", "<!-- networks: end -->"
@@ -105,13 +108,17 @@ def candidates(folder: Path) -> Iterator[Candidate]:
         if re.search(
             r"^\s*new\s+(object=)?circuit\.", file.read_text("utf-8", "replace"), re.I | re.M
         ):
-            yield Candidate(file.name, lambda file=file: file)
+            yield Candidate(file.name, partial(_itself, file))
     for file in sorted(folder.glob("matpower/*.m")):
-        yield Candidate(file.name, lambda file=file: file)
+        yield Candidate(file.name, partial(_itself, file))
     for label, (name, arguments) in PANDAPOWER.items():
-        yield Candidate(label, lambda name=name, arguments=arguments: _net(name, arguments))
+        yield Candidate(label, partial(_net, name, arguments))
     for code in SIMBENCH:
-        yield Candidate(f"SimBench {code}", lambda code=code: code, "simbench")
+        yield Candidate(f"SimBench {code}", partial(_itself, code), "simbench")
+
+
+def _itself(source: Path | str) -> Path | str:
+    return source
 
 
 def _net(name: str, arguments: dict[str, Any]) -> Any:
@@ -148,15 +155,14 @@ def attempt(candidate: Candidate, folder: Path) -> Outcome:
             words = f"no: {text.removeprefix(f'{candidate.label}: ')}"
         except VppresError as error:
             words = f"no: {str(error).splitlines()[0]}"
-        deviation = state.get("deviation")
+        known = state.get("deviation", SourceDeviation())
         return Outcome(
             candidate.label,
             tuple(options),
             state.get("buses"),
-            *(
-                getattr(deviation, f"{name}_pu", None)
-                for name in ("no_load", "as_given", "worst_hour")
-            ),
+            known.no_load_pu,
+            known.as_given_pu,
+            known.worst_hour_pu,
             words,
             time.perf_counter() - start,
         )
@@ -227,21 +233,36 @@ def put_into(page: Path, text: str) -> None:
     atomic_write_text(page, f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
 
 
+def kept_or_tried(candidate: Candidate, kept: Path) -> Outcome:
+    """The outcome that a former run kept, or that of an attempt, kept for the next."""
+    file = kept / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', candidate.label)}.json"
+    if file.is_file():
+        record = json.loads(file.read_text("utf-8"))
+        return Outcome(**{**record, "options": tuple(record["options"])})
+    outcome = attempt(candidate, kept)
+    atomic_write_text(file, json.dumps(asdict(outcome), indent=2) + "\n")
+    typer.echo(" | ".join((*_row(outcome), f"{outcome.seconds:.0f} s")))
+    return outcome
+
+
 def main(
     folder: Annotated[Path, typer.Option(help="Folder of opendss/ and matpower/.")] = Path(
         "../shared/networks"
     ),
     page: Annotated[Path | None, typer.Option(help="Page whose table is written anew.")] = None,
-    results: Annotated[Path, typer.Option(help="Folder of the tables.")] = STUDIES,
-    only: Annotated[str, typer.Option(help="Part of the names to try.")] = "",
+    results: Annotated[
+        Path, typer.Option(help="Folder of the tables; what is there is not tried again.")
+    ] = STUDIES,
+    only: Annotated[str, typer.Option(help="Pattern of the names to try.")] = "",
 ) -> None:
     """Try all networks, and write the table."""
-    outcomes = []
-    results.mkdir(parents=True, exist_ok=True)
-    for candidate in candidates(folder):
-        if only in candidate.label:
-            outcomes.append(attempt(candidate, results))
-            typer.echo(" | ".join((*_row(outcomes[-1]), f"{outcomes[-1].seconds:.0f} s")))
+    kept = results / "networks"
+    kept.mkdir(parents=True, exist_ok=True)
+    outcomes = [
+        kept_or_tried(candidate, kept)
+        for candidate in candidates(folder)
+        if re.search(only, candidate.label)
+    ]
     text = table(outcomes)
     record = {"networks": [asdict(outcome) for outcome in outcomes]}
     write_pages(results, "networks", "Published networks", text, record)
