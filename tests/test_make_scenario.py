@@ -64,7 +64,7 @@ def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     assert (len(day.pv), len(day.batteries), day.tiers) == (0, 0, ("all",))
     assert set(day.customers.weight) == {1.0}
-    notes = assumptions(case33, day, NewScenarioOptions())
+    notes = assumptions(case33, NewScenarioOptions())
     assert (
         "All 32 customers are in one tier, all: the source names none, and none was drawn." in notes
     )
@@ -73,7 +73,7 @@ def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
 
 
 def test_what_is_invented_says_so(case33: ImportedFeeder) -> None:
-    notes = assumptions(case33, new_scenario(case33, INVENTED), INVENTED)
+    notes = assumptions(case33, INVENTED)
     assert "Customers by tier: 6 critical, 10 high, 16 low (drawn, seed 0)." in notes
     assert "26 PV systems, 1,562.5 kW (PV invented by size)." in notes
     assert (
@@ -145,7 +145,7 @@ def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
     sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
     assert len(sized.pv) == round(0.8 * len(day.customers)) + 1  # the wind stays
-    notes = assumptions(cigre, sized, NewScenarioOptions(pv="sized"))
+    notes = assumptions(cigre, NewScenarioOptions(pv="sized"))
     assert any(
         note.startswith("Generators of the source that --pv sized leaves out") for note in notes
     )
@@ -158,7 +158,7 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     assert day.customers.power_factor == pytest.approx(
         [2 / np.sqrt(5), 1.0, -5 / np.sqrt(26)], abs=1e-8
     )
-    notes = assumptions(tagged, day, NewScenarioOptions())
+    notes = assumptions(tagged, NewScenarioOptions())
     fixed = "Drawn in every step and owned by no customer: bus 3 (0 kW, 20 kvar)."
     assert fixed in notes
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Floats, Names, freeze_fields
 from vppres.scenario.network import BusId, Network
@@ -35,6 +36,48 @@ class Generators:
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Single loads of the source, shape (E,) each: as they are given, drawn power is positive."""
+
+    id: Names
+    bus: Names
+    p_kw: Floats
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    @classmethod
+    def none(cls) -> Loads:
+        """No load that is known by itself."""
+        return cls(**{f.name: np.empty(0, dtype=_type_of(f.name)) for f in fields(cls)})
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Series of one element or asset, as it was given.
+
+    Parameters
+    ----------
+    where : str
+        File or source, for messages.
+    name : str
+        The element or asset, as the source names it.
+    values : Series
+        Indexed by times in UTC; by the number of the row where the source has no times.
+    unit : str
+        ``kw``, ``mw``, ``pu`` of the element's power, or empty where nobody said.
+    factor : float
+        What the values are multiplied by, before the unit.
+    """
+
+    where: str
+    name: str
+    values: pd.Series[float]
+    unit: str = ""
+    factor: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +117,7 @@ def _type_of(name: str) -> type:
     return object if name in ("id", "bus", "kind") else float
 
 
-def _freeze(table: Generators | Storages) -> None:
+def _freeze(table: Generators | Loads | Storages) -> None:
     freeze_fields(table, **{f.name: _type_of(f.name) for f in fields(table)})
 
 
@@ -140,6 +183,10 @@ class ImportedFeeder:
         Generators of the source.
     storages : Storages
         Batteries of the source.
+    loads : Loads
+        Loads one by one, as far as they are known.
+    profiles : tuple of Profile
+        Series that come with the source.
     bus_of : mapping
         Bus of the network for every supplied bus of the source; joined buses share one.
     notes : tuple of str
@@ -162,6 +209,8 @@ class ImportedFeeder:
     notes: tuple[str, ...]
     deviation: Deviation | None = None
     storages: Storages = field(default_factory=Storages.none)
+    loads: Loads = field(default_factory=Loads.none)
+    profiles: tuple[Profile, ...] = ()
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
 

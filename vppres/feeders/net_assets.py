@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.core.units import mw_to_kw
 from vppres.feeders.elements import NetCase, few, label, supplied
-from vppres.feeders.feeder import Generators, Storages
+from vppres.feeders.feeder import Generators, Loads, Storages
 from vppres.scenario.network import BusId
 
 HOURS_OF_STORAGE = 2.0
@@ -59,6 +59,21 @@ def _words(frame: pd.DataFrame, table: str) -> pd.Series[str]:
         return pd.Series(table, frame.index, dtype=object)
     words = frame["type"].fillna("").astype(str)
     return words if table == "sgen" else words.where(words != "", "gen")
+
+
+def loads_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Loads:
+    """Loads and motors one by one."""
+    loads = supplied(net, "load", case)
+    motors = motors_as_loads(net, case)
+    labels = [label(net, "load", i) for i in loads.index]
+    labels += [label(net, "motor", i) for i in motors.index]
+    rows = [*loads["row"], *motors["row"]]
+    p_mw = [*(loads["p_mw"] * loads["scaling"].fillna(1.0)), *motors["p_mw"]]
+    return Loads(
+        np.array(labels, dtype=object),
+        np.array([ids[row] for row in rows], dtype=object),
+        mw_to_kw(p_mw),
+    )
 
 
 def motors_as_loads(net: Any, case: NetCase) -> pd.DataFrame:

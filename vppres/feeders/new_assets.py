@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names, Wholes
+from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.feeders.elements import few
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.kinds import PV, burns_fuel, kind_of
@@ -54,6 +54,8 @@ class NewAssets:
         Tiers and their weights, most important first.
     peak_kw : array, shape (C,)
         Load of each customer in the source.
+    of_generator : array, shape (G,)
+        Position of the system that each generator of the source is a part of; -1 for none.
     notes : tuple of str
         What was chosen, drawn or left out, in sentences.
     """
@@ -63,6 +65,7 @@ class NewAssets:
     batteries: Batteries
     tiers: dict[str, float]
     peak_kw: Floats
+    of_generator: Wholes
     notes: tuple[str, ...]
 
 
@@ -73,9 +76,15 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     peak_kw = feeder.p_load_kw[loaded]
     tier, tiers = _tiers(feeder.tier[loaded], options, draw_tier)
     customers = _customers(feeder, loaded, tier, tiers)
-    pv = _systems(_own_systems(feeder, options), customers)
+    table = generator_table(feeder)
+    kept = _kept(table, options)
+    grouped = _own_systems(table[kept])
+    pv = _systems(grouped, customers)
+    before = 0
     if options.pv == "sized":
-        pv = _joined(_sized_pv(customers, peak_kw, options, draw_pv), pv)
+        sized = _sized_pv(customers, peak_kw, options, draw_pv)
+        before = len(sized)
+        pv = _joined(sized, pv)
     own = _own_batteries(feeder)
     added = _added_batteries(customers, peak_kw, options, set(own.id))
     notes = [
@@ -84,7 +93,8 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         *_told_batteries(own, added),
         *_told_loads(feeder),
     ]
-    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, tuple(notes))
+    of_generator = _positions(table, kept, grouped, before)
+    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, of_generator, tuple(notes))
 
 
 def written(values: Floats) -> Floats:
@@ -184,14 +194,31 @@ def _name_in(identifier: str) -> str:
     return identifier.partition("(")[2].rstrip(")")
 
 
-def _own_systems(feeder: ImportedFeeder, options: NewScenarioOptions) -> pd.DataFrame:
-    """The source's systems by bus and kind: largest power and inverter, and their number."""
-    table = generator_table(feeder)
-    keep = table["counterpart"] & (options.pv != "none")
+def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
+    """Generators of the source that the scenario takes, (G,)."""
+    keep = table["counterpart"].to_numpy(bool)
     if options.pv == "sized":
-        keep &= table["kind"] != PV
-    grouped = table[keep].groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
+        return np.asarray(keep & (table["kind"] != PV).to_numpy(bool))
+    return keep & (options.pv == "existing")
+
+
+def _own_systems(kept: pd.DataFrame) -> pd.DataFrame:
+    """The source's systems by bus and kind: largest power and inverter."""
+    grouped = kept.groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
     return grouped.reset_index()
+
+
+def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
+    """Position of each generator's system, after those that were sized; -1 for none, (G,)."""
+    pairs = zip(grouped["bus"], grouped["kind"], strict=True)
+    position = {pair: before + i for i, pair in enumerate(pairs)}
+    return np.array(
+        [
+            position[bus, kind] if keep else -1
+            for bus, kind, keep in zip(table["bus"], table["kind"], kept, strict=True)
+        ],
+        dtype=int,
+    )
 
 
 def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:

@@ -31,7 +31,7 @@ from vppres.feeders.branches import (
 from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
 from vppres.feeders.feeder import Generators, ImportedFeeder
-from vppres.feeders.net_assets import generators_of, motors_as_loads, storages_of
+from vppres.feeders.net_assets import generators_of, loads_of, motors_as_loads, storages_of
 from vppres.feeders.notes import notes_of
 from vppres.feeders.ratings import rating_mva
 from vppres.io.messages import did_you_mean
@@ -109,6 +109,7 @@ def feeder_of(
         tier=of_customers["tier"].fillna("").to_numpy(dtype=object),
         generators=generators,
         storages=storages,
+        loads=loads_of(net, joined, ids),
         bus_of={bus: ids[row] for bus, row in joined.bus_at.items()},
         notes=(*notes_of(net, case, stubs, closed, condensers), *storage_notes),
         causes=tuple(causes_of(net, case)),
