@@ -12,13 +12,16 @@ from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import read_config
 from experiments.report import HTML, MARKDOWN, Effort, write_report
 from experiments.runner import processes_for, run_jobs
+from experiments.seeds import Scheduler
 from experiments.terminal import plain_errors, show_report
 from vppres.core.errors import InputError, Problem
 
 TABLE_WIDTH = 110  # narrower, the table of R1 to R24 is unreadable
 
 
-def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Path:
+def reproduce(
+    names: list[str], folder: Path, quick: bool, processes: int, scheduler: str | None = None
+) -> Path:
     """Run experiments and write their report.
 
     Parameters
@@ -31,6 +34,8 @@ def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Pa
         Whether to run fewer levels and seeds.
     processes : int
         How many days run at a time; -1 is one for each core.
+    scheduler : str, optional
+        Of the Dask cluster that runs them, in place of this machine.
 
     Returns
     -------
@@ -56,7 +61,7 @@ def reproduce(names: list[str], folder: Path, quick: bool, processes: int) -> Pa
     begin = time.perf_counter()
     configs = {name: read_config(name, quick) for name in names or EXPERIMENTS}
     jobs = [job for name, config in configs.items() for job in ALL[name].jobs(config)]
-    results, computed = run_jobs(jobs, folder / "cache", processes)
+    results, computed = run_jobs(jobs, folder / "cache", processes, scheduler)
     solve_s = sum(day.summary["solve_s"]["total"] for day in results.values())
     effort = Effort(
         len(results), computed, time.perf_counter() - begin, solve_s, processes_for(processes)
@@ -77,10 +82,11 @@ def main(
     results: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder of report, figures and cache.")
     ] = Path("results"),
+    scheduler: Scheduler = None,
 ) -> None:
     """Reproduce the paper's figures and tables, or run further experiments by name."""
     with plain_errors("Days that were finished"):
-        report = reproduce(only or [], results, quick, jobs)
+        report = reproduce(only or [], results, quick, jobs, scheduler)
     show_report(report, TABLE_WIDTH)
     typer.echo(f"Written to {results / HTML}")
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,9 +14,17 @@ import typer
 
 from experiments.random_days import small_day
 from experiments.report import machine
-from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
+from experiments.seeds import (
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Scheduler,
+    Span,
+    Study,
+)
 from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
@@ -33,6 +40,7 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import StepRecord
 from vppres.scenario.scenario import Scenario
+from vppres.studies.side_by_side import Where
 
 MATERIAL = 0.05
 """Frozen readings further off than this share (of demand, PV power or capacity) do harm."""
@@ -246,16 +254,18 @@ def write_report(days: Sequence[AlarmDay], wall_s: float, folder: Path) -> Path:
     return write_pages(folder, "alarms", "Frozen readings", text, record)
 
 
+STUDY = Study(run_one, write_report)
+
+
 def main(
     days: Days = 200,
     seed: FirstSeed = 0,
     jobs: Jobs = -1,
     results: Results = STUDIES,
+    scheduler: Scheduler = None,
 ) -> None:
     """Freeze readings on random days, and count alarms that are false or missing."""
-    begin = time.perf_counter()
-    outcomes = run_seeds(run_one, seed, days, jobs)
-    show_report(write_report(outcomes, time.perf_counter() - begin, results))
+    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
 
 
 if __name__ == "__main__":

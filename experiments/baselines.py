@@ -19,15 +19,24 @@ import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
 from experiments.random_days import DRAWINGS
 from experiments.report import machine
-from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
+from experiments.seeds import (
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Scheduler,
+    Span,
+    Study,
+)
 from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots import BLUE, draw_grid, save_figure
+from vppres.studies.side_by_side import Where
 
 CONTROLLERS = {
     "mpc": "MPC, H = 5 h",
@@ -233,17 +242,22 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
     )
 
 
+def _report(days: Sequence[list[Run]], wall_s: float, folder: Path) -> Path:
+    return write_report([run for day in days for run in day], wall_s, folder)
+
+
+STUDY = Study(run_seed, _report, width=TABLE_WIDTH)
+
+
 def main(
     days: Days = 50,
     seed: FirstSeed = 0,
     jobs: Jobs = -1,
     results: Results = STUDIES,
+    scheduler: Scheduler = None,
 ) -> None:
     """Run the MPC and the baselines on the same days."""
-    begin = time.perf_counter()
-    runs = [run for day in run_seeds(run_seed, seed, days, jobs) for run in day]
-    report = write_report(runs, time.perf_counter() - begin, results)
-    show_report(report, TABLE_WIDTH)
+    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,17 @@ import typer
 from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
-from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
+from experiments.seeds import (
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Scheduler,
+    Span,
+    Study,
+)
 from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.contract.observation import Observation
 from vppres.control.guard.estimation import Known
 from vppres.control.guard.guard import FALLBACKS, GuardedController, critical_site
@@ -35,6 +43,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
+from vppres.studies.side_by_side import Where
 
 HORIZONS_H = (3.0, 4.0, 5.0)
 WEIGHT_TOLERANCE = 1e-6
@@ -261,19 +270,18 @@ def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:
     )
 
 
+STUDY = Study(run_one, write_report, lambda day: day.error or day.violations or day.unnamed)
+
+
 def main(
     days: Days = 500,
     seed: FirstSeed = 0,
     jobs: Jobs = -1,
     results: Results = STUDIES,
+    scheduler: Scheduler = None,
 ) -> None:
     """Run random days full of faults, and judge what was done to critical customers."""
-    begin = time.perf_counter()
-    outcomes = run_seeds(run_one, seed, days, jobs)
-    report = write_report(outcomes, time.perf_counter() - begin, results)
-    show_report(report)
-    if any(outcome.error or outcome.violations or outcome.unnamed for outcome in outcomes):
-        raise typer.Exit(1)
+    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ seeds.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -22,9 +21,17 @@ from numpy.random import Generator
 
 from experiments.random_feeders import random_scenario
 from experiments.report import machine
-from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
+from experiments.seeds import (
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Scheduler,
+    Span,
+    Study,
+)
 from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.core.arrays import Names
 from vppres.core.errors import VppresError
 from vppres.day.metrics import versions
@@ -32,6 +39,7 @@ from vppres.day.options import RunOptions
 from vppres.live.controller import Controller, SetPoints
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
+from vppres.studies.side_by_side import Where
 
 MEASUREMENTS = 50
 STEPS = 4
@@ -324,19 +332,18 @@ def _text(outcomes: Sequence[GarbageOutcome], wall_s: float) -> str:
     )
 
 
+STUDY = Study(run_one, write_report, lambda seed: seed.wrong)
+
+
 def main(
     days: Days = 100,
     seed: FirstSeed = 0,
     jobs: Jobs = -1,
     results: Results = STUDIES,
+    scheduler: Scheduler = None,
 ) -> None:
     """Give controllers garbage, 50 measurements for each seed."""
-    begin = time.perf_counter()
-    outcomes = run_seeds(run_one, seed, days, jobs)
-    report = write_report(outcomes, time.perf_counter() - begin, results)
-    show_report(report)
-    if any(outcome.wrong for outcome in outcomes):
-        raise typer.Exit(1)
+    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
 
 
 if __name__ == "__main__":

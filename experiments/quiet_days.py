@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,9 +15,17 @@ from numpy.random import Generator
 
 from experiments.random_feeders import random_scenario
 from experiments.report import machine
-from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, run_seeds
+from experiments.seeds import (
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Scheduler,
+    Span,
+    Study,
+)
 from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
@@ -29,6 +36,7 @@ from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.scenario.scenario import Scenario
+from vppres.studies.side_by_side import Where
 
 SET_POINTS = ("served", "charge_kw", "discharge_kw", "batt_q_kvar", "pv_curtailed_kw", "pv_q_kvar")
 QUARTERS = 4
@@ -219,19 +227,18 @@ def _text(outcomes: Sequence[QuietOutcome], wall_s: float) -> str:
     )
 
 
+STUDY = Study(run_one, write_report, lambda day: day.changed)
+
+
 def main(
     days: Days = 500,
     seed: FirstSeed = 0,
     jobs: Jobs = -1,
     results: Results = STUDIES,
+    scheduler: Scheduler = None,
 ) -> None:
     """Compare the decisions of random days without faults with and without guard."""
-    begin = time.perf_counter()
-    outcomes = run_seeds(run_one, seed, days, jobs)
-    report = write_report(outcomes, time.perf_counter() - begin, results)
-    show_report(report)
-    if any(outcome.changed for outcome in outcomes):
-        raise typer.Exit(1)
+    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
 
 
 if __name__ == "__main__":

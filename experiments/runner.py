@@ -7,22 +7,16 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from joblib import Parallel, cpu_count, delayed, parallel_config
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from joblib import cpu_count
 
 from experiments.jobs import Job, scenario
 from experiments.results import DayResult
 from experiments.shorten import shorten
+from experiments.terminal import bar_of
+from vppres.core.errors import SolverLostError
 from vppres.day.simulate import run_day
 from vppres.io.atomic import atomic_write_text
+from vppres.studies.side_by_side import Lost, Where, map_unordered
 
 Results = Mapping[Job, DayResult]
 
@@ -47,7 +41,7 @@ class Cache:
 
 
 def run_jobs(
-    jobs: Iterable[Job], folder: Path, processes: int = -1
+    jobs: Iterable[Job], folder: Path, processes: int = -1, scheduler: str | None = None
 ) -> tuple[dict[Job, DayResult], int]:
     """Results of all jobs, from the cache where it has them.
 
@@ -59,6 +53,8 @@ def run_jobs(
         Folder of the cache, made if missing.
     processes : int
         How many at a time; -1 is one for each core that this process may use.
+    scheduler : str, optional
+        Of the Dask cluster that runs them, in place of this machine.
 
     Returns
     -------
@@ -77,7 +73,7 @@ def run_jobs(
     cache = Cache(folder)
     known = {job: result for job in wanted if (result := cache.get(job)) is not None}
     missing = sorted((job for job in wanted if job not in known), key=_expected_work, reverse=True)
-    for job, result in _compute(missing, cache, processes):
+    for job, result in _compute(missing, cache, Where(processes, scheduler)):
         known[job] = result
     return {job: known[job] for job in wanted}, len(missing)
 
@@ -92,21 +88,25 @@ def simulate(job: Job) -> tuple[Job, DayResult]:
     return job, shorten(run_day(scenario(job.day), job.options))
 
 
-def _compute(jobs: list[Job], cache: Cache, processes: int) -> Iterable[tuple[Job, DayResult]]:
+def _compute(jobs: list[Job], cache: Cache, where: Where) -> Iterable[tuple[Job, DayResult]]:
     """Run jobs and keep each result as soon as it is there."""
     if not jobs:
         return
-    count = min(processes_for(processes), len(jobs))
-    # One thread each: solvers and linear algebra would only fight for the cores.
-    with _bar() as bar, parallel_config("loky", inner_max_num_threads=1):
-        task = bar.add_task("days", total=len(jobs))
-        parallel = Parallel(n_jobs=count, return_as="generator_unordered", batch_size=1)
-        # Closing the generator stops the workers, whatever ends the loop.
-        with closing(parallel(delayed(simulate)(job) for job in jobs)) as finished:
-            for job, result in finished:
-                cache.put(job, result)
-                bar.advance(task)
-                yield job, result
+    lost = []
+    with (
+        bar_of("days", len(jobs)) as advance,
+        closing(map_unordered(simulate, jobs, where)) as outcomes,
+    ):
+        for outcome in outcomes:
+            advance(1)
+            if isinstance(outcome, Lost):
+                lost.append(f"{outcome.job.text()}: {outcome.reason}")
+                continue
+            job, result = outcome.result
+            cache.put(job, result)
+            yield job, result
+    if lost:
+        raise SolverLostError("Days without a result, all others are kept: " + " ".join(lost))
 
 
 def _expected_work(job: Job) -> float:
@@ -114,17 +114,3 @@ def _expected_work(job: Job) -> float:
     options = job.options
     steps = 24.0 if options.controller == "full-horizon" else options.horizon_h
     return steps + 10.0 * (options.thermal != "off")
-
-
-def _bar() -> Progress:
-    """A progress bar on stderr, if that is a terminal."""
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )

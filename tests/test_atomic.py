@@ -400,3 +400,67 @@ def test_killed_commands_leave_the_old_result_and_no_process(
     tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
     assert tally["kills"] + tally["finished"] == 5
     assert tally["old"] + tally["absent"] + tally["new"] == 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of open files are read in /proc")
+def test_what_takes_a_name_is_on_the_disk_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that loses power may have renamed a folder whose files are still empty."""
+    done = list[tuple[str, str]]()
+    fsync = os.fsync
+    replace = os.replace
+
+    def settled(descriptor: int) -> None:
+        done.append(("settled", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name))
+        fsync(descriptor)
+
+    def renamed(one: Path, other: Path) -> None:
+        done.append(("renamed", Path(other).name))
+        replace(one, other)
+
+    monkeypatch.setattr(os, "fsync", settled)
+    monkeypatch.setattr(os, "replace", renamed)
+    with atomic_folder(tmp_path / "run") as aside:
+        (aside / "figures").mkdir()
+        (aside / "figures" / "day.svg").write_text("<svg/>")
+        (aside / "summary.json").write_text("{}")
+    before = {name for kind, name in done[: done.index(("renamed", "run"))]}
+    assert {"figures", "day.svg", "summary.json", aside.name} == before
+    assert done[-1] == ("settled", tmp_path.name)
+    done.clear()
+    atomic_write_text(tmp_path / "one.json", "{}")
+    assert [kind for kind, _ in done] == ["settled", "renamed", "settled"]
+    assert done[1:] == [("renamed", "one.json"), ("settled", tmp_path.name)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of open files are read in /proc")
+def test_a_drive_that_cannot_settle_folders_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsync = os.fsync
+
+    def picky(descriptor: int) -> None:
+        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
+            raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", picky)
+    with atomic_folder(tmp_path / "run") as aside:
+        (aside / "summary.json").write_text("{}")
+    assert (tmp_path / "run" / "summary.json").is_file()
+
+
+def test_a_disk_that_is_full_only_when_it_settles_keeps_the_older_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with atomic_folder(tmp_path / "run") as aside:
+        (aside / "summary.json").write_text("old")
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError), atomic_folder(tmp_path / "run") as aside:
+        (aside / "summary.json").write_text("new")
+    assert (tmp_path / "run" / "summary.json").read_text() == "old"

@@ -64,7 +64,7 @@ def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     assert (len(day.pv), len(day.batteries), day.tiers) == (0, 0, ("all",))
     assert set(day.customers.weight) == {1.0}
-    notes = assumptions(case33, day, NewScenarioOptions())
+    notes = assumptions(case33, NewScenarioOptions())
     assert (
         "All 32 customers are in one tier, all: the source names none, and none was drawn." in notes
     )
@@ -73,7 +73,7 @@ def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
 
 
 def test_what_is_invented_says_so(case33: ImportedFeeder) -> None:
-    notes = assumptions(case33, new_scenario(case33, INVENTED), INVENTED)
+    notes = assumptions(case33, INVENTED)
     assert "Customers by tier: 6 critical, 10 high, 16 low (drawn, seed 0)." in notes
     assert "26 PV systems, 1,562.5 kW (PV invented by size)." in notes
     assert (
@@ -145,7 +145,7 @@ def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
     sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
     assert len(sized.pv) == round(0.8 * len(day.customers)) + 1  # the wind stays
-    notes = assumptions(cigre, sized, NewScenarioOptions(pv="sized"))
+    notes = assumptions(cigre, NewScenarioOptions(pv="sized"))
     assert any(
         note.startswith("Generators of the source that --pv sized leaves out") for note in notes
     )
@@ -155,10 +155,12 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     day = new_scenario(tagged)
     assert day.customers.bus.tolist() == [1, 2, 4]
     assert day.customers.tier.tolist() == ["critical", "low", "low"]
-    assert day.customers.power_factor == pytest.approx([2 / np.sqrt(5), 1.0, 1.0], abs=1e-6)
-    notes = assumptions(tagged, day, NewScenarioOptions())
-    assert "Loads without active power are left out: bus 3." in notes
-    assert "Loads that feed reactive power count as purely active: bus 4." in notes
+    assert day.customers.power_factor == pytest.approx(
+        [2 / np.sqrt(5), 1.0, -5 / np.sqrt(26)], abs=1e-8
+    )
+    notes = assumptions(tagged, NewScenarioOptions())
+    fixed = "Drawn in every step and owned by no customer: bus 3 (0 kW, 20 kvar)."
+    assert fixed in notes
 
 
 @pytest.mark.parametrize(
@@ -334,7 +336,7 @@ def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
         "flat",
     )
     assert done.exit_code == 0, done.stderr
-    assert "The charging of 15 lines" in done.stdout
+    assert "Open at one end, and kept as shunts of 16.41 kvar" in done.stdout
     assert f"Written to {folder}" in done.stdout
     assert read_scenario(folder).grid.n_steps == 192
     assert call("validate", folder).exit_code == 0
@@ -347,7 +349,7 @@ def test_command_opens_a_loop_of_a_file(tmp_path: Path) -> None:
     pp.to_json(net, str(file))
     refused = call("new", file, tmp_path / "out")
     assert refused.exit_code == 2
-    assert "closes a loop" in refused.stderr
+    assert "is meshed" in refused.stderr
     assert not (tmp_path / "out").exists()
     done = call(
         "new",

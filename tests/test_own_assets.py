@@ -88,7 +88,7 @@ def test_two_batteries_at_a_bus_and_an_invented_one() -> None:
     options = NewScenarioOptions(add_batteries=True)
     day = new_scenario(feeder, options)
     assert day.batteries.id.tolist() == ["b2", "b2_2", "b1", "b2_added", "b3"]
-    notes = assumptions(feeder, day, options)
+    notes = assumptions(feeder, options)
     assert "2 batteries of 300.0 kWh and 150.0 kW of the source." in notes
     assert any("3 batteries of 187.5 kWh" in note and "invented" in note for note in notes)
 
@@ -106,7 +106,7 @@ def test_generators_by_kind() -> None:
     assert day.pv.bus.tolist() == [None, 2, 4, None]
     assert day.pv.s_max_kva.tolist() == [25.0, 40.0, 60.0, 70.0]
     assert day.pv.buses(day.customers).tolist() == [2, 2, 4, 3]
-    notes = assumptions(feeder, day, NewScenarioOptions())
+    notes = assumptions(feeder, NewScenarioOptions())
     assert (
         "1 PV system, 2 wind systems, 1 tidal system, 190.0 kW (the source's); without a customer, "
         "all exported or curtailed: wind2, wind4." in notes
@@ -125,7 +125,7 @@ def test_generators_with_a_fuel_are_named_with_their_size() -> None:
         "Generators with a fuel of their own are left out: sgen 0 (CHP diesel 1), chp, 310 kW, sgen 1 "
         "(Genset), genset, 50 kW. The 360 kW that they give in the source come from the grid here, "
         "and are missing in an island."
-    ) in assumptions(feeder, day, NewScenarioOptions())
+    ) in assumptions(feeder, NewScenarioOptions())
 
 
 def test_motor_is_a_load() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import sys
 import traceback
@@ -28,7 +29,9 @@ from vppres.cli.tables import (
     content_of,
     error_panel,
     figures_table,
+    phases_table,
     problem_record,
+    recheck_lines,
     remarks_text,
     sweep_table,
     validation_text,
@@ -277,6 +280,7 @@ def sweep(
     values: cli_sweep.Values = None,
     range_: cli_sweep.Range = None,
     jobs: cli_sweep.Jobs = None,
+    scheduler: cli_sweep.Scheduler = None,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -289,6 +293,7 @@ def sweep(
         from vppres.io.atomic import check_target
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
+        from vppres.studies.side_by_side import Where
         from vppres.studies.sweep import cases_of, outcome_records, run_cases
         from vppres.studies.sweep_page import write_sweep_page
         from vppres.studies.sweep_parameters import chosen_values, find_parameter
@@ -304,7 +309,7 @@ def sweep(
             outcomes = run_cases(
                 cases,
                 out,
-                jobs,
+                Where(jobs, scheduler),
                 lambda done, _: bar.update(task, completed=done),
                 lambda found, folder: write_sweep_page(parameter.name, day, found, folder),
             )
@@ -328,7 +333,9 @@ def new(
     slack: cli_new.Slack = None,
     balance: cli_new.Balance = False,
     outage: cli_new.Outages = None,
-    start: cli_new.Start = "2025-07-01T00:00Z",
+    start: cli_new.Start = None,
+    date: cli_new.Date = None,
+    time_zone: cli_new.TimeZone = None,
     step_minutes: cli_new.StepMinutes = 60.0,
     days: cli_new.Days = 1,
     seed: cli_new.DrawSeed = 0,
@@ -339,19 +346,26 @@ def new(
     pv_share_of_buses: cli_new.PVShareOfBuses = None,
     add_batteries: cli_new.AddBatteries = False,
     battery_kwh_per_peak_kw: cli_new.BatterySize = None,
+    profiles: cli_new.Profiles = None,
+    profile_unit: cli_new.ProfileUnit = None,
+    profile_step: cli_new.ProfileStep = None,
+    max_gap: cli_new.MaxGap = 120.0,
     price: cli_new.Price = "time-of-use",
+    export_limit: cli_new.ExportLimit = math.inf,
+    export_price: cli_new.ExportPrice = 0.0,
     v_slack: cli_new.SlackVoltage = None,
+    accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
     with _plain_errors(debug):
         from vppres.feeders import import_network
-        from vppres.feeders.new_options import NewScenarioOptions, parse_outage, parse_start
+        from vppres.feeders.new_options import NewScenarioOptions, first_day, parse_outage
         from vppres.feeders.new_scenario import write_new_scenario
         from vppres.io.atomic import check_target
 
         check_target(folder)  # before the work, not after it
-        begin = parse_start(start)
+        begin = first_day(start, date, time_zone)
         options = NewScenarioOptions(
             start=begin,
             step_minutes=step_minutes,
@@ -365,8 +379,16 @@ def new(
             pv_share_of_buses=pv_share_of_buses,
             add_batteries=add_batteries,
             battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
+            time_zone=time_zone,
+            profiles=profiles,
+            profile_unit=profile_unit,
+            profile_step_minutes=profile_step,
+            max_gap_minutes=max_gap,
             price=price,
+            export_limit_kw=export_limit,
+            export_price_gbp_per_kwh=export_price,
             v_slack_pu=v_slack,
+            accept_deviation=accept_deviation,
         )
         feeder = import_network(
             network,
@@ -378,6 +400,39 @@ def new(
         )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")
+        typer.echo(f"Written to {folder}")
+
+
+@app.command(epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
+def recheck(
+    run_folder: RunFolder,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="The .dss file that the scenario is made from.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where to write; RUN_FOLDER/recheck if not given."),
+    ] = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
+    with _plain_errors(debug):
+        from vppres.feeders.recheck import recheck_opendss
+        from vppres.io.atomic import check_target
+        from vppres.report.finished import read_finished
+        from vppres.report.rechecked import write_recheck
+
+        folder = out or run_folder / "recheck"
+        check_target(folder)  # before the work, not after it
+        run = read_finished(run_folder).trajectory
+        summary = write_recheck(run, recheck_opendss(run.tables, source), folder)
+        if as_json:
+            _print_json({"folder": str(folder), **summary})
+            return
+        Console().print(phases_table(summary))
+        for line in recheck_lines(summary):
+            typer.echo(line)
         typer.echo(f"Written to {folder}")
 
 

@@ -53,7 +53,10 @@ Outages = Annotated[
         help="12:00..18:00 on the first day, or dates with time zones; may be repeated.",
     ),
 ]
-Start = Annotated[str, typer.Option(metavar="DATE", help="Beginning of the first day.")]
+Start = Annotated[
+    str | None,
+    typer.Option(metavar="TIME", help="Beginning of the first day; 2025-07-01T00:00Z by default."),
+]
 StepMinutes = Annotated[float, typer.Option(metavar="M", help="Length of a step.")]
 Days = Annotated[int, typer.Option(help="Number of days.")]
 DrawSeed = Annotated[int, typer.Option(help="Seed of the drawn tiers and PV buses.")]
@@ -94,7 +97,50 @@ BatterySize = Annotated[
         help="kWh of an added battery per kW of the customer's peak load; 0.625 if not given."
     ),
 ]
+TimeZone = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ZONE",
+        help="Zone of the feeder's clocks, for example Europe/London: of its days, and of times "
+        "without offset.",
+    ),
+]
+Date = Annotated[
+    str | None,
+    typer.Option(
+        metavar="YYYY-MM-DD", help="First day, from midnight to midnight on the feeder's clocks."
+    ),
+]
+Profiles = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PATH|source",
+        help="Series of load and generation: a folder or file, or 'source' for the network's own.",
+    ),
+]
+ProfileUnit = Annotated[
+    Literal["kw", "mw", "pu"] | None,
+    typer.Option(help="Unit of series whose columns and files do not say it."),
+]
+ProfileStep = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Minutes of a row of series that have no times."),
+]
+MaxGap = Annotated[
+    float, typer.Option(metavar="M", help="Minutes of the longest gap of a series that is filled.")
+]
 Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
+ExportLimit = Annotated[
+    float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
+]
+ExportPrice = Annotated[float, typer.Option(metavar="GBP", help="What an exported kWh earns.")]
+AcceptDeviation = Annotated[
+    bool,
+    typer.Option(
+        "--accept-deviation",
+        help="Import even where voltages are more than 0.005 pu from the source's.",
+    ),
+]
 SlackVoltage = Annotated[
     float | None,
     typer.Option(metavar="PU", help="Voltage of the slack bus; the network's if not given."),

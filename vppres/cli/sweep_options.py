@@ -27,3 +27,12 @@ Range = Annotated[
     ),
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Runs at a time; one per core if not given.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS|FILE",
+        envvar="DASK_SCHEDULER_ADDRESS",
+        help="Run on a Dask cluster: the address of its scheduler (tcp://...), or its file. "
+        "DIR must be a folder that all machines see.",
+    ),
+]

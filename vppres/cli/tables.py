@@ -12,7 +12,7 @@ from rich.text import Text
 
 from vppres.core.errors import Problem
 from vppres.core.text import visible
-from vppres.scenario.remarks import remarks
+from vppres.scenario.remarks import export_words, remarks
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
@@ -26,6 +26,8 @@ FIGURES = (
     ("resilience", "resilience", ".4f", ""),
     ("cost_gbp", "cost of the import", ",.2f", "GBP"),
     ("import_kwh", "imported energy", ",.1f", "kWh"),
+    ("export_kwh", "exported energy", ",.1f", "kWh"),
+    ("export_revenue_gbp", "earned by the export", ",.2f", "GBP"),
     ("pv_curtailed_kwh", "curtailed PV energy", ",.2f", "kWh"),
     ("v_min_ac_pu", "lowest AC voltage", ".4f", "pu"),
     ("v_max_ac_pu", "highest AC voltage", ".4f", "pu"),
@@ -49,6 +51,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
+        "export": export_words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
         "remarks": remarks(day),
@@ -86,7 +89,7 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
         "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid; islands in {mode} mode.".format_map(content)
+        "them without grid; {export}; islands in {mode} mode.".format_map(content)
     )
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
@@ -117,7 +120,7 @@ def figures_table(summary: dict[str, Any], title: str) -> Table:
     table.add_column(justify="right")
     table.add_column()
     for key, words, form, unit in FIGURES:
-        if summary[key] is not None:
+        if summary[key] is not None and (not key.startswith("export") or summary["export_kwh"]):
             table.add_row(words, format(summary[key], form), unit)
     for tier, share in summary["served_share"].items():
         if share is not None:
@@ -163,3 +166,39 @@ def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
             f"{figures['solve_s']['total']:.1f}",
         )
     return table
+
+
+PHASE_COLUMNS = (
+    ("buses", "buses", ".0f"),
+    ("difference_max_pu", "largest difference", ".4f"),
+    ("difference_mean_pu", "mean difference", ".4f"),
+    ("v_min_pu", "lowest voltage", ".4f"),
+    ("v_min_plan_pu", "in the plan", ".4f"),
+)
+
+
+def phases_table(summary: Mapping[str, Any]) -> Table:
+    """Voltages per phase of a recheck, in steps with grid."""
+    table = Table(title="Original feeder against the plan, steps with grid (pu)")
+    table.add_column("phase")
+    for _, words, _ in PHASE_COLUMNS:
+        table.add_column(words, justify="right")
+    for phase, row in summary["phases"].items():
+        cells = [
+            "-" if row[key] is None else format(row[key], form) for key, _, form in PHASE_COLUMNS
+        ]
+        table.add_row(phase, *cells)
+    return table
+
+
+def recheck_lines(summary: Mapping[str, Any]) -> list[str]:
+    """The largest difference, its cause, and what the comparison assumes."""
+    largest = summary["largest"]
+    head = (
+        "No step with grid can be compared."
+        if largest is None
+        else f"Largest difference: {largest['difference_pu']:+.4f} pu at bus {largest['bus']}, "
+        f"phase {largest['phase']}, {largest['time']}: {largest['v_pu']:.4f} in OpenDSS, "
+        f"{largest['v_plan_pu']:.4f} in the plan."
+    )
+    return [visible(line) for line in (head, summary["cause"], *summary["notes"])]

@@ -8,6 +8,7 @@ from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
+from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 
 
@@ -38,6 +39,8 @@ class Observation:
         balance lacks.
     served : array of bool, shape (C,), optional
         Who was really served in the step before; as decided if not given.
+    terminal : Terminal, optional
+        What batteries are to hold at the end of the window, where nothing is known behind it.
     """
 
     t0: int
@@ -52,3 +55,4 @@ class Observation:
     online: Flags | None = None
     import_kw: float | None = None
     served: Flags | None = None
+    terminal: Terminal | None = None

@@ -28,7 +28,8 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
     DataFrame
         One row per day with ``day`` (ISO 8601), ``hours`` and ``outage_h``; ``resilience`` and
         ``unserved_customer_h``; ``demand_kwh``, ``unserved_kwh``, ``import_kwh``,
-        ``pv_available_kwh``, ``pv_curtailed_kwh`` and ``losses_kwh``; ``cost_gbp``;
+        ``pv_available_kwh``, ``pv_curtailed_kwh`` and ``losses_kwh``; ``cost_gbp`` of the import;
+        ``export_kwh`` and ``export_revenue_gbp``;
         ``stored_start_kwh`` and ``stored_end_kwh`` of all batteries; ``v_min_ac_pu`` and
         ``v_max_ac_pu``; ``switching_actions`` of all customers and ``actions_max`` of one;
         ``fallbacks`` and ``solve_s``. ``resilience`` is NaN where a day has no outage.
@@ -43,6 +44,9 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
     outage = steps["outage"].to_numpy(bool)
     connected = ~outage
     p_grid_kw = steps["p_grid_kw"].to_numpy(float) * connected
+    if run.scenario.exports:
+        p_grid_kw = np.maximum(p_grid_kw, 0.0)
+    earned = run.scenario.export_price[: len(steps)]
     demand = demand_kw(run)
     served = run.customers["served"].to_numpy(bool).reshape(len(steps), -1)
     weight = run.scenario.customers.weight
@@ -68,6 +72,8 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
             "pv_curtailed_kwh": dt_h * total(per_step(run, run.pv["curtailed_kw"], run.pv)),
             "losses_kwh": dt_h * total(steps["losses_kw"].to_numpy(float)),
             "cost_gbp": dt_h * total(price * p_grid_kw),
+            "export_kwh": dt_h * total(run.exported_kw),
+            "export_revenue_gbp": dt_h * total(earned * run.exported_kw),
             "stored_start_kwh": stored[first],
             "stored_end_kwh": stored[np.append(first[1:], len(steps))],
             "v_min_ac_pu": np.minimum.reduceat(steps["v_min_ac_pu"].to_numpy(float), first),

@@ -41,6 +41,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "served_share_connected": served_share(trajectory, outage=False),
         "cost_gbp": cost_gbp(trajectory),
         "import_kwh": import_kwh(trajectory),
+        "export_kwh": export_kwh(trajectory),
+        "export_revenue_gbp": export_revenue_gbp(trajectory),
+        "net_cost_gbp": cost_gbp(trajectory) - export_revenue_gbp(trajectory),
         "pv_curtailed_kwh": pv_curtailed_kwh(trajectory),
         **voltage_figures(trajectory),
         **line_figures(trajectory),
@@ -134,16 +137,30 @@ def service_by_customer(trajectory: Trajectory) -> pd.DataFrame:
 
 
 def cost_gbp(trajectory: Trajectory) -> float:
-    """Cost of the imported energy: ``sum_t rho(t) P_grid(t) dt`` over grid-available steps (AC)."""
+    """Cost of the imported energy: ``sum_t rho(t) P_grid(t) dt`` over grid-available steps (AC).
+
+    What the export earns is not in it.
+    """
     steps = _connected(trajectory)
-    return float(
-        (steps["price_gbp_per_kwh"] * steps["p_grid_kw"]).sum() * trajectory.scenario.grid.dt_h
-    )
+    price = steps["price_gbp_per_kwh"]
+    return float((price * _imported_kw(trajectory)).sum() * trajectory.scenario.grid.dt_h)
 
 
 def import_kwh(trajectory: Trajectory) -> float:
     """Imported energy in kWh: ``sum_t P_grid(t) dt`` over grid-available steps (AC)."""
-    return float(_connected(trajectory)["p_grid_kw"].sum() * trajectory.scenario.grid.dt_h)
+    return float(_imported_kw(trajectory).sum() * trajectory.scenario.grid.dt_h)
+
+
+def export_kwh(trajectory: Trajectory) -> float:
+    """Exported energy in kWh over grid-available steps (AC); 0 for an import-only connection."""
+    return float(trajectory.exported_kw.sum() * trajectory.scenario.grid.dt_h)
+
+
+def export_revenue_gbp(trajectory: Trajectory) -> float:
+    """What the exported energy earns in GBP, negative where it costs."""
+    day = trajectory.scenario
+    price = day.export_price[: len(trajectory.steps)]
+    return float(price @ trajectory.exported_kw * day.grid.dt_h)
 
 
 def pv_curtailed_kwh(trajectory: Trajectory) -> float:
@@ -280,6 +297,12 @@ def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:
     steps = trajectory.steps
     times = steps.loc[steps["outage"] == outage, "time"]
     return trajectory.customers[trajectory.customers["time"].isin(times)]
+
+
+def _imported_kw(trajectory: Trajectory) -> pd.Series:
+    """Import of the steps with a grid; an import-only meter counts backwards, as the paper's."""
+    p_grid_kw = _connected(trajectory)["p_grid_kw"]
+    return p_grid_kw.clip(lower=0.0) if trajectory.scenario.exports else p_grid_kw
 
 
 def _connected(trajectory: Trajectory) -> pd.DataFrame:

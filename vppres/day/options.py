@@ -32,6 +32,9 @@ class RunOptions:
         says.
     horizon_h : float
         Prediction horizon of the MPC in h.
+    soc_end : float or None
+        State of charge that batteries keep at the end of what is known; the scenario's if not
+        given, and none where it has none.
     solver, method : str
         Names in the solver table and of the method.
     errors : ForecastErrors
@@ -76,6 +79,7 @@ class RunOptions:
 
     controller: str = default_of("controller")
     horizon_h: float = default_of("horizon_h")
+    soc_end: float | None = default_of("soc_end")
     solver: str = default_of("solver")
     method: str = default_of("method")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
@@ -135,7 +139,12 @@ class RunOptions:
 
     def on(self, scenario: Scenario) -> RunOptions:
         """The options with the scenario's where they leave it the choice."""
-        return self if self.mode is not None else replace(self, mode=scenario.controller.mode)
+        own = scenario.controller
+        return replace(
+            self,
+            mode=own.mode if self.mode is None else self.mode,
+            soc_end=own.soc_end if self.soc_end is None else self.soc_end,
+        )
 
     def as_record(self) -> dict[str, Any]:
         """The options as JSON can hold them."""

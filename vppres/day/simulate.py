@@ -11,6 +11,7 @@ from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
+from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
@@ -112,7 +113,8 @@ class Day:
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
-        forecast = self.forecaster.at(t, controller.horizon_steps(t))
+        steps = controller.horizon_steps(t)
+        forecast = self.forecaster.at(t, steps)
         s = self.state
         seen = Observation(
             t,
@@ -125,6 +127,9 @@ class Day:
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
+            terminal=Terminal.of(
+                self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
+            ),
         )
         return seen if self.faults is None else self.faults.observe(seen)
 

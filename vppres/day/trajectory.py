@@ -161,6 +161,14 @@ class Trajectory:
     shadow_prices: pd.DataFrame | None = None
 
     @property
+    def exported_kw(self) -> Floats:
+        """Export in the AC power flow, shape (T,); a surplus of an import-only meter is none."""
+        if not self.scenario.exports:
+            return np.zeros(len(self.steps))
+        p_grid_kw = self.steps["p_grid_kw"].to_numpy(float)
+        return np.where(self.steps["outage"].to_numpy(bool), 0.0, np.maximum(-p_grid_kw, 0.0))
+
+    @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The six tables by name, and those of the explanation if there is one."""
         found = {name: getattr(self, name) for name in (*TABLES, *EXPLAINING_TABLES)}
@@ -345,7 +353,11 @@ class Recorder:
                 "price_gbp_per_kwh": self._scenario.price_gbp_per_kwh[:n_steps],
             }
         )
-        return known.join(pd.DataFrame([dict(r.steps) for r in self._records]))
+        steps = known.join(pd.DataFrame([dict(r.steps) for r in self._records]))
+        if self._scenario.exports:
+            steps["export_limit_kw"] = self._scenario.export_max_kw[:n_steps]
+            steps["export_price_gbp_per_kwh"] = self._scenario.export_price[:n_steps]
+        return steps
 
     def _table(self, name: str, fixed: Mapping[str, NDArray[Any]]) -> pd.DataFrame:
         """A table with items: identifiers repeat in every step."""

@@ -207,11 +207,14 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
         return Reason("voltage", "voltage", f"{verb}: it holds the voltage limit.")
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
         return Reason(
-            "surplus", limit, "Charges: PV gives more than the demand, and nothing can be exported."
+            "surplus", limit, f"Charges: PV gives more than the demand, and {_taken(step)}."
         )
     worth = stored_worth_gbp(step, battery)
     saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
     at_price = f"at {money(step.price_gbp_per_kwh)} GBP/kWh"
+    if not charges and step.export_kw > MOVE_KW:
+        earned = f"{money(step.export_price_gbp_per_kwh)} GBP/kWh"
+        return Reason("price", limit, f"Discharges: what the feeder exports earns {earned}{saves}.")
     if charges and step.phase == "preparation":
         return Reason("preparation", limit, f"Charges for the outage {at_price}{saves}.")
     return Reason("price", limit, f"{verb} {at_price}{saves}.")
@@ -259,6 +262,9 @@ def why_curtailed(step: Step, system: int) -> Reason:
     prices = step.service or step.cost
     if prices is not None and prices.voltage_ceiling.max(initial=0.0) > WORTH:
         return Reason("voltage", "voltage", "Curtailed: the upper voltage limit is reached.")
+    if step.at_export_limit:
+        most = figure(float(step.scenario.export_max_kw[step.t]))
+        return Reason("grid", "grid", f"Curtailed: the export limit of {most} kW is reached.")
     full = len(step.site.batteries) > 0 and bool(
         (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all()
     )
@@ -267,9 +273,19 @@ def why_curtailed(step: Step, system: int) -> Reason:
     return Reason(
         "surplus",
         where,
-        "Curtailed: PV gives more than the served customers take, "
-        f"{rest}, and nothing can be exported.",
+        f"Curtailed: PV gives more than the served customers take, {rest}, and {_taken(step)}.",
     )
+
+
+def _taken(step: Step) -> str:
+    """What the grid takes of a surplus, in words."""
+    if step.export_kw > MOVE_KW:
+        return f"the grid takes {figure(step.export_kw)} kW"
+    return "nothing is exported" if _could_export(step) else "nothing can be exported"
+
+
+def _could_export(step: Step) -> bool:
+    return float(step.scenario.export_max_kw[step.t]) > 0.0
 
 
 def _overruled(step: Step, what: str) -> Reason | None:

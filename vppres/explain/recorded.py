@@ -10,6 +10,7 @@ import pandas as pd
 
 from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
 from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
@@ -88,6 +89,12 @@ class Recorded:
             return np.zeros(len(self.site.batteries))
         return np.asarray(np.nan_to_num(self._array(self.trajectory.batteries, column)[t]))
 
+    @property
+    def soc_asked(self) -> float | None:
+        """State of charge that batteries were to keep at the end; None for none."""
+        asked: float | None = self.options.get("soc_end")
+        return asked
+
     def seen(self, t: int) -> WindowData:
         """The window that the controller saw at step ``t``, from the recorded state.
 
@@ -113,6 +120,9 @@ class Recorded:
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
             export=f.export,
+            terminal=Terminal.of(self.soc_asked, f, ends=steps.stop == self.n_steps)
+            if len(self.site.batteries)
+            else None,
             drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
         )
 

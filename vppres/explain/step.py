@@ -16,6 +16,7 @@ from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
+# docs/explanations.md defines them: "grid" limits the import, and the export of what is curtailed.
 Driver = (
     Scarce
     | Literal[
@@ -34,6 +35,10 @@ Driver = (
     ]
 )
 Binding = Scarce | Literal[""]
+
+EXPORT_LIMIT_KW = 1.0
+EXPORT_LIMIT_SHARE = 0.01
+"""How near to its limit an export counts as limited: losses lie between plan and meter."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,23 @@ class Step:
     def price_gbp_per_kwh(self) -> float:
         """Import price."""
         return float(self.scenario.price_gbp_per_kwh[self.t])
+
+    @property
+    def export_price_gbp_per_kwh(self) -> float:
+        """What exported energy earns."""
+        return float(self.scenario.export_price[self.t])
+
+    @property
+    def export_kw(self) -> float:
+        """Export at the slack bus, 0 while the grid is away."""
+        return 0.0 if self.outage else max(-self.recorded.imported_kw(self.t), 0.0)
+
+    @property
+    def at_export_limit(self) -> bool:
+        """Whether no more than what is exported could be."""
+        most = float(self.scenario.export_max_kw[self.t])
+        near = EXPORT_LIMIT_KW + EXPORT_LIMIT_SHARE * min(most, self.export_kw)
+        return most > 0.0 and self.export_kw > most - near
 
     @property
     def fallback(self) -> str:

@@ -14,7 +14,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ENGINES = ("dss_engine", "mat_engine")
+ENGINES = {"dss_engine": (), "mat_engine": (), "dss_day": ("dss_engine",)}
+"""Engines, and the modules beside them that each needs."""
+
 MEMORY_BYTES = 2 * 2**30
 """Of addresses: libraries and a feeder of some thousand buses take less than half of it."""
 
@@ -33,8 +35,9 @@ def main() -> None:
 
 
 def _engine(name: str) -> Any:
-    """One of the modules beside this one."""
-    assert name in ENGINES
+    """One of the modules beside this one; another that it needs is among the loaded ones."""
+    for needed in ENGINES[name]:
+        sys.modules[needed] = _engine(needed)
     file = Path(__file__).with_name(f"{name}.py")
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None

@@ -38,7 +38,12 @@ Table = list[dict[str, Any]]
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
-    commands = job["commands"]
+    problems = build(job["commands"])
+    return {"problems": problems} if problems else _tables()
+
+
+def build(commands: list[str]) -> Problems:
+    """Build the circuit; what is wrong with it."""
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
@@ -50,17 +55,14 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
             dss.Text.Command(command)
             done += 1
     except Exception as error:  # the engine's own class has no public name
-        return {
-            "problems": [
-                {
-                    "message": f"OpenDSS refuses the file ({str(error).strip()})",
-                    "cure": CURE,
-                    "command": done if done < len(commands) else None,
-                }
-            ]
-        }
-    problems = [p for name in _elements() if (p := _problem(name))] or _check_levels()
-    return {"problems": problems} if problems else _tables()
+        return [
+            {
+                "message": f"OpenDSS refuses the file ({str(error).strip()})",
+                "cure": CURE,
+                "command": done if done < len(commands) else None,
+            }
+        ]
+    return [p for name in _elements() if (p := _problem(name))] or _check_levels()
 
 
 @cache

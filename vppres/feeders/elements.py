@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Complexes, Floats
 
 NAMES_SHOWN = 12
 
@@ -17,7 +17,9 @@ NAMES_SHOWN = 12
 class NetCase:
     """pandapower's internal case: supplied buses and branches in service, in pu.
 
-    ``bus_at`` gives the row of ``bus_kv`` for each supplied bus of the source.
+    ``bus_at`` gives the row of ``bus_kv`` for each supplied bus of the source; ``branches`` has the
+    columns of :mod:`vppres.feeders.branches`, and ``table`` and ``element`` of the source;
+    ``shunts`` are the admittances of the rows.
     """
 
     base_mva: float
@@ -26,6 +28,7 @@ class NetCase:
     branches: pd.DataFrame
     slack: int
     v_slack_pu: float
+    shunts: Complexes
 
 
 def in_service(net: Any, table: str) -> pd.DataFrame:

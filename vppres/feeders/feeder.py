@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Floats, Names, freeze_fields
 from vppres.scenario.network import BusId, Network
@@ -34,6 +36,48 @@ class Generators:
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Single loads of the source, shape (E,) each: as they are given, drawn power is positive."""
+
+    id: Names
+    bus: Names
+    p_kw: Floats
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    @classmethod
+    def none(cls) -> Loads:
+        """No load that is known by itself."""
+        return cls(**{f.name: np.empty(0, dtype=_type_of(f.name)) for f in fields(cls)})
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Series of one element or asset, as it was given.
+
+    Parameters
+    ----------
+    where : str
+        File or source, for messages.
+    name : str
+        The element or asset, as the source names it.
+    values : Series
+        Indexed by times in UTC; by the number of the row where the source has no times.
+    unit : str
+        ``kw``, ``mw``, ``pu`` of the element's power, or empty where nobody said.
+    factor : float
+        What the values are multiplied by, before the unit.
+    """
+
+    where: str
+    name: str
+    values: pd.Series[float]
+    unit: str = ""
+    factor: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +117,7 @@ def _type_of(name: str) -> type:
     return object if name in ("id", "bus", "kind") else float
 
 
-def _freeze(table: Generators | Storages) -> None:
+def _freeze(table: Generators | Loads | Storages) -> None:
     freeze_fields(table, **{f.name: _type_of(f.name) for f in fields(table)})
 
 
@@ -84,21 +128,41 @@ class Deviation:
     Parameters
     ----------
     v_max_pu : float
-        Largest difference of a bus voltage.
+        Largest difference of a bus voltage with the loads and generators of the source.
     losses_source_kw, losses_kw : float
-        Active losses of the source and of the feeder.
+        Active losses of the source and of the feeder, shunts included.
+    no_load_pu : float, optional
+        Largest difference of a bus voltage without them; None where it is not known.
     """
 
     v_max_pu: float
     losses_source_kw: float
     losses_kw: float
+    no_load_pu: float | None = None
 
     def __str__(self) -> str:
         return (
             f"AC power flow against the source: voltages differ by at most "
-            f"{self.v_max_pu:.2g} pu; losses {self.losses_kw:.3f} kW, in the source "
-            f"{self.losses_source_kw:.3f} kW"
+            f"{self.v_max_pu:.2g} pu{_at_no_load(self.no_load_pu)}; losses "
+            f"{self.losses_kw:.3f} kW, in the source {self.losses_source_kw:.3f} kW"
         )
+
+
+class SourceFlow(Protocol):
+    """AC power flow of a source, its branches and shunts as they are, for powers at its buses."""
+
+    def v_pu(
+        self, buses: Names, p_kw: Floats, q_kvar: Floats, v_slack_pu: float | None = None
+    ) -> dict[int, float] | None:
+        """Voltage of every bus of the source for net injections at buses of the feeder.
+
+        None where it does not converge.
+        """
+        ...
+
+
+def _at_no_load(v_pu: float | None) -> str:
+    return "" if v_pu is None else f", at no load by {v_pu:.2g} pu"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +183,20 @@ class ImportedFeeder:
         Generators of the source.
     storages : Storages
         Batteries of the source.
+    loads : Loads
+        Loads one by one, as far as they are known.
+    profiles : tuple of Profile
+        Series that come with the source.
     bus_of : mapping
         Bus of the network for every supplied bus of the source; joined buses share one.
     notes : tuple of str
         What was simplified, one sentence each; empty if nothing was.
     deviation : Deviation, optional
         What the simplifications change; None if the source's power flow does not converge.
+    causes : tuple of str, optional
+        What the voltages may differ by, the largest first.
+    source_flow : SourceFlow, optional
+        AC power flow of the source for other powers.
     """
 
     name: str
@@ -137,6 +209,10 @@ class ImportedFeeder:
     notes: tuple[str, ...]
     deviation: Deviation | None = None
     storages: Storages = field(default_factory=Storages.none)
+    loads: Loads = field(default_factory=Loads.none)
+    profiles: tuple[Profile, ...] = ()
+    causes: tuple[str, ...] = ()
+    source_flow: SourceFlow | None = None
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

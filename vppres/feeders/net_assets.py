@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.core.units import mw_to_kw
 from vppres.feeders.elements import NetCase, few, label, supplied
-from vppres.feeders.feeder import Generators, Storages
+from vppres.feeders.feeder import Generators, Loads, Storages
 from vppres.scenario.network import BusId
 
 HOURS_OF_STORAGE = 2.0
@@ -21,7 +21,7 @@ ETA = 0.95
 
 
 def generators_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Generators:
-    """Static generators, and generators without their voltage control."""
+    """Static generators, and generators with the reactive power that the last flow gave them."""
     tables = [_generators(net, table, case, ids) for table in ("sgen", "gen")]
     # An empty frame has no say in the types of the columns.
     filled = [table for table in tables if len(table)] or tables[:1]
@@ -34,7 +34,10 @@ def _generators(net: Any, table: str, case: NetCase, ids: Mapping[int, BusId]) -
     frame = supplied(net, table, case)
     scaling = frame["scaling"].fillna(1.0)
     p_mw = frame["p_mw"] * scaling
-    q_mvar = frame["q_mvar"] * scaling if table == "sgen" else 0.0 * p_mw
+    if table == "sgen":
+        q_mvar = frame["q_mvar"] * scaling
+    else:
+        q_mvar = net.res_gen.reindex(frame.index)["q_mvar"].astype(float).fillna(0.0)
     rating_mva = _positive(frame, "sn_mva")
     largest_mw = _positive(frame, "max_p_mw")
     return pd.DataFrame(
@@ -56,6 +59,21 @@ def _words(frame: pd.DataFrame, table: str) -> pd.Series[str]:
         return pd.Series(table, frame.index, dtype=object)
     words = frame["type"].fillna("").astype(str)
     return words if table == "sgen" else words.where(words != "", "gen")
+
+
+def loads_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Loads:
+    """Loads and motors one by one."""
+    loads = supplied(net, "load", case)
+    motors = motors_as_loads(net, case)
+    labels = [label(net, "load", i) for i in loads.index]
+    labels += [label(net, "motor", i) for i in motors.index]
+    rows = [*loads["row"], *motors["row"]]
+    p_mw = [*(loads["p_mw"] * loads["scaling"].fillna(1.0)), *motors["p_mw"]]
+    return Loads(
+        np.array(labels, dtype=object),
+        np.array([ids[row] for row in rows], dtype=object),
+        mw_to_kw(p_mw),
+    )
 
 
 def motors_as_loads(net: Any, case: NetCase) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names, Wholes
+from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.feeders.elements import few
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.kinds import PV, burns_fuel, kind_of
@@ -24,6 +24,8 @@ from vppres.io import schema
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 
 DECIMALS = 6
+POWER_FACTOR_DECIMALS = 9
+"""Near 1 a power factor needs them: 1 - 1e-9 still has 0.004 % of reactive power."""
 
 TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
 """Weights of the tiers (paper, Parameter Selection)."""
@@ -52,6 +54,8 @@ class NewAssets:
         Tiers and their weights, most important first.
     peak_kw : array, shape (C,)
         Load of each customer in the source.
+    of_generator : array, shape (G,)
+        Position of the system that each generator of the source is a part of; -1 for none.
     notes : tuple of str
         What was chosen, drawn or left out, in sentences.
     """
@@ -61,6 +65,7 @@ class NewAssets:
     batteries: Batteries
     tiers: dict[str, float]
     peak_kw: Floats
+    of_generator: Wholes
     notes: tuple[str, ...]
 
 
@@ -71,9 +76,15 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     peak_kw = feeder.p_load_kw[loaded]
     tier, tiers = _tiers(feeder.tier[loaded], options, draw_tier)
     customers = _customers(feeder, loaded, tier, tiers)
-    pv = _systems(_own_systems(feeder, options), customers)
+    table = generator_table(feeder)
+    kept = _kept(table, options)
+    grouped = _own_systems(table[kept])
+    pv = _systems(grouped, customers)
+    before = 0
     if options.pv == "sized":
-        pv = _joined(_sized_pv(customers, peak_kw, options, draw_pv), pv)
+        sized = _sized_pv(customers, peak_kw, options, draw_pv)
+        before = len(sized)
+        pv = _joined(sized, pv)
     own = _own_batteries(feeder)
     added = _added_batteries(customers, peak_kw, options, set(own.id))
     notes = [
@@ -82,7 +93,8 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         *_told_batteries(own, added),
         *_told_loads(feeder),
     ]
-    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, tuple(notes))
+    of_generator = _positions(table, kept, grouped, before)
+    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, of_generator, tuple(notes))
 
 
 def written(values: Floats) -> Floats:
@@ -140,29 +152,27 @@ def _customers(
     """One customer per bus with a load."""
     bus = feeder.network.buses[loaded]
     p_kw = feeder.p_load_kw[loaded]
-    # The model's power factors lag: a load that feeds reactive power counts as purely active.
-    q_kvar = np.maximum(feeder.q_load_kvar[loaded], 0.0)
+    q_kvar = feeder.q_load_kvar[loaded]
+    leading = np.where(q_kvar < 0, -1.0, 1.0)
     return Customers(
         id=_ids("c", bus),
         bus=bus,
         tier=tier,
         weight=np.array([tiers[t] for t in tier]),
-        power_factor=np.round(p_kw / np.hypot(p_kw, q_kvar), 6),
+        power_factor=leading * np.round(p_kw / np.hypot(p_kw, q_kvar), POWER_FACTOR_DECIMALS),
     )
 
 
 def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
-    """Loads of the feeder that the scenario does not have as they are."""
-    buses = feeder.network.buses
-    reactive = buses[(feeder.p_load_kw <= 0) & (feeder.q_load_kvar != 0)]
-    if len(reactive):
-        yield f"Loads without active power are left out: bus {', '.join(map(str, reactive))}."
-    leading = buses[(feeder.p_load_kw > 0) & (feeder.q_load_kvar < 0)]
-    if len(leading):
-        yield (
-            "Loads that feed reactive power count as purely active: bus "
-            f"{', '.join(map(str, leading))}."
-        )
+    """What the feeder draws that no customer of the scenario owns."""
+    net = feeder.network
+    fixed = np.flatnonzero((net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0))
+    if len(fixed):
+        sizes = [
+            f"{net.buses[n]} ({net.p_fixed_kw[n]:.4g} kW, {net.q_fixed_kvar[n]:.4g} kvar)"
+            for n in fixed
+        ]
+        yield f"Drawn in every step and owned by no customer: bus {few(sizes)}."
 
 
 def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
@@ -184,14 +194,31 @@ def _name_in(identifier: str) -> str:
     return identifier.partition("(")[2].rstrip(")")
 
 
-def _own_systems(feeder: ImportedFeeder, options: NewScenarioOptions) -> pd.DataFrame:
-    """The source's systems by bus and kind: largest power and inverter, and their number."""
-    table = generator_table(feeder)
-    keep = table["counterpart"] & (options.pv != "none")
+def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
+    """Generators of the source that the scenario takes, (G,)."""
+    keep = table["counterpart"].to_numpy(bool)
     if options.pv == "sized":
-        keep &= table["kind"] != PV
-    grouped = table[keep].groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
+        return np.asarray(keep & (table["kind"] != PV).to_numpy(bool))
+    return keep & (options.pv == "existing")
+
+
+def _own_systems(kept: pd.DataFrame) -> pd.DataFrame:
+    """The source's systems by bus and kind: largest power and inverter."""
+    grouped = kept.groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
     return grouped.reset_index()
+
+
+def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
+    """Position of each generator's system, after those that were sized; -1 for none, (G,)."""
+    pairs = zip(grouped["bus"], grouped["kind"], strict=True)
+    position = {pair: before + i for i, pair in enumerate(pairs)}
+    return np.array(
+        [
+            position[bus, kind] if keep else -1
+            for bus, kind, keep in zip(table["bus"], table["kind"], kept, strict=True)
+        ],
+        dtype=int,
+    )
 
 
 def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:

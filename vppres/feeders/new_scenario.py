@@ -15,20 +15,30 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.feeders.closeness import (
+    check_deviation,
+    source_deviation,
+    told_causes,
+    told_deviation,
+)
 from vppres.feeders.elements import few
-from vppres.feeders.feeder import ImportedFeeder
-from vppres.feeders.new_assets import TIER_WEIGHTS, new_assets, written
+from vppres.feeders.feeder import ImportedFeeder, Profile
+from vppres.feeders.new_assets import TIER_WEIGHTS, NewAssets, new_assets, written
 from vppres.feeders.new_options import NewScenarioOptions, PriceRule, check_options, outages_of
+from vppres.feeders.profile_files import Reading, read_profiles
+from vppres.feeders.profiles import Series, place_profiles, timed
 from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
-from vppres.scenario.source import Source, SourceDeviation
+from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
 NOTES_FILE = "notes.md"
+OWN_PROFILES = "source"
+"""What stands for the series of the network itself."""
 
 # Demand and PV power of the packaged day of 19 July 2022, hour by hour, as shares of their peaks.
 LOAD_SHAPE = (
@@ -108,15 +118,19 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
     InputError
         If an option is out of its range, or the feeder has no load.
     """
-    options = options or NewScenarioOptions()
+    return _built(feeder, options or NewScenarioOptions())[0]
+
+
+def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenario, list[str]]:
+    """The scenario, and what was chosen, drawn or left out."""
     problems = check_options(options) + _check_feeder(feeder, options)
     if problems:
         raise InputError(problems)
-    grid = TimeGrid(
-        options.start, options.step_minutes, round(options.days * 1440 / options.step_minutes)
-    )
+    grid = options.grid
     assets = new_assets(feeder, options)
-    return Scenario(
+    series = _series(feeder, options, assets, grid)
+    constant_c = np.full(grid.n_steps, TEMPERATURE_C)
+    scenario = Scenario(
         name=_name(feeder.name),
         title=f"{feeder.name}: {len(assets.customers)} customers, {_length(options)}",
         grid=grid,
@@ -124,13 +138,49 @@ def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = No
         customers=assets.customers,
         pv=assets.pv,
         batteries=assets.batteries,
-        load_kw=written(np.outer(_profile(LOAD_SHAPE, grid), assets.peak_kw)),
-        pv_kw=written(_available(assets.pv, grid)),
-        price_gbp_per_kwh=_price(options.price, grid),
-        temperature_c=np.full(grid.n_steps, TEMPERATURE_C),
+        load_kw=written(series.load_kw),
+        pv_kw=written(series.pv_kw),
+        price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(options.price, grid)),
+        temperature_c=series.system.get("temperature_c", constant_c),
         grid_limit_kw=_grid_limit(options, grid),
         tiers=tuple(assets.tiers),
+        export_limit_kw=np.array(options.export_limit_kw),
+        export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
+    )
+    return scenario, [*assets.notes, *series.notes, *_told_constants(options, series)]
+
+
+def _series(
+    feeder: ImportedFeeder, options: NewScenarioOptions, assets: NewAssets, grid: TimeGrid
+) -> Series:
+    """Load and available power: those that were given, and the bundled day for the rest."""
+    shape = _profile(LOAD_SHAPE, grid)
+    available_kw = _available(assets.pv, grid)
+    if options.profiles is None:
+        load_kw = np.outer(shape, assets.peak_kw)
+        return Series(load_kw, available_kw, notes=tuple(_told_bundled(assets.pv)))
+    profiles = timed(
+        _given_profiles(feeder, options), grid, options.time_zone, options.profile_step_minutes
+    )
+    return place_profiles(
+        profiles, feeder, assets, (shape, available_kw), grid, options.max_gap_minutes
+    )
+
+
+def _given_profiles(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Profile]:
+    """Series of the network itself, or of files."""
+    if str(options.profiles) != OWN_PROFILES:
+        reading = Reading(options.time_zone, options.profile_unit)
+        return read_profiles(str(options.profiles), reading)
+    if feeder.profiles:
+        return [*feeder.profiles]
+    raise InputError(
+        Problem(
+            feeder.name,
+            "has no series of its own",
+            "Give a folder with --profiles, or leave it out for the bundled day.",
+        )
     )
 
 
@@ -149,11 +199,15 @@ def write_new_scenario(
     Raises
     ------
     InputError
-        As :func:`new_scenario`, or if the folder holds something.
+        As :func:`new_scenario`, if the folder holds something, or if the voltages are further
+        from the source's than the options accept.
     """
-    scenario = new_scenario(feeder, options)
-    notes = assumptions(feeder, scenario, options)
-    scenario = replace(scenario, source=_source(feeder, notes))
+    scenario, chosen = _built(feeder, options)
+    deviation = source_deviation(feeder, scenario)
+    check_deviation(feeder, deviation, options.accept_deviation)
+    told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
+    scenario = replace(scenario, source=Source.of(feeder.name, notes=told, deviation=deviation))
+    notes = list(dict.fromkeys([*told, told_deviation(feeder, deviation)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
@@ -162,33 +216,30 @@ def write_new_scenario(
     return notes
 
 
-def assumptions(
-    feeder: ImportedFeeder, scenario: Scenario, options: NewScenarioOptions
-) -> list[str]:
+def assumptions(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[str]:
     """What was simplified and what was chosen by rule, in sentences."""
-    words = [*feeder.notes]
-    words += [f"{feeder.deviation}."] if feeder.deviation else []
-    words += new_assets(feeder, options).notes
-    words += _told_series(scenario)
-    words.append(f"Invented: prices ({options.price}) and the temperature, {TEMPERATURE_C:g} °C.")
-    return words
+    return [*feeder.notes, *_built(feeder, options)[1]]
 
 
-def _told_series(scenario: Scenario) -> Iterator[str]:
-    """Where load and generation over the day come from."""
-    kinds = dict.fromkeys(scenario.pv.kind)
+def _told_bundled(pv: PVSystems) -> Iterator[str]:
+    """That load and generation are the bundled day's."""
+    kinds = dict.fromkeys(pv.kind)
     shaped = "load and PV follow" if PV in kinds else "load follows"
     yield f"Invented: {shaped} one bundled summer day; the source's loads are the peaks."
-    constant = [str(name) for name in scenario.pv.id[scenario.pv.kind != PV]]
+    constant = [str(name) for name in pv.id[pv.kind != PV]]
     if constant:
         yield f"Without a series, at their largest power in every step: {few(constant)}."
 
 
-def _source(feeder: ImportedFeeder, notes: list[str]) -> Source:
-    """What the scenario says of where it comes from."""
-    as_given_pu = None if feeder.deviation is None else feeder.deviation.v_max_pu
-    told = [note for note in notes if note != f"{feeder.deviation}."]  # it has a field of its own
-    return Source.of(feeder.name, notes=told, deviation=SourceDeviation(as_given_pu=as_given_pu))
+def _told_constants(options: NewScenarioOptions, series: Series) -> Iterator[str]:
+    """Prices and temperature that no series gives."""
+    words = []
+    if "price_gbp_per_kwh" not in series.system:
+        words.append(f"prices ({options.price})")
+    if "temperature_c" not in series.system:
+        words.append(f"the temperature, {TEMPERATURE_C:g} °C")
+    if words:
+        yield f"Invented: {' and '.join(words)}."
 
 
 def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Problem]:

@@ -8,27 +8,53 @@ from typing import Any
 import numpy as np
 
 from vppres.core.units import mw_to_kw
+from vppres.feeders.branches import LEAST_PU, Stub
+from vppres.feeders.closeness import causes_of
 from vppres.feeders.elements import NetCase, few, in_service, label, supplied
+from vppres.feeders.feeder import Generators
 
 TABLES_OF_BUSES = ("load", "sgen", "gen")
 TAP_TOLERANCE = 1e-9
 
 
-def notes_of(net: Any, case: NetCase, stubs: list[str]) -> Iterator[str]:
-    """What was simplified, in sentences."""
-    yield from _notes_on_topology(net, case, stubs)
+def notes_of(
+    net: Any, case: NetCase, stubs: list[Stub], closed: list[str], condensers: Generators
+) -> Iterator[str]:
+    """What was simplified, in sentences.
+
+    Parameters
+    ----------
+    net : pandapowerNet
+        The source.
+    case : NetCase
+        Its branches, before any are merged.
+    stubs : list of Stub
+        Branches that are open at one end.
+    closed : list of str
+        Branches that became closed switches.
+    condensers : Generators
+        Generators that only have reactive power.
+    """
+    yield from _notes_on_topology(net, case, stubs, closed)
     yield from _notes_on_branches(net, case)
-    yield from _notes_on_elements(net, case)
+    yield from _notes_on_elements(net, case, condensers)
     yield from _notes_on_control(net, case)
 
 
-def _notes_on_topology(net: Any, case: NetCase, stubs: list[str]) -> Iterator[str]:
+def _notes_on_topology(
+    net: Any, case: NetCase, stubs: list[Stub], closed: list[str]
+) -> Iterator[str]:
     joined: dict[int, list[int]] = {}
     for bus, row in case.bus_at.items():
         joined.setdefault(row, []).append(bus)
     for buses in joined.values():
         if len(buses) > 1:
             yield f"Closed switches make one bus of the buses {few(buses)}."
+    if closed:
+        yield (
+            f"Branches of less than {LEAST_PU:g} pu (on 1 MVA) count as closed switches, and their "
+            f"ends as one bus: {few(closed)}."
+        )
     lost = net.bus.index.difference([*case.bus_at])
     if len(lost):
         yield f"Without supply or out of service, and left out: bus {few(lost)}."
@@ -38,11 +64,13 @@ def _notes_on_topology(net: Any, case: NetCase, stubs: list[str]) -> Iterator[st
             if names:
                 yield f"Left out with their buses: {few(names)}."
     if stubs:
-        yield f"Open at one end, and left out: {few(stubs)}."
+        kvar = float(mw_to_kw(sum(stub.y.imag for stub in stubs) * case.base_mva))
+        ends = few(stub.label for stub in stubs)
+        yield f"Open at one end, and kept as shunts of {kvar:.4g} kvar: {ends}."
 
 
 def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
-    branches = case.branches  # those that are open at one end charge too
+    branches = case.branches  # those that are open at one end too
     kv = np.unique(case.bus_kv)
     if len(kv) > 1:
         yield (
@@ -50,48 +78,41 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
             "one by the square of the nominal ratio; phase shifts have no effect in a radial "
             "feeder and are left out."
         )
-    charging = branches["b"] > 0
-    if charging.any():
-        kvar = float(mw_to_kw(branches.loc[charging, "b"].sum() * case.base_mva))
-        yield f"The charging of {charging.sum()} lines, {kvar:.4g} kvar in all, is left out."
-    leaking = _labels_where(net, ["line"], ["g_us_per_km"])
-    if leaking:
-        yield f"The leakage conductance of {few(leaking)} is left out."
-    losses = _labels_where(net, ["trafo", "trafo3w"], ["pfe_kw", "i0_percent"])
-    if losses:
-        yield f"The no-load losses and the magnetising current are left out of {few(losses)}."
-    shunted = _labels_where(net, ["impedance"], ["gf_pu", "bf_pu", "gt_pu", "bt_pu"])
-    if shunted:
-        yield f"The shunt admittance of {few(shunted)} is left out."
     off = branches[(branches["tap"] - 1).abs() > TAP_TOLERANCE]
     if len(off):
         ratios = [f"{n} ({tap:.4f})" for n, tap in zip(off["label"], off["tap"], strict=True)]
-        yield f"Ratios that are not nominal are taken as nominal (tap at neutral): {few(ratios)}."
+        yield f"Taps stay as they are, with the ratio {few(ratios)}."
+    yield from _set_points(net)
+    negative = branches[branches["r"] < 0]
+    if len(negative):
+        sizes = [f"{n} ({r:.3g} pu)" for n, r in zip(negative["label"], negative["r"], strict=True)]
+        yield f"Negative resistances count as none: {few(sizes)}."
 
 
-def _notes_on_elements(net: Any, case: NetCase) -> Iterator[str]:
-    for table, words in (
-        ("shunt", "Shunts are left out"),
-        ("gen", "Generators keep their active power and lose their voltage control"),
-    ):
-        names = [label(net, table, i) for i in supplied(net, table, case).index]
-        if names:
-            yield f"{words}: {few(names)}."
-    loads = supplied(net, "load", case)
-    shares = loads[[c for c in loads if str(c).startswith(("const_z", "const_i"))]]
-    varying = [label(net, "load", i) for i in loads.index[shares.fillna(0.0).any(axis=1)]]
-    if varying:
-        yield f"Loads that follow the voltage are taken as constant power: {few(varying)}."
-
-
-def _labels_where(net: Any, tables: list[str], columns: list[str]) -> list[str]:
-    """Elements in service that are not zero in one of the columns."""
+def _set_points(net: Any) -> Iterator[str]:
+    """What controllers of taps hold in the source."""
     found = []
-    for table in tables:
-        frame = in_service(net, table)
-        values = frame.reindex(columns=columns).fillna(0.0)
-        found += [label(net, table, i) for i in frame.index[(values != 0).any(axis=1)]]
-    return found
+    for control in net["controller"]["object"] if "controller" in net else ():
+        table = str(getattr(control, "element", getattr(control, "trafotable", "")))
+        index = getattr(control, "element_index", getattr(control, "tid", None))
+        band = [getattr(control, name, None) for name in ("vm_lower_pu", "vm_upper_pu")]
+        target = getattr(control, "vm_set_pu", None)
+        if not table.startswith("trafo") or (target is None and None in band):
+            continue
+        held = f"{target:g} pu" if target is not None else f"{band[0]:g} to {band[1]:g} pu"
+        found.append(f"{table} {few(np.ravel([index]))} ({held})")
+    if found:
+        yield f"Tap changers are controlled in the source, and fixed here: {few(found)}."
+
+
+def _notes_on_elements(net: Any, case: NetCase, condensers: Generators) -> Iterator[str]:
+    for cause in causes_of(net, case):
+        yield f"Taken as constant power: {cause}."
+    if len(condensers):
+        sizes = [
+            f"{n} ({q:.4g} kvar)" for n, q in zip(condensers.id, condensers.q_kvar, strict=True)
+        ]
+        yield f"Generators with reactive power only are fixed: {few(sizes)}."
 
 
 def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:

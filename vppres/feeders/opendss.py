@@ -56,7 +56,7 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
     job = {"commands": [command.text for command in script.commands]}
     found = confined("dss_engine", job, path.name, time_limit_s)
     if found["problems"]:
-        raise InputError([_located(problem, script, path.name) for problem in found["problems"]])
+        raise InputError([located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
     return net, ids, (*script.notes, *found["notes"]), _phase_powers(found)
 
@@ -77,7 +77,7 @@ def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
     return PhasePowers(f"fewer than three phases have {', '.join(words)}", p_kw)
 
 
-def _located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:
+def located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:
     """A problem of the engine, at the file and row of its command if it has one."""
     at = problem["command"]
     if at is None:

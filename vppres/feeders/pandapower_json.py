@@ -72,11 +72,11 @@ SETTINGS = frozenset(
 )
 """What may stand beside an object: others go to the readers of pandas as options of their own."""
 
-NOTE = "Controllers, time series and protection of the source are left out."
+NOTE = "Controllers and protection of the source do not act; --profiles source takes its series."
 
 
-def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """A net from a file, and what is left out of it.
+def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...], list[dict[str, Any]]]:
+    """A net from a file, what is left out of it, and the texts of its controllers of constants.
 
     Raises
     ------
@@ -86,11 +86,12 @@ def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...]]:
         Whatever pandapower stumbles over.
     """
     text = read_text(path, LARGEST_BYTES)
-    omitted = _Check(path.name).run(text)
+    check = _Check(path.name)
+    omitted = check.run(text)
     from pandapower.file_io import from_json_string
 
     net = from_json_string(text, convert=True, omit_modules=list(LEFT_OUT))
-    return net, (NOTE,) if omitted else ()
+    return net, (NOTE,) if omitted else (), check.constants
 
 
 class _Check:
@@ -100,6 +101,7 @@ class _Check:
         self.name = name
         self.problems: dict[str, Problem] = {}
         self.omitted = False
+        self.constants: list[dict[str, Any]] = []
 
     def run(self, text: str) -> bool:
         """Raise what was found; whether anything will be left out."""
@@ -166,6 +168,8 @@ class _Check:
             return
         if module.startswith(LEFT_OUT) and kind != "function":
             self.omitted = True
+            if kind == "ConstControl":
+                self.constants.append(value)
             return
         if (module, kind) not in BUILT and not (module == "numpy" and NUMBERS.fullmatch(kind)):
             self._refuse(

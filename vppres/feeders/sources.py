@@ -14,8 +14,9 @@ from typing import Any, Literal, get_args
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.balance import PhasePowers, balanced
 from vppres.feeders.changes import Changes, changed
-from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.reduce import feeder_of
+from vppres.feeders.source_series import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean
 from vppres.scenario.network import BusId
 
@@ -46,6 +47,7 @@ class _Net:
     bus_ids: Mapping[int, BusId] | None = None
     notes: tuple[str, ...] = ()
     phases: PhasePowers | None = None
+    profiles: tuple[Profile, ...] = ()
 
 
 def import_network(
@@ -112,7 +114,14 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
         notes += (balanced(found.phases, name, changes.balance),)
     net, made = changed(found.net, name, changes, found.bus_ids)
     feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    feeder = _with_profiles(feeder, found.profiles or profiles_of(net))
     return replace(feeder, notes=notes + made + feeder.notes)
+
+
+def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:
+    """The feeder with the series of the elements that it has."""
+    known = {*feeder.loads.id, *feeder.generators.id, *feeder.storages.id}
+    return replace(feeder, profiles=tuple(p for p in profiles if p.name in known))
 
 
 @contextmanager
@@ -179,12 +188,13 @@ def _pandapower(path: Path) -> _Net:
     from vppres.feeders.pandapower_json import read_pandapower
 
     try:
-        net, notes = read_pandapower(path)
+        net, notes, constants = read_pandapower(path)
+        profiles = control_profiles(net, controls_in_json(constants))
     except InputError:
         raise
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         raise _unreadable(path, "pandapower JSON", error) from None
-    return _Net(net, notes=notes)
+    return _Net(net, notes=notes, profiles=profiles)
 
 
 def _matpower(path: Path) -> _Net:

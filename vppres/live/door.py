@@ -77,11 +77,11 @@ RANGES = {
     "price_gbp_per_kwh": Range(
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
     ),
+    "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     "export_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     "export_price_gbp_per_kwh": Range(
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
     ),
-    "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
     "temperature_c": Range(-50.0, 60.0, "must lie between -50 and 60", _CORRECT),
     "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),

@@ -47,6 +47,9 @@ class Measurement:
     price_gbp_per_kwh, grid_limit_kw : float or Series, optional
         Import price in GBP/kWh and largest import in kW (0 in an outage): a number for the current
         step, or a Series by time.
+    export_limit_kw, export_price_gbp_per_kwh : float or Series, optional
+        Largest export in kW, which is 0 in an outage whatever it says, and what it earns in
+        GBP/kWh; likewise.
     eta_charge, eta_discharge : mapping or Series, optional
         Measured efficiencies by identifier; nominal where not given.
     battery_kw : mapping or Series, optional
@@ -55,8 +58,8 @@ class Measurement:
     online : mapping or Series of bool, optional
         Whether each battery reports to be able to work; all that are not named do.
     import_kw : float, optional
-        Mean import since the last step in kW, losses included. With ``battery_kw`` of all batteries
-        it shows frozen readings of demand and PV power.
+        Mean import since the last step in kW, losses included, negative where exported. With
+        ``battery_kw`` of all batteries it shows frozen readings of demand and PV power.
 
     Examples
     --------
@@ -71,6 +74,8 @@ class Measurement:
     pv_kw: Values | pd.DataFrame | None = None
     price_gbp_per_kwh: float | pd.Series | None = None
     grid_limit_kw: float | pd.Series | None = None
+    export_limit_kw: float | pd.Series | None = None
+    export_price_gbp_per_kwh: float | pd.Series | None = None
     eta_charge: Values | None = None
     eta_discharge: Values | None = None
     battery_kw: Values | None = None
@@ -192,6 +197,14 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
     price = door.series("price_gbp_per_kwh", measured.price_gbp_per_kwh, scenario.price_gbp_per_kwh)
     limit = door.series("grid_limit_kw", measured.grid_limit_kw, scenario.grid_limit_kw)
+    export_kw = door.series(
+        "export_limit_kw",
+        measured.export_limit_kw,
+        np.broadcast_to(scenario.export_limit_kw, limit.shape),
+    )
+    earned = door.series(
+        "export_price_gbp_per_kwh", measured.export_price_gbp_per_kwh, scenario.export_price
+    )
     none = np.full(len(b), np.nan)
     soc = door.values("soc", measured.soc, b.id, none)
     eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
@@ -211,6 +224,8 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
         price_gbp_per_kwh=price,
         grid_limit_kw=limit,
+        export_limit_kw=export_kw,
+        export_price_gbp_per_kwh=earned,
     )
     # A missing efficiency is the nominal one: no estimate is any better.
     return Seen(

@@ -11,10 +11,12 @@ from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.switching import SwitchingData
+from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
+from vppres.scenario.assets import Batteries
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,8 @@ class WindowData:
         What the grid takes back; None is the paper's connection, which imports only.
     drawn : Drawn, optional
         What the network itself draws; None where it has no shunt, charging or fixed demand.
+    terminal : Terminal, optional
+        What batteries are to hold at the end; None, the paper, lets them end empty.
     """
 
     load_kw: Floats
@@ -89,6 +93,7 @@ class WindowData:
     moves: Moves | None = None
     export: Export | None = None
     drawn: Drawn | None = None
+    terminal: Terminal | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -112,6 +117,7 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            terminal=observation.terminal if len(site.batteries) else None,
         )
 
     @property
@@ -154,7 +160,17 @@ class WindowData:
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
             drawn=self.drawn and self.drawn.part(steps),
+            terminal=self.terminal if steps.indices(self.n_steps)[1] == self.n_steps else None,
         )
+
+    @property
+    def ending(self) -> bool:
+        """Whether what batteries hold at the end is part of the window's problem."""
+        return self.terminal is not None
+
+    def terminal_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
+        """Cost of what batteries lack at the end, (B,); nothing is asked of them in the paper."""
+        return 0.0 if self.terminal is None else self.terminal.cost_gbp(batteries, soc_end)
 
     @property
     def loss_kw(self) -> Floats:
@@ -202,6 +218,14 @@ class WindowData:
     def exporting(self) -> bool:
         """Whether export is part of the window's problem."""
         return self.export is not None
+
+    @property
+    def both_ways_earn(self) -> bool:
+        """Whether importing and exporting at once would earn in a step with grid."""
+        if self.export is None:
+            return False
+        open_ = (self.grid_limit_kw > 0.0) & (self.export.limit_kw > 0.0)
+        return bool((open_ & (self.export.price_gbp_per_kwh > self.price_gbp_per_kwh)).any())
 
     def export_max_kw(self, site: Site) -> Floats:
         """Largest export that there can ever be, or the limit where that is smaller, (W,).

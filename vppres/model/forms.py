@@ -28,12 +28,14 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.switching import RuleSteps
+from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.model import lumped
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.beyond_paper.switching import ColdDemand, SwitchingModel, cold_demand
+from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.constraints import (
     AddedDemand,
     Named,
@@ -104,6 +106,8 @@ class Form:
         Shape of the switching rules; None has none. A fixed service obeys them or does not.
     exporting : bool
         Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
+    ending : bool
+        Whether what batteries hold at the end is part of the problem.
     """
 
     level: Level = "service"
@@ -115,6 +119,7 @@ class Form:
     physical: bool = False
     switching: RuleSteps | None = None
     exporting: bool = False
+    ending: bool = False
 
     @property
     def polygon(self) -> Polygon | None:
@@ -158,6 +163,7 @@ class WindowModel:
         self.export: ExportToGrid | None = None
         if form.exporting:
             self.export = ExportToGrid.create(n_steps, form.exclusivity)
+        self.terminal = HeldAtEnd.create(len(site.batteries)) if form.ending else None
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -184,6 +190,8 @@ class WindowModel:
             named = named | self.switching.constraints
         if self.physical is not None:
             named = self.physical.in_island(named, *args)
+        if self.terminal is not None:
+            named = named | self.terminal.reached(stored_at_end(self.site, self.v))
         return named
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
@@ -197,6 +205,8 @@ class WindowModel:
         f2 = terms.f2_cost(*args)
         if self.export is not None:
             f2 = f2 - self.export.f2_revenue
+        if self.terminal is not None:
+            f2 = f2 + self.terminal.f2_missing
         cost = gbp * w.lambda_grid * f2 + gbp * w.lambda_curt * terms.f3_curtailment(*args)
         if self.form.level == "cost":
             return cp.Minimize(cost)
@@ -214,6 +224,8 @@ class WindowModel:
             self.switching.fill(data)
         if self.export is not None:
             self.export.fill(self.site, data)
+        if self.terminal is not None:
+            fill_terminal(self.terminal, self.site, data)
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
         """The solution of the last solve, import and export of a step netted."""
@@ -229,6 +241,18 @@ class WindowModel:
 
 
 # Steps.
+
+
+def stored_at_end(site: Site, v: Variables) -> cp.Expression:
+    """Energy of each battery at the end of the window in kWh, (B,)."""
+    return cp.multiply(site.batteries.energy_kwh, v.SoC[-1])
+
+
+def fill_terminal(held: HeldAtEnd, site: Site, data: WindowData) -> None:
+    """Write what each battery is to hold; nothing for a window that does not end there."""
+    terminal = data.terminal or Terminal(0.0, 0.0)
+    target_kwh = terminal.target_kwh(site.batteries)
+    held.fill(target_kwh if data.ending else 0.0 * target_kwh, terminal.price_gbp_per_kwh)
 
 
 def in_order(named: Named, order: Sequence[str]) -> Named:

@@ -42,7 +42,8 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
     use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
     return Terms(
         f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
-        f2=data.cost_gbp(dispatch.p_grid_kw, site.dt_h),
+        f2=data.cost_gbp(dispatch.p_grid_kw, site.dt_h)
+        + data.terminal_gbp(site.batteries, dispatch.soc[-1]),
         f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
         f4=float((flow2 @ site.network.r_ohm).sum()),
         f5=float(use),

@@ -19,9 +19,18 @@ from vppres.model import constraints as families
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.export import ExportToGrid, exporting_steps
 from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.forms import NETWORK, added_demand, in_order, with_demand, without
+from vppres.model.forms import (
+    NETWORK,
+    added_demand,
+    fill_terminal,
+    in_order,
+    stored_at_end,
+    with_demand,
+    without,
+)
 from vppres.model.numerics import disc_sides, require_dpp
 from vppres.model.polygons import Polygon, battery_half_polygon, pv_polygon
 from vppres.model.problem import paper_constraints
@@ -136,6 +145,8 @@ class TieBreakerModel:
         Whether batteries are to stay near the previous plan.
     exporting : bool
         Whether export is part of the problem, its direction held step by step.
+    ending : bool
+        Whether what batteries hold at the end is part of the problem.
     """
 
     def __init__(
@@ -146,6 +157,7 @@ class TieBreakerModel:
         physical: bool = False,
         moves: bool = False,
         exporting: bool = False,
+        ending: bool = False,
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -157,6 +169,7 @@ class TieBreakerModel:
         self.export: ExportToGrid | None = None
         if exporting:
             self.export = ExportToGrid.create(n_steps, "fixed")
+        self.terminal = HeldAtEnd.create(len(site.batteries)) if ending else None
         self.held = HeldModes.create(site, n_steps)
         self.near: Near | None = None
         if moves and len(site.batteries):
@@ -203,6 +216,9 @@ class TieBreakerModel:
         f2 = terms.f2_cost(*args)
         if self.export is not None:
             f2 = f2 - self.export.f2_revenue
+        if self.terminal is not None:
+            f2 = f2 + self.terminal.f2_missing
+            named |= self.terminal.reached(stored_at_end(self.site, self.v))
         return named | {
             "battery_power_min": self.P_batt >= self.held.P_min,
             "battery_power_max": self.P_batt <= self.held.P_max,
@@ -274,6 +290,8 @@ class TieBreakerModel:
         self.held.f3.value = f3_held_kwh
         if self.physical is not None:
             self.physical.fill(self.site, data)
+        if self.terminal is not None:
+            fill_terminal(self.terminal, self.site, data)
         if self.export is not None:
             exporting = exporting_steps(dispatch)
             self.export.fill(self.site, data, exporting)

@@ -102,7 +102,7 @@ def energy_chart(run: Trajectory) -> go.Figure:
                     Curve("demand (kW)", demand_kw(run), BLACK),
                     Curve("demand served (kW)", served_kw(run), BLUE, "dash"),
                     Curve("PV available (kW)", pv_available_kw(run), ORANGE, "dashdot"),
-                    Curve("import (kW)", run.steps["p_grid_kw"].to_numpy(), VERMILLION, "dot"),
+                    Curve(_grid_name(run), run.steps["p_grid_kw"].to_numpy(), VERMILLION, "dot"),
                     Curve(
                         "net charging of batteries (kW)", battery_power_kw(run), GREEN, "longdash"
                     ),
@@ -111,10 +111,24 @@ def energy_chart(run: Trajectory) -> go.Figure:
             ),
             Row(
                 "Price<br>(GBP/kWh)",
-                [Curve("import price (GBP/kWh)", run.steps["price_gbp_per_kwh"].to_numpy(), GREY)],
+                _prices(run),
             ),
         ],
     )
+
+
+def _grid_name(run: Trajectory) -> str:
+    """What the power at the slack bus is called."""
+    return "import, export below 0 (kW)" if run.scenario.exports else "import (kW)"
+
+
+def _prices(run: Trajectory) -> list[Curve]:
+    """Import price, and what export earns where there is one."""
+    curves = [Curve("import price (GBP/kWh)", run.steps["price_gbp_per_kwh"].to_numpy(), GREY)]
+    if run.scenario.exports:
+        earned = run.scenario.export_price[: len(run.steps)]
+        curves.append(Curve("export price (GBP/kWh)", earned, GREEN, "dash"))
+    return curves
 
 
 def grid_chart(run: Trajectory) -> go.Figure:

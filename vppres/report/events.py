@@ -147,8 +147,14 @@ def _service(run: Trajectory) -> list[str]:
 
 
 def _import(summary: Mapping[str, Any]) -> str:
+    imported = (
+        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {summary['cost_gbp']:,.2f} GBP"
+    )
+    if not summary.get("export_kwh"):
+        return f"{imported}."
     return (
-        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {summary['cost_gbp']:,.2f} GBP."
+        f"{imported}, and exported {summary['export_kwh']:,.0f} kWh, which earned "
+        f"{summary['export_revenue_gbp']:,.2f} GBP."
     )
 
 

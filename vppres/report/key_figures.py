@@ -15,6 +15,9 @@ KEY_FIGURES = (
     ("resilience_planned", "Resilience that was planned", "", ".4f"),
     ("cost_gbp", "Cost of imported energy", "GBP", ",.2f"),
     ("import_kwh", "Imported energy", "kWh", ",.1f"),
+    ("export_kwh", "Exported energy", "kWh", ",.1f"),
+    ("export_revenue_gbp", "Earned by the export", "GBP", ",.2f"),
+    ("net_cost_gbp", "Cost of imported energy less what the export earns", "GBP", ",.2f"),
     ("pv_curtailed_kwh", "Curtailed PV energy", "kWh", ",.1f"),
     ("energy_not_supplied_kwh", "Energy not supplied", "kWh", ",.1f"),
     ("energy_not_supplied_gbp", "Energy not supplied, at the value of lost load", "GBP", ",.0f"),
@@ -47,13 +50,16 @@ KEY_FIGURES = (
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
+OF_EXPORT = ("export_kwh", "export_revenue_gbp", "net_cost_gbp")
+"""Keys of figures that say nothing where nothing was exported."""
+
 
 def key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Words, value and unit of each key figure that the summary has."""
+    """Words, value and unit of each key figure that the summary has; of export if there was any."""
     return [
         (words, number(summary[key], form), unit)
         for key, words, unit, form in KEY_FIGURES
-        if key in summary
+        if key in summary and (key not in OF_EXPORT or summary.get("export_kwh"))
     ]
 
 

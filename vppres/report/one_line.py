@@ -202,12 +202,19 @@ def _info(run: Trajectory) -> list[str]:
     shares = service_by_tier(run)
     lines = []
     for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
-        grid = "outage" if step["outage"] else f"import {step['p_grid_kw']:,.0f} kW"
+        grid = "outage" if step["outage"] else _exchange(float(step["p_grid_kw"]))
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         v_pu = step["v_min_ac_pu"]
         voltage = f"lowest voltage {v_pu:.4f} pu" if v_pu > 0 else "no voltage"
         lines.append(f"{grid}; served: {tiers}; {voltage}")
     return lines
+
+
+def _exchange(p_grid_kw: float) -> str:
+    """Import or export in words."""
+    if p_grid_kw < -0.5:
+        return f"export {-p_grid_kw:,.0f} kW"
+    return f"import {p_grid_kw:,.0f} kW"
 
 
 def _digits(classes: Wholes) -> list[str]:

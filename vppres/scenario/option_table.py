@@ -275,6 +275,20 @@ OPTIONS: tuple[Option, ...] = (
         follows_scenario=True,
     ),
     Option(
+        "soc-end",
+        "soc_end",
+        float,
+        None,
+        "state of charge that batteries keep at the end of the last day",
+        page="bought or kept where that is possible, without giving up service; see "
+        "{doc}`howto/rolling`",
+        unit="share",
+        range=SHARE,
+        unset="they may end empty",
+        scenario_key="controller.soc_end",
+        file_most=1.0,
+    ),
+    Option(
         "seed", "seed", int, 0, "seed of the random forecast errors", range=COUNT, group=FORECAST
     ),
     Option(
@@ -529,7 +543,7 @@ def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 
     >>> list(section_options("controller"))
-    ['kind', 'horizon_h', 'mode']
+    ['kind', 'horizon_h', 'mode', 'soc_end']
     """
     parted = [(option.scenario_key.partition("."), option) for option in OPTIONS]
     return {key: option for (name, _, key), option in parted if name == section}

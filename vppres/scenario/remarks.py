@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
 
@@ -36,8 +38,40 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     )
 
 
+def export_words(scenario: Scenario) -> str:
+    """What the connection does with a surplus.
+
+    >>> from vppres.io.find import load_scenario
+    >>> export_words(load_scenario("uk-heatwave-2022"))
+    'imports only'
+    """
+    if not scenario.exports:
+        return "imports only"
+    limits = scenario.export_max_kw[~scenario.outage]
+    least = float(limits.min())
+    most = float(limits.max())
+    if np.isinf(least):
+        return "exports without limit"
+    if least == most:
+        return f"exports up to {most:g} kW"
+    return f"exports up to {least:g} to {most:g} kW"
+
+
+def dear_export(scenario: Scenario) -> str:
+    """In how many steps export earns more than import costs; empty where it never does."""
+    dear = (scenario.export_max_kw > 0.0) & (scenario.export_price > scenario.price_gbp_per_kwh)
+    if not dear.any():
+        return ""
+    return (
+        f"In {int(dear.sum())} of {scenario.grid.n_steps} steps export earns more than import "
+        "costs. "
+        "No plan does both in the same step, but batteries will buy to sell: check "
+        "export_price_gbp_per_kwh, also for its sign, if that is not meant."
+    )
+
+
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
-    """Where the feeder comes from and how exact it is, dark islands, and every note of the import.
+    """What to know: source and how exact it is, dark islands, dear export, notes of the import.
 
     Examples
     --------
@@ -46,5 +80,5 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     []
     """
     first = [str(scenario.source)] if scenario.source else []
-    dark = darkness(scenario, mode)
-    return [*first, *([dark] if dark else []), *scenario.source.notes]
+    said = [text for text in (darkness(scenario, mode), dear_export(scenario)) if text]
+    return [*first, *said, *scenario.source.notes]

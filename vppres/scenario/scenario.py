@@ -53,6 +53,7 @@ class ControllerDefaults:
     kind: str = default_of("controller")
     horizon_h: float = default_of("horizon_h")
     mode: str = default_of("mode")
+    soc_end: float | None = default_of("soc_end")
 
 
 def _zero() -> Floats:

@@ -71,18 +71,21 @@ class CostRange:
     def of(cls, site: Site, data: WindowData) -> CostRange:
         """All import that can ever be useful, in the steps in which it earns or costs money.
 
-        Where export does so too, a step has the one or the other.
+        Where export does so too, a step has the one or the other. What batteries lack at the end
+        costs most where they hold nothing.
         """
         price = data.price_gbp_per_kwh
         most_kw = data.grid_p_max_kw(site)
         least = np.minimum(price, 0.0)
         dearest = np.maximum(price, 0.0)
+        missing = data.terminal_gbp(site.batteries, np.zeros(len(site.batteries)))
         if data.export is None:
-            return cls(float(least @ most_kw) * site.dt_h, float(dearest @ most_kw) * site.dt_h)
+            spent = float(dearest @ most_kw) * site.dt_h
+            return cls(float(least @ most_kw) * site.dt_h, spent + missing)
         spent_out = -data.export.price_gbp_per_kwh * data.export_max_kw(site)
         return cls(
             float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h,
-            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h,
+            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h + missing,
         )
 
 

@@ -180,7 +180,9 @@ def _solve_cost(
 def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:
     """The window problem of a form, of the window's length, mode and switching rules."""
     rules = None if form.service == "fixed" else rule_steps(data)
-    shaped = replace(form, physical=data.physical, switching=rules, exporting=data.exporting)
+    shaped = replace(
+        form, physical=data.physical, switching=rules, exporting=data.exporting, ending=data.ending
+    )
     return cache.problem(WindowModel, n_steps=data.n_steps, form=shaped)
 
 
@@ -230,6 +232,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
         physical=data.physical,
         moves=data.moves is not None,
         exporting=data.exporting,
+        ending=data.ending,
     )
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
     outcome = run_conic(model.problem, deadline.left_s)

@@ -17,9 +17,17 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.export import ExportToGrid
+from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.forms import SOLVER_ORDER, in_order, with_demand, with_polygons
+from vppres.model.forms import (
+    SOLVER_ORDER,
+    fill_terminal,
+    in_order,
+    stored_at_end,
+    with_demand,
+    with_polygons,
+)
 from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides, require_dpp
 from vppres.model.polygons import Polygon
@@ -67,12 +75,17 @@ class ShadowPriceModel:
         Steps W of the longest window.
     exporting : bool
         Whether export is part of it, in a direction without binaries.
+    ending : bool
+        Whether what batteries hold at the end of a run is part of it.
     """
 
-    def __init__(self, site: Site, n_steps: int, exporting: bool = False) -> None:
+    def __init__(
+        self, site: Site, n_steps: int, exporting: bool = False, ending: bool = False
+    ) -> None:
         self.site = site
         self.n_steps = n_steps
         self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
+        self.terminal = HeldAtEnd.create(len(site.batteries)) if ending else None
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
@@ -101,6 +114,8 @@ class ShadowPriceModel:
         if self.export is not None:
             named = with_demand(named, *args, self.export.at_slack_bus(self.site))
             named |= self.export.connection(self.v.P_grid, self.p.P_grid_max)
+        if self.terminal is not None:
+            named |= self.terminal.reached(stored_at_end(self.site, v))
         return named | {
             "mode_min": v.delta[0] >= self.mode_min,
             "mode_max": v.delta[0] <= self.mode_max,
@@ -119,7 +134,11 @@ class ShadowPriceModel:
             - terms.f2_cost(*args)
             - self.weight_f3 * terms.f3_curtailment(*args)
         )
-        return cp.Maximize(worth if self.export is None else worth + self.export.f2_revenue)
+        if self.export is not None:
+            worth = worth + self.export.f2_revenue
+        if self.terminal is not None:
+            worth = worth - self.terminal.f2_missing
+        return cp.Maximize(worth)
 
     def fill(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length."""
@@ -127,6 +146,9 @@ class ShadowPriceModel:
         cost = replace(data, price_gbp_per_kwh=priced.cost * data.price_gbp_per_kwh)
         padded = _padded(cost, missing)
         self.p.fill(self.site, padded)
+        if self.terminal is not None:
+            fill_terminal(self.terminal, self.site, data)
+            self.terminal.price.value = priced.cost * self.terminal.price.value
         if self.export is not None:
             self.export.fill(self.site, padded)
             self.export.sigma_dt.value = priced.cost * self.export.sigma_dt.value

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import joblib
 import pandas as pd
 
 from vppres.core.errors import ReportError, SolveError, StorageError, VerificationError
@@ -25,9 +21,9 @@ from vppres.report.key_figures import KEY_FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies.compare import flattened
+from vppres.studies.side_by_side import Lost, Where, map_unordered
 from vppres.studies.sweep_parameters import Parameter, Value, changed, value_text
 
-_ASK_S = 0.5  # between two looks at the parent
 _LONGEST_FOLDER = 60  # characters of up to four bytes; a name has at most 255 bytes
 SUMMARY_TABLE = "summary.csv"
 
@@ -87,7 +83,7 @@ def cases_of(
 def run_cases(
     cases: Sequence[Case],
     folder: Path,
-    jobs: int | None = None,
+    where: Where | None = None,
     progress: Progress | None = None,
     finish: Finish | None = None,
 ) -> list[SweepRow]:
@@ -99,8 +95,8 @@ def run_cases(
         From :func:`cases_of`.
     folder : Path
         The folder to make; an older sweep or run in its place is replaced.
-    jobs : int, optional
-        Runs at a time; one per core if not given.
+    where : Where, optional
+        Runs at a time, or the cluster that runs them; one per core if not given.
     progress : callable, optional
         Called as ``progress(runs done, runs in all)`` after every run.
     finish : callable, optional
@@ -112,7 +108,7 @@ def run_cases(
         In the order of the cases. A run that has no answer does not end the others.
     """
     with atomic_folder(folder) as aside:
-        outcomes = _outcomes(cases, aside, jobs or int(joblib.cpu_count()), progress)
+        outcomes = _outcomes(cases, aside, where or Where(), progress)
         outcome_table(outcomes).to_csv(aside / SUMMARY_TABLE, index=False, lineterminator="\n")
         atomic_write_text(
             aside / RUN_MARK,
@@ -138,15 +134,16 @@ def folder_name(parameter: str, value: Value) -> str:
     return name if name == text else f"{name}-{sha256(text.encode()).hexdigest()[:8]}"
 
 
-def run_case(position: int, case: Case, folder: Path) -> tuple[int, SweepRow]:
+def run_case(numbered: tuple[int, Case], folder: Path) -> SweepRow:
     """Run one case and write its run folder below ``folder``."""
+    _, case = numbered
     try:
         summary = write_run(
             run_day(case.scenario, case.options), folder / case.folder, interactive=False
         )  # many reports: leave out 5 MB of scripts each
     except (SolveError, VerificationError, StorageError, ReportError) as error:
-        return position, SweepRow(case.value, case.folder, None, str(error))
-    return position, SweepRow(case.value, case.folder, summary, None)
+        return SweepRow(case.value, case.folder, None, str(error))
+    return SweepRow(case.value, case.folder, summary, None)
 
 
 def outcome_table(outcomes: Sequence[SweepRow]) -> pd.DataFrame:
@@ -176,47 +173,23 @@ def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
     }
 
 
-def _end_with(parent: int) -> None:
-    """Let this worker die with its parent, which the system does not see to by itself.
-
-    It runs when a worker starts, whose parent may be dead by then. A thread asks: the death signal
-    of Linux comes with the end of the thread that started the worker, and not of its process.
-    """
-    if os.getpid() == parent:
-        return  # a single job runs in the process itself
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_ASK_S)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 _KEYS = tuple(key for key, *_ in KEY_FIGURES)
 _PREFIXES = ("served_share.", "solve_s.")
 
 
 def _outcomes(
-    cases: Sequence[Case], folder: Path, jobs: int, progress: Progress | None
+    cases: Sequence[Case], folder: Path, where: Where, progress: Progress | None
 ) -> list[SweepRow]:
     found: dict[int, SweepRow] = {}
-    # One thread each: solvers and linear algebra would only fight for the cores.
-    with joblib.parallel_config(
-        "loky", inner_max_num_threads=1, initializer=_end_with, initargs=(os.getpid(),)
-    ):
-        parallel = joblib.Parallel(
-            n_jobs=min(jobs, len(cases)), return_as="generator_unordered", batch_size=1
-        )
-        # Closing the generator stops the workers, whatever ends the loop.
-        with closing(
-            parallel(
-                joblib.delayed(run_case)(position, case, folder)
-                for position, case in enumerate(cases)
-            )
-        ) as finished:
-            for position, outcome in finished:
-                found[position] = outcome
-                if progress is not None:
-                    progress(len(found), len(cases))
+    # Other machines see the same folder, but may stand somewhere else.
+    work = partial(run_case, folder=folder.absolute())
+    with closing(map_unordered(work, list(enumerate(cases)), where)) as outcomes:
+        for outcome in outcomes:
+            position, case = outcome.job
+            if isinstance(outcome, Lost):
+                found[position] = SweepRow(case.value, case.folder, None, outcome.reason)
+            else:
+                found[position] = outcome.result
+            if progress is not None:
+                progress(len(found), len(cases))
     return [found[position] for position in range(len(cases))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -21,6 +22,7 @@ from vppres.day.series import (
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import (
     BLACK,
+    GREEN,
     GREY,
     ORANGE,
     RUN_STYLES,
@@ -52,7 +54,14 @@ def energy_and_price(runs: Runs) -> Figure:
     power.axhline(0.0, color=GREY, linewidth=0.8)
     gbp_per_kwh = first.steps["price_gbp_per_kwh"].to_numpy(float)
     draw_steps(price, first, gbp_per_kwh, {"color": BLACK})
-    if gbp_per_kwh.min() < 0.0:
+    lowest = float(gbp_per_kwh.min())
+    if first.scenario.exports:
+        earned = first.scenario.export_price[: len(first.steps)]
+        dashes = {"color": GREEN, "linestyle": (0, (4, 2)), "label": "export price"}
+        draw_steps(price, first, earned, dashes)
+        price.legend(loc="upper left", frameon=False, fontsize=7)
+        lowest = min(lowest, float(earned.min()))
+    if lowest < 0.0:
         price.axhline(0.0, color=GREY, linewidth=0.8)
     else:
         price.set_ylim(bottom=0.0)
@@ -83,10 +92,24 @@ def import_load_pv(runs: Runs) -> Figure:
     if len(named) == 1:
         _fill_unserved(load, first, served_kw(first), demand)
     imports.set_ylabel("Import at the slack bus,\nAC (kW)")
+    if any(run.scenario.exports for run in named.values()):
+        imports.axhline(0.0, color=GREY, linewidth=0.8)
+        imports.set_ylabel("Import at the slack bus,\nAC (kW); export below 0")
+        _draw_export_limit(imports, first)
     load.set_ylabel("Power (kW)")
     load.set_ylim(bottom=0.0)
     figure.suptitle("Grid import, demand and PV")
     return with_legend(figure, load, columns=2)
+
+
+def _draw_export_limit(ax: Axes, run: Trajectory) -> None:
+    """The export limit below zero, where it could have been reached."""
+    limit_kw = run.scenario.export_max_kw[: len(run.steps)]
+    finite = np.isfinite(limit_kw)
+    if not (finite & (limit_kw > 0.0)).any():
+        return
+    shown = np.where(finite, -limit_kw, np.nan)
+    draw_steps(ax, run, shown, {"color": BLACK, "linewidth": 1.0, "linestyle": ":"})
 
 
 def voltages(runs: Runs) -> Figure:

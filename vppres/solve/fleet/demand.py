@@ -108,6 +108,8 @@ class DemandModel:
         if self.relaxation.export is not None:
             earned = self.relaxation.export.most_earned_gbp()
             dearest_gbp = np.maximum(prices * most_kw, -earned).sum()
+        if self.relaxation.terminal is not None:
+            dearest_gbp = dearest_gbp + self.relaxation.terminal.worst_gbp
         return float(lost * p["P_pv"].value.sum()), float(dearest_gbp)
 
     def least_cost_gbp(self) -> float:
@@ -120,7 +122,10 @@ class DemandModel:
         return float(np.minimum(prices * most_kw, -earned).sum())
 
     def fleet_kw(self) -> float:
-        """Power of all batteries and the export, with what is stored and drawn: none exceeds it."""
+        """Power of all batteries and the export, with what is stored and drawn: none exceeds it.
+
+        Nor does the energy that is missing at the end, in kWh.
+        """
         p = self.relaxation.p
         b = self.relaxation.site.batteries
         factor = max(
@@ -131,11 +136,19 @@ class DemandModel:
         exported_kw = 0.0
         if self.relaxation.export is not None:
             exported_kw = float(self.relaxation.export.P_out_max.value.max(initial=0.0))
-        return float(b.p_max_kw.sum() * factor) + exported_kw
+        missing_kwh = 0.0
+        if self.relaxation.terminal is not None:
+            missing_kwh = float(self.relaxation.terminal.target_kwh.value.sum())
+        return float(b.p_max_kw.sum() * factor) + exported_kw + missing_kwh
 
 
 def demand_model(
-    site: Site, n_steps: int, lumped: bool, physical: bool = False, exporting: bool = False
+    site: Site,
+    n_steps: int,
+    lumped: bool,
+    physical: bool = False,
+    exporting: bool = False,
+    ending: bool = False,
 ) -> DemandModel:
     """What the fleet can carry in windows of a length and mode.
 
@@ -151,6 +164,8 @@ def demand_model(
         Whether losses and headroom are part of it.
     exporting : bool
         Whether export is part of it.
+    ending : bool
+        Whether what batteries hold at the end is part of it.
     """
     relaxation = AggregateModel(
         site,
@@ -159,5 +174,6 @@ def demand_model(
         lumped=lumped,
         physical=physical,
         exporting=exporting,
+        ending=ending,
     )
     return DemandModel(relaxation)

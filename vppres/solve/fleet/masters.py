@@ -30,6 +30,9 @@ WHOLE_GAP = 0.99
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
 
+ONE_WAY_GAP_GBP = 1e-4
+"""Gap of the bound on cost with one direction in each step, which has a binary for each step."""
+
 ALIKE = 1e-4
 """Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
 battery of the best efficiencies says too little, and the search begins with every battery."""
@@ -156,7 +159,33 @@ def relaxation_of(
         physical=data.physical,
         switching=rule_steps(data),
         exporting=data.exporting,
+        ending=data.ending,
     )
+
+
+def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
+    """Lower bound on the cost of all sets with so many units, where no step imports and exports.
+
+    The masters' bounds let it do both, which says next to nothing where that earns. Who is served
+    may be shares of customers here. None where it earns nowhere, and another bound is as good.
+    """
+    data = task.data
+    if not data.both_ways_earn:
+        return None
+    model = task.cache.problem(
+        AggregateModel,
+        n_steps=data.n_steps,
+        integer=False,
+        lumped=fleets_of(data)[0],
+        physical=data.physical,
+        switching=rule_steps(data),
+        exporting=True,
+        one_way=True,
+        ending=data.ending,
+    )
+    model.fill(data)
+    model.service_min.value = units_min * model.grid
+    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, task.search.left_s)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
@@ -167,6 +196,7 @@ def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
         lumped=lumped,
         physical=data.physical,
         exporting=data.exporting,
+        ending=data.ending,
     )
 
 

@@ -21,6 +21,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
+from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale, require_dpp
@@ -48,8 +49,10 @@ class AggregateModel:
     switching : RuleSteps, optional
         Shape of the switching rules; None has none.
     exporting : bool
-        Whether export is part of it. Its direction is never a binary here, so that serving one more
-        customer is always met by more import.
+        Whether export is part of it. Without a binary for its direction more import can always
+        meet one more customer.
+    one_way : bool
+        Whether the direction is a binary, for bounds on cost where both at once would earn.
 
     Attributes
     ----------
@@ -72,6 +75,8 @@ class AggregateModel:
         physical: bool = False,
         switching: RuleSteps | None = None,
         exporting: bool = False,
+        one_way: bool = False,
+        ending: bool = False,
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -80,7 +85,10 @@ class AggregateModel:
         self.x = cp.Variable((n_steps, len(site.customers)), name="x_served", boolean=integer)
         self.v = self._variables()
         self.p = self._parameters()
-        self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
+        self.export: ExportToGrid | None = None
+        if exporting:
+            self.export = ExportToGrid.create(n_steps, "integer" if one_way else "relaxed")
+        self.terminal = HeldAtEnd.create(self._groups) if ending else None
         self.room = self._room_parameters() if physical else {}
         self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
         self.service_min = cp.Parameter(name="service_min")
@@ -160,7 +168,11 @@ class AggregateModel:
     def cost(self) -> cp.Expression:
         """f2 in GBP."""
         spent = self.rho_dt @ self.v["P_grid"]
-        return spent if self.export is None else spent - self.export.f2_revenue
+        if self.export is not None:
+            spent = spent - self.export.f2_revenue
+        if self.terminal is not None:
+            spent = spent + self.terminal.f2_missing
+        return spent
 
     def _curtailment(self) -> cp.Expression:
         """f3 as weighted."""
@@ -249,7 +261,9 @@ class AggregateModel:
         triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
         energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
         before = energy - dt * (v["stored"] - v["drawn"])
-        return {
+        # A fleet misses no more than its batteries do: what one has too much counts for others.
+        held = {} if self.terminal is None else self.terminal.reached(energy[-1])
+        return held | {
             "lumped_energy_min": energy >= least,
             "lumped_energy_max": energy <= e_max,
             "lumped_room": before + dt * v["stored"] <= e_max,
@@ -319,6 +333,9 @@ class AggregateModel:
             self._fill_room(data)
         if self.export is not None:
             self.export.fill(site, data)
+        if self.terminal is not None and data.terminal is not None:
+            target_kwh = self._fleet(data.terminal.target_kwh(site.batteries))
+            self.terminal.fill(target_kwh, data.terminal.price_gbp_per_kwh)
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
         if self.switching:
             self.switching.fill(data)

@@ -10,7 +10,7 @@ import numpy as np
 from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import cost_gap_gbp
 from vppres.solve.dispatch import keep_dispatch
-from vppres.solve.fleet.masters import Master, fleets_of, relaxation_of
+from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
 from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
 
@@ -79,13 +79,15 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     known.note(f"{master.prefix}cost_level", outcome)
     if not outcome.status.has_answer:
         return
-    known.cost_bound_gbp = known.least_cost_gbp(outcome)
+    one_way = _one_way(task, (needed - UNITS_TOLERANCE) / unit)
+    known.cost_bound_gbp = max(known.least_cost_gbp(outcome), one_way)
     bound = known.worth(known.service_bound, known.cost_bound_gbp)
     if admitted > needed:
         # Costs of sets that serve less: the linear relaxation is enough.
         least, _ = master.cost((needed - UNITS_TOLERANCE) / unit, False, np.inf, np.inf)
         known.note(f"{master.prefix}least_cost", least)
-        bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
+        least_gbp = max(known.least_cost_gbp(least), one_way)
+        bound = max(bound, known.worth(admitted, least_gbp))
     known.bound = max(bound, best.value)
     if (
         served is not None
@@ -93,6 +95,15 @@ def _cost_level(task: WindowTask, master: Master) -> None:
         and outcome.value < best.terms.f2
     ):
         keep_dispatch(task, served)
+
+
+def _one_way(task: WindowTask, units_min: float) -> float:
+    """Bound on cost where the masters' would earn by importing and exporting at once, in GBP."""
+    outcome = least_cost_one_way(task, units_min)
+    if outcome is None:
+        return -np.inf
+    task.certificate.note("one_way_cost", outcome)
+    return task.certificate.least_cost_gbp(outcome)
 
 
 def all_terms(task: WindowTask) -> None:

@@ -14,7 +14,7 @@ from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.masters import demand_of, fleets_of
+from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import TOLERANCE, NetworkMaster, applies
 from vppres.solve.result import Outcome
@@ -159,6 +159,9 @@ class InNetwork:
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
+        one_way = least_cost_one_way(self.task, min(enough, served))
+        if one_way is not None:
+            cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
         known.cost_bound_gbp = cost_gbp
 
     def _bound(self, name: str, outcome: Outcome) -> float:

@@ -81,7 +81,8 @@ class Injections:
     The columns are arrays of positions with the paper's letters: ``x`` (W, C); ``P_ch``, ``P_dch``,
     ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
     ``P_grid``, ``P_out`` and ``Q_grid`` (W, 1), where ``P_out``, the export, has no column if there
-    is none. Charging and discharging may overlap, and so may import and export.
+    is none; ``missing`` (1, B), the energy that is missing at the end, or (1, 0) where none is
+    asked for. Charging and discharging may overlap, and so may import and export.
 
     Parameters
     ----------
@@ -117,6 +118,9 @@ class Injections:
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
+        missing = B if data.ending else 0
+        self.at["missing"] = self.size + np.arange(missing).reshape(1, missing)
+        self.size += missing
         self.own_kw = data.self_limit_kw(site)
         self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
         self.load_kvar = data.load_kw * site.customers.q_per_p
@@ -140,6 +144,7 @@ class Injections:
             "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
             "Q_grid": (-q_grid, q_grid),
             "P_out": (0.0, data.export_max_kw(site)[:, None]),
+            "missing": (0.0, np.inf if data.terminal is None else data.terminal.target_kwh(b)),
         }
         lower = np.zeros(self.size)
         upper = np.zeros(self.size)
@@ -183,6 +188,7 @@ class Injections:
                 Rows.of(owner, own, -np.inf, room, self.size),
                 *self._battery_rows(),
                 *self._connection_rows(),
+                *self._terminal_rows(),
             ]
         )
 
@@ -196,6 +202,14 @@ class Injections:
         columns = np.hstack([self.at["P_grid"][both], self.at["P_out"][both]])
         shares = np.column_stack([1.0 / most_in[both], 1.0 / most_out[both]])
         return [Rows.of(columns, shares, -np.inf, 1.0, self.size)]
+
+    def _terminal_rows(self) -> list[Rows]:
+        """Energy at the end, and what is missing of it."""
+        if self.data.terminal is None:
+            return []
+        target_kwh = self.data.terminal.target_kwh(self.site.batteries)
+        columns = np.column_stack([self.at["energy"][-1], self.at["missing"][0]])
+        return [Rows.of(columns, np.ones(2), target_kwh, np.inf, self.size)]
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""

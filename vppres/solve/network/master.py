@@ -290,12 +290,20 @@ class NetworkMaster:
 
     @property
     def price(self) -> tuple[Wholes, Floats]:
-        """Columns of import and export and what they cost for a step, in GBP/kW."""
+        """Columns of import and export and what they cost for a step, in GBP/kW.
+
+        Behind them what is missing at the end, in GBP/kWh.
+        """
         columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
         prices = [self.data.price_gbp_per_kwh]
         if self.data.export is not None:
             prices.append(-self.data.export.price_gbp_per_kwh)
-        return columns.ravel(), (np.column_stack(prices) * self.site.dt_h).ravel()
+        values = (np.column_stack(prices) * self.site.dt_h).ravel()
+        if self.data.terminal is None:
+            return columns.ravel(), values
+        missing = self.model.at["missing"].ravel()
+        each = np.full(len(missing), self.data.terminal.price_gbp_per_kwh)
+        return np.append(columns.ravel(), missing), np.append(values, each)
 
     def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""

@@ -1,0 +1,74 @@
+"""What batteries are to hold where the known steps end, so that the next ones find them charged.
+
+A window that ends with the run, or where a live controller knows no more, sees no use for energy
+beyond. What is missing there to a state of charge costs more than any import of the window does:
+it is bought or kept where that is possible, but no service is given up for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.contract.forecast import Forecast
+from vppres.core.arrays import Floats
+from vppres.scenario.assets import Batteries
+
+OVER_IMPORT = 2.0
+"""Price of a missing kWh as a multiple of the dearest of the window: more than what is lost by
+storing it and taking it out again, which is less than half."""
+
+LEAST_PRICE_GBP_PER_KWH = 0.01
+"""The same where energy is free, or pays."""
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """State of charge at the end of a window, and what a missing kWh costs.
+
+    Parameters
+    ----------
+    soc : float
+        Share of each battery's capacity, or its own limit where that is nearer.
+    price_gbp_per_kwh : float
+        Price of each kWh that is missing.
+
+    Examples
+    --------
+    >>> Terminal(0.5, 0.8).price_gbp_per_kwh
+    0.8
+    """
+
+    soc: float
+    price_gbp_per_kwh: float
+
+    @classmethod
+    def of(cls, soc: float | None, forecast: Forecast, ends: bool) -> Terminal | None:
+        """The end of a window of which a forecast is known.
+
+        Parameters
+        ----------
+        soc : float or None
+            What batteries are to hold; None for nothing.
+        forecast : Forecast
+            Prices of the window.
+        ends : bool
+            Whether nothing is known of the steps behind the window.
+        """
+        if soc is None or not ends:
+            return None
+        dearest = float(np.max(forecast.price_gbp_per_kwh))
+        if forecast.export is not None:
+            dearest = max(dearest, float(np.max(forecast.export.price_gbp_per_kwh)))
+        return cls(soc, max(OVER_IMPORT * dearest, LEAST_PRICE_GBP_PER_KWH))
+
+    def target_kwh(self, batteries: Batteries) -> Floats:
+        """Energy that each battery is to hold, (B,)."""
+        soc = np.clip(self.soc, batteries.soc_min, batteries.soc_max)
+        return np.asarray(soc * batteries.energy_kwh)
+
+    def cost_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
+        """What is missing at the end, (B,), at its price."""
+        missing = np.maximum(self.target_kwh(batteries) - soc_end * batteries.energy_kwh, 0.0)
+        return self.price_gbp_per_kwh * float(missing.sum())

@@ -1,0 +1,62 @@
+"""What a recheck writes: tables, a summary and a figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from vppres.day.trajectory import Trajectory
+from vppres.feeders.recheck import Recheck
+from vppres.io.atomic import atomic_folder
+from vppres.report.plots.base import save_figure
+from vppres.report.plots.phases import voltages_per_phase
+
+DECIMALS = 6
+
+
+def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, Any]:
+    """Write a recheck's folder, whole or not at all.
+
+    ``voltages.csv`` has a row for each step, bus and phase, ``steps.csv`` one for each step,
+    ``summary.json`` what :func:`summary_of` gives; ``voltages_per_phase`` is the figure.
+
+    Returns
+    -------
+    dict
+        The summary.
+    """
+    summary = summary_of(found)
+    with atomic_folder(folder) as aside:
+        for name, table in (("voltages", found.voltages), ("steps", found.steps)):
+            table.round(DECIMALS).to_csv(aside / f"{name}.csv", index=False, lineterminator="\n")
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        (aside / "summary.json").write_text(text, encoding="utf-8", newline="\n")
+        save_figure(voltages_per_phase(run, found), aside / "voltages_per_phase")
+    return summary
+
+
+def summary_of(found: Recheck) -> dict[str, Any]:
+    """The figures of a recheck: of the largest difference, by phase, and what was assumed."""
+    worst = found.worst
+    phases = found.by_phase().round(DECIMALS)
+    return {
+        "largest": None
+        if worst is None
+        else {
+            "time": worst["time"].isoformat(),
+            "bus": str(worst["bus"]),
+            "phase": str(worst["phase"]),
+            "v_pu": round(float(worst["v_pu"]), DECIMALS),
+            "v_plan_pu": round(float(worst["v_plan_pu"]), DECIMALS),
+            "difference_pu": round(float(worst["difference_pu"]), DECIMALS),
+        },
+        "cause": found.cause,
+        "phases": {
+            str(phase): {
+                name: None if value != value else float(value) for name, value in row.items()
+            }
+            for phase, row in phases.iterrows()
+        },
+        "notes": list(found.notes),
+    }

@@ -1,0 +1,373 @@
+"""Jobs side by side: in processes of this machine, or on the machines of a Dask cluster.
+
+``map_unordered`` is the one seam under sweeps, experiments and studies. On this machine joblib's
+loky runs the jobs, one thread each. On a cluster every job is a task with a key of its own, so that
+a job that is asked for twice is run once, and a job whose worker dies is run again elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import joblib
+
+from vppres.core.errors import InputError, Problem
+from vppres.day.metrics import versions
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+RETRIES = 2
+"""Times that a cluster runs a failed job again before its error counts."""
+
+PATIENCE_S = 30.0
+"""In which a scheduler must answer and have a worker."""
+
+_ASK_S = 0.5  # between two looks at the parent
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where jobs run.
+
+    Parameters
+    ----------
+    processes : int, optional
+        Jobs at a time on this machine; -1 or nothing is one for each core.
+    scheduler : str, optional
+        Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used in place of
+        this machine.
+
+    Examples
+    --------
+    >>> Where(3).count
+    3
+    """
+
+    processes: int | None = None
+    scheduler: str | None = None
+
+    @property
+    def count(self) -> int:
+        """Jobs at a time on this machine."""
+        return int(joblib.cpu_count()) if self.processes in (None, -1) else int(self.processes)
+
+
+@dataclass(frozen=True, eq=False)
+class Done(Generic[J, R]):
+    """A job and its result."""
+
+    job: J
+    result: R
+
+
+@dataclass(frozen=True, eq=False)
+class Lost(Generic[J]):
+    """A job whose process died each time that it was tried, and what is known of it."""
+
+    job: J
+    reason: str
+
+
+def map_unordered(
+    function: Callable[[J], R], jobs: Sequence[J], where: Where | None = None
+) -> Generator[Done[J, R] | Lost[J], None, None]:
+    """Results of all jobs, each as soon as it is there.
+
+    Parameters
+    ----------
+    function : callable
+        Makes a result of a job; a function of a module.
+    jobs : sequence
+        What is handed to it; they can be pickled.
+    where : Where, optional
+        On how many processes of this machine, or on which cluster.
+
+    Yields
+    ------
+    Done or Lost
+        Close the iterator (``contextlib.closing``) to stop what still runs. An exception that the
+        function raises ends it and is raised here; a process that dies costs no job but its own.
+
+    Raises
+    ------
+    InputError
+        If the cluster cannot be reached, or its workers have other versions or several threads.
+
+    Examples
+    --------
+    >>> [done.result for done in map_unordered(abs, [-3, 2], Where(1))]
+    [3, 2]
+    """
+    where = where or Where()
+    if jobs and where.scheduler:
+        yield from _on_cluster(function, jobs, where.scheduler)
+    elif jobs:
+        yield from _on_this_machine(function, jobs, min(where.count, len(jobs)))
+
+
+# This machine.
+
+
+def _on_this_machine(
+    function: Callable[[J], R], jobs: Sequence[J], processes: int
+) -> Generator[Done[J, R] | Lost[J], None, None]:
+    """Jobs in loky's processes; where one dies, those that may have killed it go on alone.
+
+    All jobs that were running are lost with it, and which of them is to blame nobody says. They are
+    among the first that have no result, since jobs are begun in their order.
+    """
+    left = dict(enumerate(jobs))
+    suspects: list[int] = []
+    while left:
+        numbers = suspects[:1] or list(left)
+        try:
+            with closing(_loky(function, [left[n] for n in numbers], processes)) as results:
+                for position, result in results:
+                    yield Done(left.pop(numbers[position]), result)
+            suspects = suspects[1:]
+        except BrokenProcessPool as error:
+            if suspects:
+                yield Lost(left.pop(suspects.pop(0)), f"Its process died twice. {_line(error)}")
+            else:
+                suspects = list(left)[: 2 * processes]
+
+
+def _loky(
+    function: Callable[[J], R], jobs: Sequence[J], processes: int
+) -> Generator[tuple[int, R], None, None]:
+    """Results with the positions of their jobs; a single process is this one."""
+    # One thread each: solvers and linear algebra would only fight for the cores.
+    with joblib.parallel_config(
+        "loky", inner_max_num_threads=1, initializer=_end_with, initargs=(os.getpid(),)
+    ):
+        parallel = joblib.Parallel(n_jobs=processes, return_as="generator_unordered", batch_size=1)
+        work = (joblib.delayed(_numbered)(function, *one) for one in enumerate(jobs))
+        # Closing the generator stops the workers, whatever ends the loop.
+        with closing(parallel(work)) as results:
+            yield from results
+
+
+def _numbered(function: Callable[[J], R], number: int, job: J) -> tuple[int, R]:
+    return number, function(job)
+
+
+def _end_with(parent: int) -> None:
+    """Let this worker die with its parent, which the system does not see to by itself.
+
+    It runs when a worker starts, whose parent may be dead by then. A thread asks: the death signal
+    of Linux comes with the end of the thread that started the worker, and not of its process.
+    """
+    if os.getpid() == parent:
+        return  # a single job runs in the process itself
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_ASK_S)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+# A cluster.
+
+
+def _on_cluster(
+    function: Callable[[J], R], jobs: Sequence[J], scheduler: str
+) -> Generator[Done[J, R] | Lost[J], None, None]:
+    """Jobs as tasks of a Dask cluster, keyed by what they depend on."""
+    with _client(scheduler) as client:
+        from distributed import KilledWorker, as_completed
+
+        expected = identity(_package(function))
+        _check_workers(client, expected, _package(function))
+        by_key: dict[str, list[J]] = {}
+        for job in jobs:
+            by_key.setdefault(_key(function, job, expected), []).append(job)
+        futures = [
+            client.submit(
+                _on_worker, function, alike[0], expected, key=key, pure=True, retries=RETRIES
+            )
+            for key, alike in by_key.items()
+        ]
+        try:
+            for future in as_completed(futures, loop=client.loop):
+                error = future.exception()
+                if error is not None and not isinstance(error, KilledWorker):
+                    raise error
+                for job in by_key[future.key]:
+                    if error is None:
+                        yield Done(job, future.result())
+                    else:
+                        yield Lost(job, f"Its worker died each time. {_line(error)}")
+                future.release()
+        finally:
+            client.cancel(futures)
+
+
+def _on_worker(function: Callable[[J], R], job: J, expected: dict[str, str | None]) -> R:
+    """A job on a worker, which may have come after the versions of the others were compared."""
+    odd = _differences(identity(_package(function)), expected)
+    if odd:
+        raise InputError(_other_versions("a worker", odd))
+    return function(job)
+
+
+@contextmanager
+def _client(scheduler: str) -> Iterator[Any]:
+    """A connection to a scheduler, by its address or by its file.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler answers.
+    """
+    if find_spec("distributed") is None:
+        raise InputError(
+            _problem(
+                "scheduler",
+                scheduler,
+                "needs Dask, which is not installed",
+                'Install it: pip install "vppres[cluster]".',
+            )
+        )
+    from distributed import Client
+
+    place = {"scheduler_file": scheduler} if "://" not in scheduler else {"address": scheduler}
+    try:
+        if "://" not in scheduler and not Path(scheduler).is_file():
+            raise FileNotFoundError("there is no such file")
+        client = Client(**place, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            _problem(
+                "scheduler",
+                scheduler,
+                f"cannot be reached ({_line(error)})",
+                "Give the address that `dask scheduler` prints (tcp://host:8786), or its "
+                "--scheduler-file.",
+            )
+        ) from error
+    with client:
+        yield client
+
+
+def _check_workers(client: Any, expected: dict[str, str | None], package: str) -> None:
+    """Refuse workers with other versions, or with several threads.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong, by worker.
+    """
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+        found: dict[str, dict[str, str | None]] = client.run(identity, package)
+    except TimeoutError as error:
+        raise InputError(
+            _problem("scheduler", None, "has no worker", "Start some with `dask worker`.")
+        ) from error
+    except ImportError as error:
+        raise InputError(
+            _problem(
+                "worker", None, f"lacks a module ({error})", "Install the same vppres everywhere."
+            )
+        ) from error
+    problems = [
+        _other_versions(name, odd)
+        for name, about in found.items()
+        if (odd := _differences(about, expected))
+    ]
+    problems += [
+        _problem("worker", name, f"has {count} threads", "Start workers with --nthreads 1.")
+        for name, count in client.nthreads().items()
+        if count != 1
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def identity(package: str = "vppres") -> dict[str, str | None]:
+    """Versions of what results depend on, and digests of the sources of vppres and of a package."""
+    return {**versions(), **{name: _sources(name) for name in sorted({"vppres", package})}}
+
+
+@cache
+def _sources(package: str) -> str | None:
+    """SHA-256 of a package's Python files, None for what is none."""
+    spec = find_spec(package) if package != "__main__" else None
+    if spec is None or not spec.submodule_search_locations:
+        return None
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    digest = sha256()
+    for file in sorted(folder.rglob("*.py")):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _package(function: Callable[..., Any]) -> str:
+    """Top-level package of a function, or of what is called with some arguments given."""
+    function = getattr(function, "func", function)
+    return str(getattr(function, "__module__", None) or "vppres").partition(".")[0]
+
+
+def _key(function: Callable[[J], R], job: J, expected: dict[str, str | None]) -> str:
+    """Name of a job: equal ones have equal results."""
+    name = getattr(getattr(function, "func", function), "__name__", "job")
+    digest = joblib.hash((function, job, expected), hash_name="sha1")
+    return f"{name}-{digest}"
+
+
+def _differences(found: dict[str, str | None], expected: dict[str, str | None]) -> list[str]:
+    """What another installation has otherwise, in words."""
+    return [
+        f"{name} {found.get(name)} in place of {wanted}"
+        for name, wanted in expected.items()
+        if found.get(name) != wanted
+    ]
+
+
+def _other_versions(worker: str, odd: Sequence[str]) -> Problem:
+    return _problem(
+        "worker",
+        worker,
+        f"has {', '.join(odd)}",
+        "Install the same versions on all machines, and restart it.",
+    )
+
+
+def _problem(field: str, value: str | None, what: str, cure: str) -> Problem:
+    return Problem("cluster", what, cure, field=field, value=value)
+
+
+def _line(error: BaseException) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def by_name(function: Callable[[J], R]) -> Callable[[J], R]:
+    """The function under the name by which other processes import it.
+
+    A module that is run by ``python -m`` is called ``__main__``, and others do not find it there.
+    """
+    main = sys.modules["__main__"]
+    spec = getattr(main, "__spec__", None)
+    if function.__module__ != "__main__" or spec is None:
+        return function
+    from importlib import import_module
+
+    found: Callable[[J], R] = getattr(import_module(spec.name), function.__qualname__)
+    return found
