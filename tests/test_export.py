@@ -22,19 +22,29 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.contract.export import Export
+from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import InputError
+from vppres.day.metrics import summarise
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.explain.day import explain_day
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
 from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.powerflow import shared_power_flow
 from vppres.plant.collapse import realise
 from vppres.plant.exporting import LIMIT_TOLERANCE_KW
 from vppres.plant.plant import Plant
-from vppres.scenario.scenario import Scenario
+from vppres.report.events import sentences_of
+from vppres.report.plots.energy import import_load_pv
+from vppres.scenario.remarks import export_words, remarks
+from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
-ANY_STEPS = [(seed, stressed) for stressed in (False, True) for seed in range(20)]
+ANY_STEPS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 
 
 def exporting(
@@ -238,3 +248,96 @@ def test_an_import_only_plant_is_the_papers() -> None:
     exported, curtailed, _ = ac_export_kw(day, [])
     assert exported == pytest.approx(60.0, abs=1e-3)
     assert curtailed == 0.0
+
+
+# Days.
+
+
+def sunny(tiny: Scenario, limit_kw: float = 60.0, price: float = 0.1) -> Scenario:
+    """The tiny day with nine times its sun, and 60 kW that the grid takes."""
+    pv = replace(tiny.pv, p_max_kw=9 * tiny.pv.p_max_kw, s_max_kva=9 * tiny.pv.s_max_kva)
+    return exporting(replace(tiny, pv=pv, pv_kw=9 * tiny.pv_kw), limit_kw, price)
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+@pytest.mark.parametrize("controller", ["mpc", "full-horizon", "perfect", "idle", "reserve"])
+def test_every_controller_keeps_the_limit_at_the_meter(
+    tiny: Scenario, controller: str, mode: str
+) -> None:
+    day = sunny(tiny)
+    run = run_day(day, RunOptions(controller=controller, horizon_h=2.0, mode=mode))
+    steps = run.steps
+    out = steps["outage"].to_numpy(bool)
+    exported = run.exported_kw
+    assert exported.max() <= 60.0 + LIMIT_TOLERANCE_KW
+    assert exported[~out].min() > 55.0  # there is sun for it in every connected step
+    assert (steps["fallback"] == "none").all()
+    assert not steps["corrected"].any()
+    curtailed = run.pv["curtailed_kw"].to_numpy().reshape(len(steps), -1).sum(axis=1)
+    charged = (run.batteries["charge_kw"] - run.batteries["discharge_kw"]).to_numpy()
+    left = (
+        run.pv["available_kw"].to_numpy().reshape(len(steps), -1).sum(axis=1)
+        - (run.customers["p_load_kw"] * run.customers["served"]).to_numpy().reshape(6, -1).sum(1)
+        - charged.reshape(len(steps), -1).sum(axis=1)
+    )
+    # With grid no more is curtailed than the limit and a kilowatt of losses force.
+    assert (curtailed[~out] <= np.maximum(left - 60.0, 0.0)[~out] + 1.0).all()
+    summary = summarise(run)
+    assert summary["export_kwh"] == pytest.approx(exported.sum())
+    assert summary["export_revenue_gbp"] == pytest.approx(0.1 * exported.sum())
+    assert summary["import_kwh"] == 0.0
+    assert summary["net_cost_gbp"] == pytest.approx(-0.1 * exported.sum())
+
+
+def test_forecast_errors_do_not_pass_the_limiter(tiny: Scenario) -> None:
+    errors = ForecastErrors(load_bias=0.5, pv_bias=-0.5)
+    run = run_day(sunny(tiny), RunOptions(controller="full-horizon", errors=errors))
+    assert run.exported_kw.max() <= 60.0 + LIMIT_TOLERANCE_KW
+
+
+def test_the_report_and_the_reasons_name_the_limit(tiny: Scenario) -> None:
+    run = explain_day(run_day(sunny(tiny), RunOptions(horizon_h=2.0)))
+    assert run.explanations is not None
+    reasons = run.explanations.query("action == 'curtail' and phase != 'island'")
+    first = reasons[reasons["time"] == run.steps["time"].iloc[0]].iloc[0]
+    assert (first["driver"], first["words"]) == (
+        "grid",
+        "Curtailed: the export limit of 60 kW is reached.",
+    )
+    summary = summarise(run)
+    assert any(
+        "and exported 240 kWh, which earned 23.99 GBP" in line
+        for line in sentences_of(run, summary)
+    )
+    figure = import_load_pv({"run": run})
+    assert figure.axes[0].get_ylim()[0] < -60.0
+
+
+def test_a_dear_export_is_said() -> None:
+    day = exporting(two_buses([[10.0]] * 2, [1.0], [OPEN] * 2, [0.3, -0.1]), 50.0)
+    assert export_words(day) == "exports up to 50 kW"
+    (words,) = remarks(day)
+    assert words.startswith(
+        "In 1 of 2 steps export earns more than import costs. No plan does both"
+    )
+    assert remarks(exporting(day, 0.0)) == []
+
+
+def test_a_measured_limit_holds_from_its_step_on(tiny: Scenario) -> None:
+    controller = Controller.of(sunny(tiny, np.inf), RunOptions(horizon_h=1.0))
+    soc = dict.fromkeys(tiny.batteries.id, 0.85)
+    free = controller.step(Measurement(tiny.grid.times[0], soc=soc))
+    held = controller.step(Measurement(tiny.grid.times[1], soc=soc, export_limit_kw=20.0))
+    assert free.import_kw < -100.0
+    assert held.import_kw == pytest.approx(-20.0, abs=0.1)
+    with pytest.raises(InputError, match="export_limit_kw"):
+        controller.step(Measurement(tiny.grid.times[2], soc=soc, export_limit_kw=-1.0))
+
+
+@pytest.mark.parametrize("price", [-0.5, 0.5])
+def test_without_a_weight_the_price_decides_on_curtailment(price: float) -> None:
+    day = with_pv(two_buses([[20.0]], [1.0], [OPEN]), [80.0])
+    day = replace(day, objective=ObjectiveWeights(lambda_curt=0.0))
+    answer = solve(exporting(day, price=price))
+    exported = 60.0 if price > 0 else 0.0
+    assert answer.dispatch.p_grid_kw == pytest.approx([-exported], abs=1e-3)

@@ -203,7 +203,7 @@ def money_sentence(summary: Mapping[str, Any]) -> str:
     if summary.get("export_kwh"):
         text += (
             f", {summary['export_kwh']:,.0f} kWh exported for "
-            f"{summary.get('export_gbp') or 0.0:,.2f} GBP"
+            f"{summary['export_revenue_gbp']:,.2f} GBP"
         )
     return f"{text}."
 
