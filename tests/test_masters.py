@@ -187,8 +187,10 @@ def test_counts_are_rounded_down_where_time_runs_out(
     best = WindowSolver(site).solve(data)
     search = Counts._most
 
-    def late(self: Counts, block: np.ndarray, integer: bool, deadline: Deadline) -> object:
-        found = search(self, block, integer, deadline)
+    def late(
+        self: Counts, block: np.ndarray, integer: bool, deadline: Deadline, share: float = 1.0
+    ) -> object:
+        found = search(self, block, integer, deadline, share)
         return replace(found, status=Status.NO_ANSWER) if integer else found
 
     monkeypatch.setattr(Counts, "_most", late)
@@ -202,6 +204,27 @@ def test_counts_are_rounded_down_where_time_runs_out(
     found = WindowSolver(site).solve(data)
     assert found.stages[0] == "service[highs]:time_limit"
     assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
+
+
+def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> None:
+    """Five tiers in thousandths, and a third of what is asked for: a unit proves nothing."""
+    weights = np.resize([1.0, 0.37, 0.11, 0.043, 0.017], len(packaged.customers))
+    tiers = replace(packaged, customers=replace(packaged.customers, weight=weights))
+    limit_kw = np.full(packaged.grid.n_steps, 1500.0)
+    data = day_window(replace(tiers, grid_limit_kw=limit_kw), 12, 6, 0.5)
+    site = Site.of(tiers)
+
+    def counts() -> Counts:
+        return Counts(demand_model(site, data.n_steps, lumped=True), data, Deadline(TIME_S))
+
+    exact, served = counts().service(0.5)
+    assert exact.status == Status.OPTIMAL
+    assert served is not None
+    rough, _ = counts().service(50.0)
+    assert rough.bound >= exact.bound
+    assert rough.value >= exact.value - 40.0
+    assert rough.bound - rough.value <= 40.0
+    assert counts().unit == pytest.approx(0.001)
 
 
 @pytest.mark.monolith

@@ -29,6 +29,12 @@ SERVICE_SHARE = 0.6
 """Share of the time left that service may take; the rest is for cost and a dispatch. A window that
 spends it all here keeps the set of the linear solution, which is seldom more than 1 % off."""
 
+WHOLE_GAP_SHARE = 0.8
+LOSSY_GAP_SHARE = 0.4
+"""Shares of the window's gap that the search for service may leave open: where service is a whole
+number, most of it, since the levels after it are exact; where PV power must be lost, less, since
+they have to weigh the loss again."""
+
 DEMAND_GAP_REL = 1e-4
 """Gap of the search for whom to serve with the PV power that would be lost: the demand that is
 asked for is met either way, and a tenth of a per mille more costs nothing that counts."""
@@ -145,7 +151,7 @@ class Counts:
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units to a gap, whole without loss; everyone connected is served."""
+        """Most service in units within a gap; everyone connected is served."""
         watch = Stopwatch()
         search = self.deadline.part(SERVICE_SHARE)
         free = ~self.unlimited
@@ -203,7 +209,8 @@ class Counts:
             found = solve()
             if not found.status.has_answer:
                 return found
-            status, cut = self.reach.separate(found.point, deadline)
+            # A search that was stopped has an answer too, if the fleet carries it.
+            status, cut = self.reach.separate(found.point, self.deadline)
             if status != Status.OPTIMAL:
                 return replace(found, status=status)
             if cut is None:
@@ -222,10 +229,11 @@ class Counts:
     ) -> _Found:
         """Most service, block by block: steps that no cut joins have nothing to do with another."""
         parts = []
-        for block in self._blocks(free):
+        blocks = self._blocks(free)
+        for block in blocks:
             key = block.tobytes(), len(self._touching(block))
             if key not in solved:
-                solved[key] = self._most(block, True, deadline)
+                solved[key] = self._most(block, True, deadline, 1.0 / len(blocks))
             if not solved[key].status.has_answer:
                 return solved[key]
             parts.append(solved[key])
@@ -257,15 +265,21 @@ class Counts:
         """Cuts that a block's steps or the loss have a part in."""
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
-    def _most(self, block: Flags, integer: bool, deadline: Deadline) -> _Found:
-        """Least of the loss minus the service of a block's steps, in units."""
+    def _most(self, block: Flags, integer: bool, deadline: Deadline, share: float = 1.0) -> _Found:
+        """Least of the loss minus the service of a block's steps, in units.
+
+        ``share`` is the block's part of the gap.
+        """
         cuts = self._touching(block)
         layout, program = self._program(block, cuts)
         program.cost[layout.lost] = 1.0
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
         whole = integer and not any(cut.weights[layout.lost] for cut in cuts)
-        gap = 1.0 - TOLERANCE if whole else self.gap
+        gap = LOSSY_GAP_SHARE * self.gap
+        if whole:
+            # Below one unit a whole number is known; a window of many units needs no such proof.
+            gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
         found = self._solve(program, layout, gap, integer, deadline)
         # Service is whole, so its bound may be rounded.
         return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found

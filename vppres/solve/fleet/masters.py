@@ -17,7 +17,7 @@ from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.fleet.counts import Counts
+from vppres.solve.fleet.counts import WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.result import Outcome
@@ -25,7 +25,8 @@ from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
 
 WHOLE_GAP = 0.99
-"""Gap of a search whose objective is a whole number: below one, the best number is known."""
+"""Gap of a search whose objective is a whole number: below one, the best number is known. Where the
+window's gap is many units, the search leaves its share of that open, as the counts do."""
 
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
@@ -48,7 +49,7 @@ class Master(Protocol):
     unit: float
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units to a gap, and a set that has it."""
+        """Most service in units, within the window's gap in units, and a set that has it."""
 
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
@@ -102,7 +103,8 @@ class Binaries:
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
-        outcome = run(self.model.grid_problem, self.spec, WHOLE_GAP, self.deadline.left_s)
+        open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
+        outcome = run(self.model.grid_problem, self.spec, open_units, self.deadline.left_s)
         # The objective is whole, so the bound may be rounded down.
         outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
         return outcome, self._set(outcome)

@@ -17,12 +17,9 @@ from vppres.solve.task import WindowTask
 NOTHING_LOST = 1e-6
 """Share of the gap by which the service of everyone may be missed: rounding of its sum."""
 
-SERVICE_GAP_SHARE = 0.4
-"""Share of the window's gap that the search for service may leave open, so that the levels after it
-have the rest. It matters only where PV power must be lost: service is a whole number otherwise."""
-
 ALL_TERMS_GAP_SHARE = 0.8
-"""The same of the search with all terms at once, which leaves less for others to do."""
+"""Share of the window's gap that the search with all terms at once may leave open: the levels after
+it need little."""
 
 ADMITTED_UNITS = 0.5
 """Units below the best service down to which cheaper sets are looked for: between two whole
@@ -47,7 +44,7 @@ def everyone_served(task: WindowTask) -> None:
 def service_then_cost(task: WindowTask, master: Master) -> None:
     """Service first, on the weights' grid, then the cost of all sets that serve as much."""
     known = task.certificate
-    outcome, served = master.service(SERVICE_GAP_SHARE * task.gap / master.unit)
+    outcome, served = master.service(task.gap / master.unit)
     known.note(f"{master.prefix}service", outcome)
     if served is None:
         known.prove(outcome)
