@@ -151,3 +151,17 @@ def test_flags_and_controllers_are_named() -> None:
     notes = feeder_with(controlled).notes
     assert "Not controllable in the source, and customers like any other: load 1, load 3." in notes
     assert "Controllers of the source do not act: ConstControl 0 (load)." in notes
+
+
+def test_heat_pumps_are_named_with_their_size() -> None:
+    feeder = feeder_with(
+        lambda net: pp.create_load(net, 2, p_mw=0.004, name="Heat pump 1"),
+        lambda net: pp.create_load(net, 3, p_mw=0.003, type="heatpump"),
+        lambda net: pp.create_load(net, 3, p_mw=0.011, name="Wallbox"),
+    )
+    assert (
+        "Heat pumps of 7 kW keep their demand, which nothing moves in time here, and are switched off "
+        "with their customers: load 3 (Heat pump 1), load 4." in feeder.notes
+    )
+    assert any(note.startswith("Charging points of 11 kW") for note in feeder.notes)
+    assert feeder.p_load_kw.sum() == pytest.approx(318.0)

@@ -171,7 +171,7 @@ def _charge_in_island(step: Step, battery: int) -> Reason:
     return Reason(
         "surplus",
         _at_limit(step, battery),
-        "Charges: PV gives more than the served customers take.",
+        f"Charges: {step.site.pv.word} gives more than the served customers take.",
     )
 
 
@@ -207,7 +207,9 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
         return Reason("voltage", "voltage", f"{verb}: it holds the voltage limit.")
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
         return Reason(
-            "surplus", limit, f"Charges: PV gives more than the demand, and {_taken(step)}."
+            "surplus",
+            limit,
+            f"Charges: {step.site.pv.word} gives more than the demand, and {_taken(step)}.",
         )
     worth = stored_worth_gbp(step, battery)
     saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
@@ -273,7 +275,8 @@ def why_curtailed(step: Step, system: int) -> Reason:
     return Reason(
         "surplus",
         where,
-        f"Curtailed: PV gives more than the served customers take, {rest}, and {_taken(step)}.",
+        f"Curtailed: {pv.word} gives more than the served customers take, {rest}, "
+        f"and {_taken(step)}.",
     )
 
 

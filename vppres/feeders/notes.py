@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.units import mw_to_kw
 from vppres.feeders.branches import LEAST_PU, Stub
@@ -15,6 +16,11 @@ from vppres.feeders.feeder import Generators
 
 TABLES_OF_BUSES = ("load", "sgen", "gen")
 TAP_TOLERANCE = 1e-9
+FLEXIBLE = {
+    # Words of any source, and the profiles of SimBench: air and soil, APLS and HLS.
+    "Heat pumps": r"heat.?pump|w(?:ä|ae)rmepumpe|^(?:Air|Soil)_",
+    "Charging points": r"\bev\b|e-?mobil|charging.?(?:point|station)|wallbox|^(?:APLS|HLS)_",
+}
 
 
 def notes_of(
@@ -123,9 +129,27 @@ def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
         if flags.any() and not flags.all():
             names = [label(net, "load", i) for i in loads.index[~flags]]
             yield f"Not controllable in the source, and customers like any other: {few(names)}."
+    yield from _flexible_loads(net, loads)
     acting = [row for row in _controllers(net) if row[1]]
     if acting:
         yield f"Controllers of the source do not act: {few(name for name, _ in acting)}."
+
+
+def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
+    """Loads that could move their demand, by the words of the source: they keep it here."""
+    words = loads.reindex(columns=["name", "type", "profile"]).fillna("").astype(str)
+    for what, pattern in FLEXIBLE.items():
+        found = words.apply(
+            lambda column, p=pattern: column.str.contains(p, case=False, regex=True)
+        )
+        chosen = loads[found.any(axis=1)]
+        if len(chosen):
+            p_kw = float(mw_to_kw((chosen["p_mw"] * chosen["scaling"].fillna(1.0)).sum()))
+            names = few(label(net, "load", i) for i in chosen.index)
+            yield (
+                f"{what} of {p_kw:.4g} kW keep their demand, which nothing moves in time here, and "
+                f"are switched off with their customers: {names}."
+            )
 
 
 def _controllers(net: Any) -> Iterator[tuple[str, bool]]:

@@ -122,6 +122,11 @@ class PVSystems:
         owners = customers.bus[self.owner(customers)]
         return np.where(self.alone, self.bus, owners).astype(object)
 
+    @property
+    def word(self) -> str:
+        """What gives the power, in a sentence: PV where all systems are, else generation."""
+        return kind_label(PV) if (self.kind == PV).all() else "generation"
+
     def counted(self) -> str:
         """How many systems there are of each kind.
 
