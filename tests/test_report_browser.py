@@ -192,3 +192,19 @@ def test_without_scripts_everything_is_still_there(browser: Any, report: Path) -
     assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC: outage;")
     assert page.locator("#one-line .tile.s2").count() > 0
     context.close()
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_toolbars_cover_no_legend_and_no_name(browser: Any, report: Path, width: int) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 844})
+    page.goto(report.as_uri())
+    page.wait_for_selector("html[data-charts=drawn]", timeout=60_000)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    boxes = page.locator(".plot").evaluate_all(
+        """all => all.map(plot => Object.fromEntries(["modebar", "legend", "xtitle", "nsewdrag"]
+           .map(name => [name, plot.querySelector("." + name).getBoundingClientRect()])))"""
+    )
+    for box in boxes:
+        assert box["modebar"]["bottom"] <= box["nsewdrag"]["top"]
+        assert box["xtitle"]["bottom"] <= box["legend"]["top"]
+    page.close()

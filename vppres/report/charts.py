@@ -43,9 +43,9 @@ from vppres.report.plots import (
 )
 
 ROW_PX = 190
-FRAME_PX = 150
-TOP_PX = 36
-LEGEND_PX = 48  # below the axis, its times and its name
+FRAME_PX = 177
+TOP_PX = 48
+LEGEND_PX = 66  # below the axis, its times and its name
 GAP = 0.06  # between two rows, as a share of the height
 DASHES = ("solid", "dash", "dashdot", "dot")
 

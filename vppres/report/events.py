@@ -109,8 +109,9 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _day(run: Trajectory) -> str:
     clock = Clock.of(run)
     n_steps = len(run.steps)
+    steps = "1 step" if n_steps == 1 else f"{n_steps} steps"
     return (
-        f"{n_steps} steps of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
+        f"{steps} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
         f"{clock.full(clock.grid.end)}."
     )
 

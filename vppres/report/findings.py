@@ -15,6 +15,7 @@ from vppres.scenario.remarks import darkness
 
 LIMIT_TOLERANCE_PU = 1e-6
 PROVEN = "optimal"
+RULES = ("idle", "reserve")  # controllers that prove nothing
 ISLAND_TOLERANCE_KW = 0.5
 
 
@@ -101,6 +102,8 @@ def _decisions(run: Trajectory) -> Iterator[str]:
 
 def _answers(run: Trajectory) -> Iterator[str]:
     """Decisions without a proof to the gap that was asked for."""
+    if run.options["controller"] in RULES:
+        return
     status = run.steps["status"].astype(str)
     others = status[status != PROVEN]
     if len(others):
@@ -111,9 +114,11 @@ def _answers(run: Trajectory) -> Iterator[str]:
 def _unlit(run: Trajectory) -> Iterator[str]:
     """Islands that went dark, AC power flows without a solution, and guessed measurements."""
     steps = run.steps
-    if told := darkness(run.scenario, run.options.get("mode")):
+    mode = run.options.get("mode", "paper")
+    told = darkness(run.scenario, mode)
+    if told:
         yield told
-    if "dark" in steps and steps["dark"].any():
+    if not (told and mode == "physical") and "dark" in steps and steps["dark"].any():
         dark = steps[steps["dark"] > 0]
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
         why = f": {'; '.join(reasons)}" if reasons else ""

@@ -204,7 +204,9 @@ def _info(run: Trajectory) -> list[str]:
     for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
         grid = "outage" if step["outage"] else _exchange(float(step["p_grid_kw"]))
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
-        lines.append(f"{grid}; served: {tiers}; lowest voltage {step['v_min_ac_pu']:.4f} pu")
+        v_pu = step["v_min_ac_pu"]
+        voltage = f"lowest voltage {v_pu:.4f} pu" if v_pu > 0 else "no voltage"
+        lines.append(f"{grid}; served: {tiers}; {voltage}")
     return lines
 
 

@@ -22,18 +22,17 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     """
     if not scenario.outage.any() or scenario.batteries.formers.any():
         return ""
-    steps = int(scenario.outage.sum())
+    count = int(scenario.outage.sum())
+    steps = "the only step" if count == 1 else f"the {count} steps"
     cause = (
         "No battery has the power to form a grid"
         if len(scenario.batteries)
         else "There is no battery that could form a grid"
     )
     if (mode or scenario.controller.mode) == "physical":
-        return (
-            f"{cause}: the island is dark, and nobody is served in the {steps} steps without grid."
-        )
+        return f"{cause}: the island is dark, and nobody is served in {steps} without grid."
     return (
-        f"{cause}: in truth the island would be dark in all {steps} steps without grid. The "
+        f"{cause}: in truth the island would be dark in {steps} without grid. The "
         "paper's mode takes its voltage for granted and counts whoever the sun supplies as served; "
         "physical mode does not."
     )

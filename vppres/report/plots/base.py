@@ -106,7 +106,8 @@ def named_runs(runs: Runs) -> dict[str, Trajectory]:
     if not isinstance(runs, Trajectory):
         return {plain(label): run for label, run in runs.items()}
     horizon = horizon_h(runs)
-    return {"full horizon" if horizon is None else f"MPC, H = {horizon:g} h": runs}
+    others = str(runs.options["controller"]).replace("-", " ")
+    return {others if horizon is None else f"MPC, H = {horizon:g} h": runs}
 
 
 def panels(
@@ -191,10 +192,8 @@ def draw_grid(ax: Axes, axis: Literal["both", "x"] = "both") -> None:
 def clock(ax: Axes, run: Trajectory, max_ticks: int = 13) -> None:
     """Time axis in UTC, named with its day."""
     edges = edges_of(run)
-    hours = (edges[-1] - edges[0]).total_seconds() / 3600.0
-    plain = hours <= HOURS_OF_PLAIN_CLOCK
     ax.set_xlim(edges[0], edges[-1])
-    text = "%H:%M" if plain else "%d %b\n%H:%M"
+    text = "%d %b\n%H:%M" if _has_dates(run) else "%H:%M"
     times = Clock.of(run)
     # Two classes of matplotlib's that carry no annotations yet.
     locator = AutoDateLocator(tz=UTC, minticks=4, maxticks=max_ticks)  # type: ignore[no-untyped-call]
@@ -205,6 +204,18 @@ def clock(ax: Axes, run: Trajectory, max_ticks: int = 13) -> None:
     ax.xaxis.set_major_formatter(formatter)
     below = f", {times.grid.zone} below" if times.has_local else ""
     ax.set_xlabel(f"Time (UTC{below}), from {edges[0]:%d %B %Y}")
+
+
+def clock_lines(run: Trajectory) -> int:
+    """How many lines the times below an axis have."""
+    return 1 + _has_dates(run) + Clock.of(run).has_local
+
+
+def _has_dates(run: Trajectory) -> bool:
+    """Whether a run is so long that a time needs its date."""
+    edges = edges_of(run)
+    hours = (edges[-1] - edges[0]).total_seconds() / 3600.0
+    return bool(hours > HOURS_OF_PLAIN_CLOCK)
 
 
 def _both_clocks(clock: Clock, value: float, text: str) -> str:

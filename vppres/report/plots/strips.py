@@ -14,7 +14,16 @@ from matplotlib.patches import Patch
 from vppres.core.arrays import Floats
 from vppres.day.series import battery_power_kw, edges_of
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.base import BLACK, GREEN, GREY, ORANGE, SERVED, UNSERVED, clock
+from vppres.report.plots.base import (
+    BLACK,
+    GREEN,
+    GREY,
+    ORANGE,
+    SERVED,
+    UNSERVED,
+    clock,
+    clock_lines,
+)
 
 MAX_COUNTED_STEPS = 50
 IDLE_SHARE = 0.01  # of the batteries' power
@@ -22,6 +31,7 @@ PHASE_GREYS = ("#FFFFFF", "#D0D0D0", "#F0F0F0", "#B8B8B8")
 LETTERS_ACROSS = 120  # that fit across the figure
 DARK, LIMITED, GIVING = "#707070", "#C8C8C8", "#FFFFFF"
 STRIP_IN, FRAME_IN = 0.42, 1.0  # below the strips are the clock and the legend
+LINE_IN = 0.17  # of the clock's, where it has more than one
 LEFT = 0.12
 WIDTH = 0.85
 
@@ -31,9 +41,10 @@ def timeline(run: Trajectory) -> Figure:
     strips = [_grid_strip, _battery_strip, _sun_strip, _service_strip]
     if "phase" in run.steps:
         strips.insert(0, _phase_strip)
-    height_in = FRAME_IN + STRIP_IN * len(strips)
+    below_in = FRAME_IN + LINE_IN * (clock_lines(run) - 1)
+    height_in = below_in + STRIP_IN * len(strips)
     figure = Figure(figsize=(8.6, height_in))
-    bottom = 0.9 * FRAME_IN / height_in
+    bottom = (below_in - 0.1) / height_in
     ax = figure.add_axes((LEFT, bottom, WIDTH, 0.97 - bottom))
     names = [strip(ax, run, row) for row, strip in enumerate(strips)]
     ax.set_ylim(len(strips) - 0.5, -0.5)

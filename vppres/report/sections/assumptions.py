@@ -8,13 +8,15 @@ from vppres.report.sections.base import Run, Section, section
 
 def assumptions_section(run: Run) -> Section:
     """Simplifications, data, options with their defaults, versions and the input's digest."""
+    options = option_words(run.trajectory.options)
     return section(
         "assumptions",
         "Assumptions and provenance",
         {
             "simplifications": simplifications(run.trajectory),
             "data": data_words(run.trajectory),
-            "options": option_words(run.trajectory.options),
+            "options": options,
+            "changed": any(option.default for option in options),
             "summary": run.summary,
             "source": run.trajectory.scenario.source,
         },
