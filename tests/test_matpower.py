@@ -312,6 +312,18 @@ def test_a_reference_is_chosen_as_in_matpower() -> None:
     assert len(net.gen) == 0
 
 
+def test_ratings_are_those_of_the_file(tmp_path: Path) -> None:
+    # 5 MVA at 11 kV; a zero says that there is none.
+    case = {name: np.array(table, float) for name, table in WHOLE.items()}
+    case["branch"] = case["branch"][[0, 1, 3, 6]]
+    case["gen"][2, 7] = 0
+    net = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
+    network = import_network(net, balance=True).network
+    i_max_a = dict(zip(network.to_bus, network.i_max_a, strict=True))
+    assert i_max_a.pop(30) == pytest.approx(5e3 / (np.sqrt(3) * 11))
+    assert not np.isfinite([*i_max_a.values()]).any()
+
+
 def kw_and_ohm_of(net: Any) -> tuple[str, dict[str, Any]]:
     """A published feeder as a case that computes its units, and its tables in MW and pu."""
     base_mva, kv = 10.0, float(net.bus["vn_kv"].iloc[0])

@@ -124,7 +124,24 @@ def test_the_largest_difference_has_its_cause(found: Recheck) -> None:
 def test_a_dark_feeder_is_not_compared(found: Recheck) -> None:
     dark = found.voltages[found.voltages["outage"]]
     assert dark["v_pu"].isna().all()
-    assert any(note.startswith("1 steps have no grid. ") for note in found.notes)
+    assert "Dark in the plan, and not compared: 1 steps without grid." in found.notes
+
+
+def test_an_island_is_held_where_its_battery_is(tmp_path: Path) -> None:
+    # The battery at bus a carries the 6 kW of its bus at 0.97 pu; the grid's bus follows it.
+    lit = run()["buses"]
+    lit.loc[lit["time"] == TIMES[2], "v_ac_pu"] = 0.97
+    day = run(buses=lit)
+    last = {name: frame["time"] == TIMES[2] for name, frame in day.items()}
+    customers, batteries = day["customers"], day["batteries"]
+    customers.loc[last["customers"] & (customers["bus"] == "a"), "served"] = True
+    batteries.loc[last["batteries"], ["discharge_kw", "q_kvar"]] = 6.0, 3.0
+    found = recheck_opendss(day, lane(tmp_path), island_bus="a")
+    for bus in ("src", "a", "b"):
+        assert voltage(found, 2, bus, "b") == pytest.approx(0.97, abs=1e-6)
+    assert found.steps["import_kw"].iloc[2] == pytest.approx(0.0, abs=1e-3)
+    assert voltage(found, 0, "src", "b") == pytest.approx(1.0, abs=1e-6)
+    assert any("a source at bus a holds the voltage" in note for note in found.notes)
 
 
 def plan_at(v_pu: float) -> pd.DataFrame:

@@ -418,15 +418,14 @@ def recheck(
 ) -> None:
     """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
     with _plain_errors(debug):
-        from vppres.feeders.recheck import recheck_opendss
         from vppres.io.atomic import check_target
         from vppres.report.finished import read_finished
-        from vppres.report.rechecked import write_recheck
+        from vppres.report.rechecked import recheck_run, write_recheck
 
         folder = out or run_folder / "recheck"
         check_target(folder)  # before the work, not after it
         run = read_finished(run_folder).trajectory
-        summary = write_recheck(run, recheck_opendss(run.tables, source), folder)
+        summary = write_recheck(run, recheck_run(run, source), folder)
         if as_json:
             _print_json({"folder": str(folder), **summary})
             return

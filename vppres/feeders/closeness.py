@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.source import EXACT_PU, SourceDeviation
 
-TOLERANCE_MVA = 1e-9
+# Impedances of next to nothing, as OpenDSS has in its switches, leave no more than the latter.
+TOLERANCES_MVA = (1e-9, 1e-5)
 POWERS = ("load", "sgen", "gen", "storage", "motor", "asymmetric_load", "asymmetric_sgen")
 LOSSES = ("line", "trafo", "trafo3w", "impedance", "shunt")
 NOT_CONVERGED = (
@@ -73,11 +75,11 @@ def solve_source(net: Any) -> bool:
     """Run a source's own power flow; whether it converged."""
     import pandapower as pp
 
-    options = {"calculate_voltage_angles": False, "tolerance_mva": TOLERANCE_MVA, "numba": False}
-    for init in ("auto", "dc"):
+    options = {"calculate_voltage_angles": False, "numba": False}
+    for tolerance_mva, init in product(TOLERANCES_MVA, ("auto", "dc")):
         try:
-            pp.runpp(net, init=init, **options)
-        except (pp.LoadflowNotConverged, np.linalg.LinAlgError):
+            pp.runpp(net, init=init, tolerance_mva=tolerance_mva, **options)
+        except (pp.LoadflowNotConverged, np.linalg.LinAlgError, FloatingPointError):
             continue
         return True
     return False

@@ -22,7 +22,9 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
 
     The job has the ``commands`` of the circuit; ``group_of``, the scenario's bus for each bus;
     and ``steps``, each with ``load`` and ``feed``: active and reactive power in kW and kvar by the
-    scenario's bus. With ``constant_power`` all loads keep their power at any voltage.
+    scenario's bus, and in ``held_pu`` the voltage at ``island_bus`` where a battery there holds it
+    instead of the circuit's source. With ``constant_power`` all loads keep their power at any
+    voltage.
     """
     # Loaded by child.py: a package is not known there.
     engine: Any = sys.modules["dss_engine"]
@@ -32,13 +34,18 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     loads = _loads(job["group_of"], job["constant_power"])
     feeds = _new_feeds(sorted({bus for step in job["steps"] for bus in step["feed"]}))
     switched_off = list(_switch_off())
+    island = _new_source(job["island_bus"])
     dss.Text.Command("set controlmode=off mode=snap tolerance=1e-8 maxiterations=100")
-    solved = [_solved(step, loads, feeds) for step in job["steps"]]
+    solved = []
+    for step in job["steps"]:
+        _hold(step["held_pu"] if island else None)
+        solved.append(_solved(step, loads, feeds))
     return {
         "problems": [],
         "nodes": dss.Circuit.AllNodeNames(),
         "nominal_kw": {bus: sum(p for _, p, _ in own) for bus, own in loads.items()},
         "switched_off": switched_off,
+        "island": island,
         "steps": solved,
     }
 
@@ -87,6 +94,30 @@ def _switch_off() -> Any:
             if dss.CktElement.Enabled():
                 dss.Circuit.Disable(element)
                 yield element.lower()
+
+
+def _new_source(bus: str | None) -> bool:
+    """A stiff source at a bus, off at first; whether the bus has the three phases for it."""
+    if bus is None:
+        return False
+    dss.Circuit.SetActiveBus(bus)
+    if not {*PHASES} <= {*dss.Bus.Nodes()}:
+        return False
+    kv = dss.Bus.kVBase() * 3**0.5
+    dss.Text.Command(
+        f"new vsource.vppres_island bus1={bus}.1.2.3 phases=3 basekv={kv:.9g} pu=1 isc3=1e9 "
+        "isc1=1e9 enabled=no"
+    )
+    return True
+
+
+def _hold(held_pu: float | None) -> None:
+    """Let the circuit's source hold the voltage, or that of the island."""
+    for name in dss.Vsources.AllNames():
+        on = (name == "vppres_island") == (held_pu is not None)
+        dss.Text.Command(f"vsource.{name}.enabled={'yes' if on else 'no'}")
+    if held_pu is not None:
+        dss.Text.Command(f"vsource.vppres_island.pu={held_pu:.9g}")
 
 
 def _solved(

@@ -14,6 +14,7 @@ from vppres.feeders.confined import confined
 from vppres.feeders.m_arithmetic import tables_of
 from vppres.feeders.m_names import ALL
 from vppres.feeders.m_text import Refused, parse
+from vppres.feeders.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
 from vppres.feeders.strangers import read_bytes, read_text
 
 LARGEST_BYTES = 10 * 2**20
@@ -30,7 +31,6 @@ FINITE = {
     "gen": ("GEN_BUS", "PG", "QG", "VG", "GEN_STATUS"),
     "branch": ("F_BUS", "T_BUS", "BR_R", "BR_X", "BR_B", "TAP", "SHIFT", "BR_STATUS"),
 }
-NO_LIMIT_MVA = 1e5
 F_HZ = 50.0  # pandapower has charging as capacitance; any frequency gives it back as it was
 Case = dict[str, Floats]
 
@@ -252,7 +252,7 @@ def _add_lines(net: Any, branch: Floats, plain: Flags) -> None:
         r_ohm_per_km=_of(lines, "BR_R") * base_ohm,
         x_ohm_per_km=_of(lines, "BR_X") * base_ohm,
         c_nf_per_km=_of(lines, "BR_B") / base_ohm / (2 * np.pi * F_HZ) * 1e9,
-        max_i_ka=rating_mva / kv / np.sqrt(3),
+        max_i_ka=np.where(rating_mva < NO_LIMIT_MVA, rating_mva / kv / np.sqrt(3), NO_LIMIT_KA),
         name=_names(lines),
         in_service=_of(lines, "BR_STATUS") > 0,
     )

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-# Sources without ratings write a current that no line carries.
+# Sources without ratings write a current or a power that nothing carries.
 NO_LIMIT_KA = 9999.0
+NO_LIMIT_MVA = 99999.0
 
 
 def rating_mva(net: Any, table: str, index: Any) -> float:
@@ -22,7 +23,7 @@ def rating_mva(net: Any, table: str, index: Any) -> float:
     row = net[table].loc[index]
     units = float(row.get("parallel", 1.0)) * float(row.get("df", 1.0))
     if table == "trafo":
-        return float(row["sn_mva"]) * units
+        return float(row["sn_mva"]) * units if row["sn_mva"] < NO_LIMIT_MVA else np.inf
     if not 0 < float(row["max_i_ka"]) < NO_LIMIT_KA:
         return np.inf
     return float(np.sqrt(3.0) * net.bus.at[row["from_bus"], "vn_kv"] * row["max_i_ka"]) * units

@@ -7,7 +7,7 @@ stay at the taps of the file, as in the plan.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from vppres.feeders.confined import TIME_LIMIT_S, confined
 from vppres.feeders.elements import few
 from vppres.feeders.opendss import located, read_opendss
 from vppres.feeders.reduce import feeder_of
+from vppres.scenario.network import BusId
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
 STEPS_PER_S = 10.0
@@ -77,7 +78,7 @@ class Recheck:
         )
 
 
-def recheck_opendss(run: Tables, source: Path) -> Recheck:
+def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) -> Recheck:
     """Solve the steps of a run on the circuit of an OpenDSS script.
 
     Parameters
@@ -86,6 +87,9 @@ def recheck_opendss(run: Tables, source: Path) -> Recheck:
         Tables of a finished run, of a scenario that was made from the script.
     source : Path
         The script.
+    island_bus : int or str, optional
+        Bus of the battery that holds the voltage without the grid; in those steps a source stands
+        there with the plan's voltage. Without it the circuit's own source holds islands too.
 
     Returns
     -------
@@ -96,12 +100,21 @@ def recheck_opendss(run: Tables, source: Path) -> Recheck:
     InputError
         If the script cannot be read, or has no load where the run has a customer.
     """
+    if source.suffix.lower() != ".dss":
+        raise InputError(
+            Problem(
+                source.name,
+                "is not a .dss file",
+                "Recheck reads OpenDSS; into a pandapower net Trajectory.apply_to puts each step.",
+            )
+        )
     script = dss_text.read_script(source)
     group_of = _groups(source)
     job = {
         "commands": [command.text for command in script.commands],
         "group_of": group_of,
-        "steps": _steps(run),
+        "steps": _steps(run, island_bus),
+        "island_bus": None if island_bus is None else str(island_bus),
         "constant_power": False,
     }
     found = _day(job, script, source.name)
@@ -110,7 +123,7 @@ def recheck_opendss(run: Tables, source: Path) -> Recheck:
     steps = _step_table(run, found, voltages)
     stiff = _day({**job, "constant_power": True}, script, source.name)
     cause = _cause(voltages, _voltages(run, stiff, group_of))
-    return Recheck(voltages, steps, cause, tuple(_notes(found, steps)))
+    return Recheck(voltages, steps, cause, tuple(_notes(found, steps, voltages, island_bus)))
 
 
 def _groups(source: Path) -> dict[str, str]:
@@ -130,7 +143,7 @@ def _day(job: dict[str, Any], script: dss_text.Script, name: str) -> dict[str, A
     return found
 
 
-def _steps(run: Tables) -> list[dict[str, Any]]:
+def _steps(run: Tables, island_bus: BusId | None) -> list[dict[str, Any]]:
     """Demand that is served and power that is fed in, by bus, of every step."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
     served = customers["served"].astype(float)
@@ -139,8 +152,19 @@ def _steps(run: Tables) -> list[dict[str, Any]]:
     discharged_kw = batteries["discharge_kw"] - batteries["charge_kw"]
     stored = _by_bus(batteries, discharged_kw, batteries["q_kvar"])
     feed = pd.concat([fed, stored]).groupby(level=["time", "bus"]).sum()
-    times = run["steps"]["time"].to_list()
-    return [{"load": _at(load, time), "feed": _at(feed, time)} for time in times]
+    held = _held(run, island_bus)
+    return [
+        {"load": _at(load, time), "feed": _at(feed, time), "held_pu": held.get(time)}
+        for time in run["steps"]["time"]
+    ]
+
+
+def _held(run: Tables, island_bus: BusId | None) -> dict[Any, float]:
+    """Voltage that the plan has at the island's bus, of the steps without grid that have one."""
+    outages = run["steps"].loc[run["steps"]["outage"].astype(bool), "time"]
+    buses = run["buses"][run["buses"]["bus"].astype(str) == str(island_bus)]
+    v_pu = buses.set_index("time")["v_ac_pu"].reindex(outages).dropna()
+    return {time: float(value) for time, value in v_pu.items()}
 
 
 def _by_bus(table: pd.DataFrame, p_kw: pd.Series[float], q_kvar: pd.Series[float]) -> pd.DataFrame:
@@ -265,22 +289,30 @@ def _cause(voltages: pd.DataFrame, stiff: pd.DataFrame) -> str:
     )
 
 
-def _notes(found: dict[str, Any], steps: pd.DataFrame) -> Any:
+def _notes(
+    found: dict[str, Any], steps: pd.DataFrame, voltages: pd.DataFrame, island_bus: BusId | None
+) -> Iterator[str]:
     """What the comparison assumes."""
     yield "Regulators and capacitors are as in the file; no control acts, as in the plan."
     if found["switched_off"]:
         yield (
             f"Switched off, as the run has its own in their place: {few(found['switched_off'])}."
         )
-    island = steps[steps["outage"]]
-    if len(island):
-        carried: Floats = island["import_kw"].abs().to_numpy(float)
-        largest = f"{np.nanmax(carried):.1f} kW" if np.isfinite(carried).any() else "nothing known"
+    lit = voltages[voltages["outage"] & voltages["v_plan_pu"].notna()]["time"].nunique()
+    dark = int(steps["outage"].sum()) - lit
+    if dark:
+        yield f"Dark in the plan, and not compared: {dark} steps without grid."
+    if lit:
+        carried: Floats = steps.loc[steps["outage"], "import_kw"].abs().to_numpy(float)
+        holder = (
+            f"a source at bus {island_bus} holds the voltage that the plan has there"
+            if found["island"]
+            else "the circuit's own source holds the voltage: no battery has three phases for it"
+        )
         yield (
-            f"{len(island)} steps have no grid. OpenDSS has no battery that forms one here: the "
-            "circuit's own source stands in for it, as in the run's AC check, and carries at most "
-            f"{largest}, the losses and unbalance that batteries would carry. These steps are in "
-            "the table and not in the largest difference."
+            f"Islands of {lit} steps: {holder}, and carries at most {np.nanmax(carried):.1f} kW "
+            "that the plan's batteries do not. They are in the tables, and not in the largest "
+            "difference."
         )
     lost = steps["import_kw"].isna()
     if lost.any():

@@ -1,4 +1,4 @@
-"""What a recheck writes: tables, a summary and a figure."""
+"""A recheck of a finished run, and what it writes: tables, a summary and a figure."""
 
 from __future__ import annotations
 
@@ -6,13 +6,28 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vppres.day.trajectory import Trajectory
-from vppres.feeders.recheck import Recheck
+from vppres.feeders.actuate import Feeding
+from vppres.feeders.recheck import Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.report.plots.base import save_figure
 from vppres.report.plots.phases import voltages_per_phase
 
 DECIMALS = 6
+
+
+def recheck_run(run: Trajectory, source: Path) -> Recheck:
+    """Solve the steps of a finished run on the circuit of an OpenDSS script.
+
+    See :func:`vppres.feeders.recheck.recheck_opendss`; in an island of physical mode the largest
+    battery that forms it holds the voltage.
+    """
+    mode = str(run.options.get("mode", "paper"))
+    network = run.scenario.network
+    holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses)).bus
+    return recheck_opendss(run.tables, source, None if holder == network.slack_bus else holder)
 
 
 def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, Any]:
