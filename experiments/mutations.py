@@ -236,19 +236,17 @@ def run_accepted(scenario: Scenario, mode: str, tally: Tally) -> None:
 def refuted(run: Trajectory) -> list[str]:
     """Claims of a run's record that its own AC power flow, or arithmetic, refutes."""
     net = run.scenario.network
-    found = []
-    for name, columns in (
-        ("steps", ["p_grid_kw", "v_min_ac_pu", "v_max_ac_pu"]),
-        ("buses", ["v_ac_pu"]),
-        ("batteries", ["soc_start", "soc_end"]),
-        ("pv", ["curtailed_kw"]),
-    ):
-        table = run.tables[name]
-        found += [
-            f"{name}.{column} is not finite"
-            for column in columns
-            if column in table and not np.isfinite(table[column].to_numpy(float)).all()
-        ]
+    found = [
+        f"{name}.{column} is not finite"
+        for name, columns in (
+            ("steps", ["p_grid_kw"]),
+            ("batteries", ["soc_start", "soc_end"]),
+            ("pv", ["curtailed_kw"]),
+        )
+        for column in columns
+        if not np.isfinite(run.tables[name][column].to_numpy(float)).all()
+    ]
+    found += _voltages_where_there_are_none(run)
     solved = run.steps["fallback"].eq("none").to_numpy()  # a fallback has no objective
     if not np.isfinite(run.steps["objective"].to_numpy(float)[solved]).all():
         found.append("steps.objective is not finite")
@@ -264,6 +262,25 @@ def refuted(run: Trajectory) -> list[str]:
     )
     if (run.steps["v_within_ac"].to_numpy(bool) & ~within).any():
         found.append("a voltage is said to be within its limits, and is not")
+    return found
+
+
+def _voltages_where_there_are_none(run: Trajectory) -> list[str]:
+    """Steps with voltages although the island is dark, or without although it is not."""
+    dark = run.steps["dark"].to_numpy(bool)
+    by_step = {
+        "steps.v_min_ac_pu": run.steps["v_min_ac_pu"].to_numpy(float),
+        "steps.v_max_ac_pu": run.steps["v_max_ac_pu"].to_numpy(float),
+        "buses.v_ac_pu": run.buses["v_ac_pu"].to_numpy(float).reshape(len(dark), -1).T,
+    }
+    found = []
+    for name, values in by_step.items():
+        if not np.isfinite(values[..., ~dark]).all():
+            found.append(f"{name} is not finite")
+        if not np.isnan(values[..., dark]).all():
+            found.append(f"{name} has a value in a dark island")
+    if run.steps["dark_reason"].to_numpy(str)[dark].tolist().count(""):
+        found.append("a dark island has no reason")
     return found
 
 

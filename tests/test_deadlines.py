@@ -148,7 +148,7 @@ def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
     first = solver.solve(window_data(ordinary))
     assert first.dispatch.served.all()
     solver.limits = SolveLimits(time_s=1e-6)
-    task = solver._task(window_data(ordinary))
+    task = solver._task(window_data(ordinary), solver.limits)
     assert task.deadline.passed
     assert 0.3 < task.latest.left_s < 0.4
     assert not task.answer_by(share=0.1).passed

@@ -18,6 +18,7 @@ from vppres.studies import side_by_side
 from vppres.studies.side_by_side import Done, Lost, Where, identity, map_unordered
 
 distributed = pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,12 @@ def refused(number: int) -> int:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """Two worker processes of one thread each, whose nannies replace them."""
+    """Two worker processes of one thread each, whose nannies replace them.
+
+    On a busy machine that takes longer than the 15 s after which a local cluster gives a nanny up.
+    """
     with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "5 minutes"}),
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as found,

@@ -12,12 +12,13 @@ import pytest
 from experiments import campaign
 from experiments.baselines import CONTROLLERS, Estimate, Run, column, figure, write_report
 from experiments.campaign import StepToJudge, judge, run_one
+from experiments.mutations import refuted
 from experiments.random_days import RandomDay, random_day, small_day
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
-from vppres.day.simulate import Day
+from vppres.day.simulate import Day, run_day
 from vppres.io.digest import scenario_digest
 
 
@@ -103,3 +104,23 @@ def test_baselines_are_compared_day_by_day(tmp_path: Path) -> None:
     assert "| MPC, H = 5 h | 0.8900 [0.8800, 0.9000] | 0.0200 [0.0200, 0.0200] |" in text
     assert (tmp_path / "baselines.svg").is_file()
     assert len(figure(runs).axes) == 2
+
+
+def test_voltages_are_missing_in_dark_islands_and_nowhere_else() -> None:
+    run = run_day(small(0).scenario, RunOptions(horizon_h=0.0))
+    assert refuted(run) == []
+    at = run.buses["time"] == run.steps["time"].iloc[0]
+    run.steps.loc[0, ["v_min_ac_pu", "v_max_ac_pu"]] = np.nan
+    run.steps["v_within_ac"] = False
+    run.buses.loc[at, "v_ac_pu"] = np.nan
+    assert refuted(run) == [
+        f"{name} is not finite"
+        for name in ("steps.v_min_ac_pu", "steps.v_max_ac_pu", "buses.v_ac_pu")
+    ]
+    run.steps.loc[0, "dark"] = 1.0
+    assert refuted(run) == ["a dark island has no reason"]
+    run.steps["dark_reason"] = run.steps["dark_reason"].astype(object)
+    run.steps.loc[0, "dark_reason"] = "no energy"
+    assert refuted(run) == []
+    run.steps.loc[1, "dark"] = 1.0
+    assert "steps.v_min_ac_pu has a value in a dark island" in refuted(run)
