@@ -205,7 +205,7 @@ def table(outcomes: list[Outcome]) -> str:
         "no load",
         "as given",
         "worst hour",
-        "a day with an outage",
+        "a day",
     )
     return markdown_table(head, [_row(outcome) for outcome in outcomes])
 

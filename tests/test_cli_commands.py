@@ -94,7 +94,7 @@ def test_valid_scenario(tiny_folder: Path) -> None:
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout == (
         "tiny is valid: 4 buses, 3 customers, 2 PV systems, 2 batteries, "
-        "6 steps of 60 min, 2 of them without grid; islands in paper mode.\n"
+        "6 steps of 60 min, 2 of them without grid; imports only; islands in paper mode.\n"
     )
 
 
@@ -114,6 +114,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "steps": 6,
         "step_minutes": 60.0,
         "outage_steps": 2,
+        "export": "imports only",
         "mode": "paper",
         "source": {
             "name": "",

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 from tests.support.long_days import repeated
 from tests.support.made_up_runs import OPTIONS, record, small_scenario
+from vppres.cli import commands
 from vppres.day.daily import daily_figures, spans_days
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
@@ -111,3 +113,15 @@ def test_a_run_of_days_has_a_table_and_a_section_of_them(
     assert spans_days(run) and not spans_days(one)
     write_run(one, tmp_path / "one", figures=False)
     assert not (tmp_path / "one" / DAYS_FILE).exists()
+
+
+def test_a_run_too_long_for_a_page_gets_its_tables(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commands, "MOST_DRAWN", 5)
+    arguments = ["run", str(tiny_folder), "--no-explain", "--out", str(tmp_path / "run")]
+    result = CliRunner().invoke(commands.app, arguments, env={"COLUMNS": "80"})
+    assert result.exit_code == 0, result.output
+    assert "Without figures and report: 6 steps are more than the 5" in result.output
+    assert (tmp_path / "run" / "steps.parquet").is_file()
+    assert not (tmp_path / "run" / "report.html").exists()

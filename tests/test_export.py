@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.random_feeders import random_state
 from tests.support.dispatch_check import check_dispatch
 from tests.support.exporting import exporting_window
 from tests.support.set_points import decision
@@ -23,6 +24,8 @@ from tests.support.small_windows import (
 )
 from vppres.contract.export import Export
 from vppres.contract.forecast import ForecastErrors
+from vppres.contract.switching import SwitchingState
+from vppres.control.converged import physics_of
 from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
@@ -31,6 +34,7 @@ from vppres.explain.day import explain_day
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.powerflow import shared_power_flow
@@ -137,13 +141,39 @@ def test_a_battery_does_not_charge_from_another_by_way_of_the_meter() -> None:
 @pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), ANY_STEPS)
 def test_masters_agree_with_the_whole_problem(seed: int, stressed: bool) -> None:
-    scenario, data = exporting_window(seed, stressed)
+    assert_methods_agree(*exporting_window(seed, stressed))
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", [4, 8, 22])
+def test_masters_agree_with_switching_rules(seed: int) -> None:
+    scenario, data = exporting_window(seed)
+    state = random_state(seed, scenario)
+    data = replace(data, switching=state.window(data.n_steps))
+    assert_methods_agree(scenario, data, state)
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_masters_agree_with_losses_and_headroom(seed: int) -> None:
+    scenario, data = exporting_window(seed)
+    physics = physics_of(Site.of(scenario), data, headroom=0.1)
+    shape = (data.n_steps, scenario.network.n_lines)
+    loss_kw = np.random.default_rng([seed, 9]).uniform(0.0, 0.5, shape)
+    physics = replace(physics, loss_kw=loss_kw, loss_kvar=0.5 * loss_kw)
+    assert_methods_agree(scenario, replace(data, physics=physics))
+
+
+def assert_methods_agree(
+    scenario: Scenario, data: WindowData, state: SwitchingState | None = None
+) -> None:
+    """Each dispatch is sound, and no bound lies below any of them."""
     everyone = float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
     gap = SolveLimits().absolute(everyone)
     answers = [WindowSolver(Site.of(scenario), method).solve(data) for method in METHODS]
     best = max(answer.objective for answer in answers)
     for answer in answers:
-        check = check_dispatch(scenario, data, answer.dispatch)
+        check = check_dispatch(scenario, data, answer.dispatch, state)
         assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
         assert answer.objective == pytest.approx(check.objective, abs=1e-9)
         assert answer.status == "optimal"

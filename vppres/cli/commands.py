@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 TERMINATED = 143
 RESULTS = Path("results")
+MOST_DRAWN = 4_500
+"""Steps of the longest run that gets figures and a report: half a year of hours. A year's page took
+more memory than a machine has."""
 # Libraries make a million objects that stay; Python's 700 looks through them again and again,
 # which takes a tenth of the time to load.
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
@@ -143,7 +146,8 @@ def run(
         from vppres.io.scenario_folder import read_scenario
 
         day = read_scenario(find_scenario(scenario))
-        with _drawing(figures) as drawing:
+        too_long = figures and day.grid.n_steps > MOST_DRAWN
+        with _drawing(figures and not too_long) as drawing:
             options = run_options(day, context.obj)
             folder = out or RESULTS / f"{day.name}-{options.controller}"
             check_target(folder)  # before the work, not after it
@@ -155,6 +159,11 @@ def run(
         Console().print(figures_table(summary, day.title))
         if told := remarks_text(day, str(options.mode)):
             typer.echo(told)
+        if too_long:
+            typer.echo(
+                f"Without figures and report: {day.grid.n_steps} steps are more than the "
+                f"{MOST_DRAWN} that a page can hold. The tables hold them all."
+            )
         typer.echo(f"Written to {folder}")
 
 

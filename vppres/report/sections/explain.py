@@ -76,8 +76,10 @@ def _steps(run: Trajectory, prices: pd.DataFrame, counts: dict[str, int]) -> lis
     """One row for each step: limits that bound, and what one more unit was worth."""
     clock = Clock.of(run)
     rows = []
+    of_step = dict(iter(prices.groupby("time")))
+    nothing = prices.iloc[:0]
     for step in run.steps[["time", "phase", "outage"]].to_dict("records"):
-        now = prices[prices["time"] == step["time"]]
+        now = of_step.get(step["time"], nothing)
         rows.append(
             {
                 "time": clock.words(step["time"]),
