@@ -7,6 +7,7 @@ a job that is asked for twice is run once, and a job whose worker dies is run ag
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 import sys
@@ -18,7 +19,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -235,7 +235,7 @@ def _client(scheduler: str) -> Iterator[Any]:
     InputError
         If Dask is not installed, or no scheduler answers.
     """
-    if find_spec("distributed") is None:
+    if importlib.util.find_spec("distributed") is None:
         raise InputError(
             _problem(
                 "scheduler",
@@ -308,7 +308,7 @@ def identity(package: str = "vppres") -> dict[str, str | None]:
 @cache
 def _sources(package: str) -> str | None:
     """SHA-256 of a package's Python files, None for what is none."""
-    spec = find_spec(package) if package != "__main__" else None
+    spec = importlib.util.find_spec(package) if package != "__main__" else None
     if spec is None or not spec.submodule_search_locations:
         return None
     folder = Path(next(iter(spec.submodule_search_locations)))
