@@ -97,3 +97,11 @@ def test_a_time_that_is_no_step_is_refused() -> None:
     for time in ("2025-07-01T08:30Z", "yesterday", "2025-07-01T08:00"):
         with pytest.raises(InputError, match="is not the beginning of a step"):
             run.apply_to(net, feeder, time)
+
+
+def test_transformers_and_charging_stay_as_they_are() -> None:
+    net = pandapower.networks.simple_four_bus_system()
+    feeder, run = day_of(net, "paper", add_batteries=True)
+    for t, time in enumerate(run.steps["time"]):
+        run.apply_to(net, feeder, time)
+        agrees(net, feeder, run, t)

@@ -502,10 +502,32 @@ def test_opendss_states_what_single_phases_lose(tmp_path: Path) -> None:
         balance=True,
     )
     assert (
-        "1 of 3 lines have fewer than three phases; the equivalent understates their voltage "
-        "drop and losses." in feeder.notes
+        "1 of 3 lines have fewer than three phases; their impedance is raised so that drop and "
+        "losses are those of the phases that they have." in feeder.notes
     )
-    assert "Capacitors are left out: bank." in feeder.notes
+    net = feeder.network
+    assert net.q_shunt_kvar[net.bus_index["a"]] == pytest.approx(-50.0, rel=1e-6)
+
+
+def test_opendss_taps_charging_and_capacitors_are_those_of_its_own_solution(tmp_path: Path) -> None:
+    """A balanced circuit has an equivalent that OpenDSS itself agrees with."""
+    file = tmp_path / "balanced.dss"
+    file.write_text(
+        "new circuit.b basekv=20 bus1=s pu=1.02 phases=3 mvasc3=200 mvasc1=200\n"
+        "new line.cable bus1=s bus2=a phases=3 r1=0.3 x1=0.25 c1=400 r0=0.3 x0=0.25 c0=400 length=4\n"
+        "new transformer.t phases=3 windings=2 buses=[a b] conns=[delta wye] kvs=[20 0.4] "
+        "kvas=[630 630] xhl=4 %rs=[0.5 0.5] taps=[1.0 1.025] %noloadloss=0.2 %imag=0.8\n"
+        "new regcontrol.rc transformer=t winding=2 vreg=235 band=2 ptratio=1\n"
+        "new line.low bus1=b bus2=c phases=3 r1=0.02 x1=0.01 c1=0 r0=0.02 x0=0.01 c0=0\n"
+        "new load.d bus1=c phases=3 kv=0.4 kw=300 kvar=100 vminpu=0.5 vmaxpu=1.5\n"
+        "new capacitor.k bus1=b phases=3 kv=0.4 kvar=60\nset voltagebases=[20 0.4]\n"
+    )
+    feeder = import_network(file)
+    deviation = source_deviation(feeder, new_scenario(feeder))
+    for value in (deviation.no_load_pu, deviation.as_given_pu, deviation.worst_hour_pu):
+        assert value is not None and value < 2e-4
+    assert feeder.network.has_ratios and feeder.network.draws
+    assert any("t at " in note and "(set to 235 V)" in note for note in feeder.notes)
 
 
 @pytest.mark.parametrize("command", ["open line.tail term=1", "disable line.tail"])
@@ -523,7 +545,8 @@ def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:
         "new line.l bus1=10 bus2=20 phases=3\n"
         "new load.d bus1=20 phases=3 kv=11 kw=50 kvar=10\nset voltagebases=[11]\n"
     )
-    assert import_network(file).network.buses.tolist() == [10, 20]
+    # The source has an impedance, and its voltage a bus of its own behind it.
+    assert import_network(file).network.buses.tolist() == [21, 10, 20]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.elements import NetCase, few, label, supplied
 from vppres.feeders.feeder import Deviation, ImportedFeeder
-from vppres.physics.powerflow import ACPowerFlow
+from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.source import EXACT_PU, SourceDeviation
@@ -79,7 +79,7 @@ def solve_source(net: Any) -> bool:
     for tolerance_mva, init in product(TOLERANCES_MVA, ("auto", "dc")):
         try:
             pp.runpp(net, init=init, tolerance_mva=tolerance_mva, **options)
-        except (pp.LoadflowNotConverged, np.linalg.LinAlgError, FloatingPointError):
+        except (pp.LoadflowNotConverged, ArithmeticError, np.linalg.LinAlgError):
             continue
         return True
     return False
@@ -89,20 +89,38 @@ def deviation_of(net: Any, solved: bool, feeder: ImportedFeeder) -> Deviation | 
     """The feeder as given, and without load, against a net that was solved."""
     if not solved:
         return None
-    try:
-        result = ACPowerFlow(feeder.network).solve(*feeder.injection)
-    except VerificationError:
-        return None
     source = {int(bus): float(v) for bus, v in net.res_bus["vm_pu"].items()}
     losses_mw = sum(float(net[f"res_{table}"].filter(["pl_mw"]).sum().sum()) for table in LOSSES)
     shunts_mw = float(net.res_shunt["p_mw"].sum())
     shunts_mw += float((net.ward["pz_mw"] * net.res_ward["vm_pu"] ** 2).sum())
-    return Deviation(
-        _apart(feeder, result.v_pu, source),
-        float(mw_to_kw(losses_mw + shunts_mw)),
-        result.losses_kw,
-        no_load_pu(feeder),
-    )
+    return given_deviation(feeder, source, float(mw_to_kw(losses_mw + shunts_mw)))
+
+
+def given_deviation(
+    feeder: ImportedFeeder, source: Mapping[int, float] | None, losses_kw: float | None
+) -> Deviation | None:
+    """The feeder as given, and without load, against voltages and losses of its source."""
+    if source is None or losses_kw is None:
+        return None
+    result = _as_given(feeder)
+    if result is None:
+        return None
+    apart = _apart(feeder, result.v_pu, source)
+    return Deviation(apart, losses_kw, result.losses_kw, no_load_pu(feeder))
+
+
+def largest_difference(feeder: ImportedFeeder, source: Mapping[int, float]) -> float | None:
+    """Largest difference from voltages of some buses of the source, with powers as given."""
+    result = _as_given(feeder)
+    return None if result is None or not source else _apart(feeder, result.v_pu, source)
+
+
+def _as_given(feeder: ImportedFeeder) -> ACResult | None:
+    """The feeder's power flow with the powers of its source."""
+    try:
+        return ACPowerFlow(feeder.network).solve(*feeder.injection)
+    except VerificationError:
+        return None
 
 
 def source_deviation(feeder: ImportedFeeder, scenario: Scenario) -> SourceDeviation:

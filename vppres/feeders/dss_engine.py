@@ -20,14 +20,17 @@ PASSIVE = {
     "storage",
     "capacitor",
     "regcontrol",
+    "capcontrol",
     "swtcontrol",
 }
 LEFT_OUT = {
-    "capacitor": "Capacitors are left out",
     "storage": "Batteries of the source are left out",
-    "regcontrol": "Regulators are taken at their nominal ratio",
+    "capcontrol": "Capacitors are controlled in the source, and stay as the solution has them",
 }
+CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
+LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
+W_PER_KW = 1000.0
 DEFAULT_AMPS = 400.0
 SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
 CURE = "Correct the file until OpenDSS solves it."
@@ -39,7 +42,56 @@ Table = list[dict[str, Any]]
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
     problems = build(job["commands"])
-    return {"problems": problems} if problems else _tables()
+    if problems:
+        return {"problems": problems}
+    # Regulators and switched capacitors find their places in the state that is given.
+    solved = _solved("set mode=snapshot", "set controlmode=static", "set maxcontroliter=100")
+    state = job.get("state")
+    return _tables(solved) if state is None else {"problems": [], **_in_state(state)}
+
+
+def _solved(*settings: str) -> bool:
+    """Solve the circuit; whether that converged."""
+    try:
+        for command in (*settings, "solve"):
+            dss.Text.Command(command)
+    except Exception:  # too many control steps, or no solution
+        return False
+    return bool(dss.Solution.Converged())
+
+
+def _in_state(state: dict[str, Any]) -> dict[str, Any]:
+    """Voltages and losses with other powers and everything else as it was found."""
+    off = [f"{element}.enabled=no" for element in state["disabled"]]
+    slack = state["v_slack_pu"]
+    source = [] if slack is None else [f"vsource.source.pu={slack!r}"]
+    for name in list(_of("generator")):
+        dss.Generators.Name(name)
+        dss.Generators.kW(dss.Generators.kW() * state["generation"])
+    for name in list(_of("pvsystem")):
+        dss.PVsystems.Name(name)
+        dss.PVsystems.Irradiance(dss.PVsystems.Irradiance() * state["generation"])
+    multiplier = dss.Solution.LoadMult() * state["load"]
+    settings = ("set controlmode=off", f"set loadmult={multiplier!r}", *source, *off)
+    return _voltages(_solved(*settings))
+
+
+def _voltages(solved: bool) -> dict[str, Any]:
+    """Mean voltage of the phases of every bus in pu, and all losses; nothing without a solution."""
+    if not solved:
+        return {"v_pu": None, "losses_kw": None}
+    found = {}
+    complete = []
+    for bus in dss.Circuit.AllBusNames():
+        dss.Circuit.SetActiveBus(bus)
+        phases = [node in (1, 2, 3) for node in dss.Bus.Nodes()]
+        magnitude = np.asarray(dss.Bus.puVmagAngle()[::2])[: len(phases)]
+        if any(phases):
+            found[bus] = float(magnitude[phases].mean())
+        if sum(phases) == THREE_PHASES:
+            complete.append(bus)
+    losses_kw = float(dss.Circuit.Losses()[0]) / W_PER_KW
+    return {"v_pu": found, "losses_kw": losses_kw, "complete": complete}
 
 
 def build(commands: list[str]) -> Problems:
@@ -160,16 +212,20 @@ def _closed() -> bool:
     )
 
 
-def _tables() -> dict[str, Any]:
+def _tables(solved: bool) -> dict[str, Any]:
     """What the reader makes a pandapower net of."""
     return {
         "problems": [],
+        **_voltages(solved),
         "name": dss.Circuit.Name(),
+        "frequency_hz": dss.Solution.Frequency(),
         "buses": [{"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()],
         "sources": list(_sources()),
         "lines": list(_lines()),
         "transformers": list(_transformers()),
+        "capacitors": list(_capacitors()),
         "powers": list(_powers()),
+        "causes": list(_causes()),
         "single_phases": _single_phases(),
         "notes": list(_notes()),
     }
@@ -179,7 +235,20 @@ def _sources() -> Iterator[dict[str, Any]]:
     for name in _of("vsource"):
         bus = _buses()[0]
         dss.Vsources.Name(name)
-        yield {"name": name, "bus": bus, "v_pu": dss.Vsources.PU()}
+        v_kv = dss.Vsources.PU() * dss.Vsources.BasekV()
+        yield {
+            "name": name,
+            "bus": bus,
+            "v_pu": v_kv / _base_kv(bus),
+            "r_ohm": _number(f"vsource.{name}.r1"),
+            "x_ohm": _number(f"vsource.{name}.x1"),
+        }
+
+
+def _number(query: str) -> float:
+    """A property that OpenDSS only tells as text."""
+    dss.Text.Command(f"? {query}")
+    return float(dss.Text.Result())
 
 
 def _lines() -> Iterator[dict[str, Any]]:
@@ -198,6 +267,7 @@ def _lines() -> Iterator[dict[str, Any]]:
             "phases": dss.Lines.Phases(),
             "r": [float(r) for r in dss.Lines.RMatrix()],
             "x": [float(x) for x in dss.Lines.XMatrix()],
+            "c": [float(c) for c in dss.Lines.CMatrix()],
         }
 
 
@@ -205,20 +275,71 @@ def _transformers() -> Iterator[dict[str, Any]]:
     for name in _of("transformer"):
         (start, end) = _buses()
         closed = _closed()
+        nodes = _phases_of_active()
+        phases = dss.CktElement.NumPhases()
+        base_kv = [_base_kv(bus) for bus in (start, end)]
         dss.Transformers.Name(name)
         percent = []
-        for winding in (1, 2):
+        kv = []
+        for winding, level in enumerate(base_kv, start=1):
             dss.Transformers.Wdg(winding)
             percent.append(dss.Transformers.R())
+            kv.append(_between_lines(dss.Transformers.kV(), level) * dss.Transformers.Tap())
         yield {
             "name": name,
             "start": start,
             "end": end,
             "closed": closed,
+            "phases": phases,
+            "nodes": nodes,
+            "kv": kv,
             "r_percent": sum(percent),
             "kva": dss.Transformers.kVA(),
             "x_percent": dss.Transformers.Xhl(),
+            "no_load_percent": _number(f"transformer.{name}.%noloadloss"),
+            "magnetising_percent": _number(f"transformer.{name}.%imag"),
         }
+
+
+def _between_lines(rated_kv: float, base_kv: float) -> float:
+    """A rated voltage between lines; that of a single phase may be to neutral."""
+    return float(min((rated_kv, rated_kv * np.sqrt(3)), key=lambda kv: abs(kv - base_kv)))
+
+
+def _capacitors() -> Iterator[dict[str, Any]]:
+    """Capacitors to earth with what they feed at the nominal voltage of their bus."""
+    for name in _of("capacitor"):
+        buses = _buses()
+        dss.Capacitors.Name(name)
+        base_kv = _base_kv(buses[0])
+        states = dss.Capacitors.States()
+        share = sum(states) / max(len(states), 1)
+        rated_kv = _between_lines(dss.Capacitors.kV(), base_kv)
+        yield {
+            "name": name,
+            "bus": buses[0],
+            "kvar": float(dss.Capacitors.kvar() * share * (base_kv / rated_kv) ** 2),
+        }
+
+
+def _causes() -> Iterator[list[Any]]:
+    """What the balanced equivalent of constant powers does not have, with its size in kW."""
+    drawn_kw: dict[str, float] = {}
+    for name in _of("load"):
+        dss.Loads.Name(name)
+        model = int(dss.Loads.Model())
+        if model != CONSTANT_POWER:
+            kind = LOAD_MODELS.get(model, f"model {model}")
+            drawn_kw[kind] = drawn_kw.get(kind, 0.0) + float(dss.Loads.kW())
+    for kind, kw in drawn_kw.items():
+        yield [kw, f"loads of {kind} in the source, {kw:.4g} kW"]
+    single_kw = 0.0
+    for name in _of("load"):
+        if dss.CktElement.NumPhases() < THREE_PHASES:
+            dss.Loads.Name(name)
+            single_kw += float(dss.Loads.kW())
+    if single_kw:
+        yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
 
 
 def _powers() -> Iterator[dict[str, Any]]:
@@ -234,8 +355,9 @@ def _powers() -> Iterator[dict[str, Any]]:
             else:
                 table = dss.Loads if kind == "load" else dss.Generators
                 table.Name(name)
-                p_kw = float(table.kW())
-                q_kvar = float(table.kvar())
+                factor = dss.Solution.LoadMult() if kind == "load" else 1.0
+                p_kw = float(table.kW() * factor)
+                q_kvar = float(table.kvar() * factor)
             yield {
                 "kind": kind,
                 "name": name,
@@ -267,15 +389,15 @@ def _notes() -> Iterator[str]:
     """What the balanced equivalent leaves out."""
     yield (
         "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
-        "of single phases count as spread over three. Voltages of single phases, line charging, "
-        "off-nominal ratios, the source's impedance and voltage-dependent loads are left out."
+        "of single phases count as spread over three. Voltages are compared with the mean of the "
+        "phases in OpenDSS's own solution of the circuit as it is."
     )
     phases = [dss.CktElement.NumPhases() for _ in _of("line")]
     few = sum(count < THREE_PHASES for count in phases)
     if few:
         yield (
-            f"{few} of {len(phases)} lines have fewer than three phases; the equivalent "
-            "understates their voltage drop and losses."
+            f"{few} of {len(phases)} lines have fewer than three phases; their impedance is "
+            "raised so that drop and losses are those of the phases that they have."
         )
     unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
     if unrated:
@@ -283,7 +405,24 @@ def _notes() -> Iterator[str]:
             f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
             "OpenDSS also gives to lines without a rating."
         )
+    held = [_set_point(name) for name in list(_of("regcontrol"))]
+    if held:
+        yield (
+            "Regulators are controlled in the source, and stay at the taps of its solution: "
+            f"{', '.join(held)}."
+        )
     for kind, words in LEFT_OUT.items():
         names = list(_of(kind))
         if names:
             yield f"{words}: {', '.join(names)}."
+
+
+def _set_point(name: str) -> str:
+    """A regulator's transformer, where it stands, and the voltage that it holds."""
+    dss.RegControls.Name(name)
+    volts = dss.RegControls.ForwardVreg()
+    transformer = dss.RegControls.Transformer()
+    winding = int(dss.RegControls.TapWinding())
+    dss.Transformers.Name(transformer)
+    dss.Transformers.Wdg(winding)
+    return f"{transformer} at {dss.Transformers.Tap():.5g} (set to {volts:g} V)"

@@ -112,7 +112,12 @@ NETWORK: dict[str, Kinds] = {
     | _kinds(
         n="phases kvar kv r x rp lmh", l="rmatrix xmatrix z1 z2 z0 z", w="bus1 bus2 conn parallel"
     ),
-    "regcontrol": _COMMON | _kinds(n="winding", w="transformer"),
+    "regcontrol": _COMMON
+    | _kinds(
+        n="winding vreg band ptratio ctprim r x delay revvreg revband revr revx tapdelay "
+        "maxtapchange tapwinding vlimit revthreshold revdelay remoteptratio tapnum ldc_z rev_z",
+        w="transformer bus reversible inversetime ptphase revneutral cogen",
+    ),
     "swtcontrol": _COMMON
     | _kinds(n="switchedterm delay", w="switchedobj action lock normal state reset"),
 }
@@ -124,11 +129,7 @@ IDLE: dict[str, Kinds] = {
     **{
         name: _SHAPES for name in ("vsource", "circuit", "load", "generator", "pvsystem", "storage")
     },
-    "regcontrol": _kinds(
-        n="vreg band ptratio ctprim r x delay revvreg revband revr revx tapdelay maxtapchange "
-        "tapwinding vlimit revthreshold revdelay remoteptratio tapnum ldc_z rev_z",
-        w="bus reversible inversetime ptphase revneutral eventlog cogen",
-    ),
+    "regcontrol": _kinds(w="eventlog"),
     "capcontrol": _COMMON
     | _kinds(
         n="terminal ptratio ctratio onsetting offsetting delay vmax vmin delayoff deadtime "

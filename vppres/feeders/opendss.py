@@ -7,22 +7,31 @@ and only numbers and names come back.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
 from vppres.feeders import dss_text
 from vppres.feeders.balance import PHASES, PhasePowers
+from vppres.feeders.closeness import largest_difference
 from vppres.feeders.confined import TIME_LIMIT_S, confined
+from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.ratings import NO_LIMIT_KA
 from vppres.scenario.network import BusId
 
 A_PER_KA = 1000.0
-Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None]
+PHASE_COUNT = 3
+TOGETHER = " + "
+SHAPE_TOLERANCE = 1e-6
+"""By how much the shares of a circuit's loads may differ and still count as one share."""
+
+Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "OpenDSSFlow"]
 
 
 def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
@@ -45,6 +54,8 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
         What the balanced equivalent leaves out.
     phases : PhasePowers, optional
         What is not balanced, if anything has fewer than three phases.
+    flow : OpenDSSFlow
+        OpenDSS's own solution.
 
     Raises
     ------
@@ -58,7 +69,107 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
     if found["problems"]:
         raise InputError([located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
-    return net, ids, (*script.notes, *found["notes"]), _phase_powers(found)
+    notes = (*script.notes, *found["notes"])
+    return net, ids, notes, _phase_powers(found), OpenDSSFlow(job, path.name, found, time_limit_s)
+
+
+class OpenDSSFlow:
+    """OpenDSS's own solution of the circuit as it is, with regulators where they were found.
+
+    Its loads keep their phases, so that only their sum can follow the powers of a feeder.
+
+    Parameters
+    ----------
+    job : dict
+        The checked commands that build the circuit.
+    name : str
+        Name of the file, for messages.
+    found : dict
+        The circuit as the engine told it.
+    time_limit_s : float
+        For a solution.
+    """
+
+    def __init__(
+        self, job: dict[str, Any], name: str, found: dict[str, Any], time_limit_s: float
+    ) -> None:
+        self.job = job
+        self.name = name
+        self.time_limit_s = time_limit_s
+        self.index = {bus["name"]: i for i, bus in enumerate(found["buses"])}
+        self.given: dict[int, float] | None = self._by_index(found["v_pu"])
+        self.losses_kw: float | None = found["losses_kw"]
+        self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
+        self.closed = {
+            f"{kind}.{element['name']}"
+            for kind in ("line", "transformer")
+            for element in found[f"{kind}s"]
+            if element["closed"]
+        }
+        complete = found.get("complete", [])
+        self.complete = {self.index[bus] for bus in complete if bus in self.index}
+        self.disabled: list[str] = []
+        self.load_kw: dict[BusId, float] = {}
+        self.known: dict[tuple[float, float | None], dict[int, float] | None] = {}
+
+    def of(self, net: Any, feeder: ImportedFeeder) -> OpenDSSFlow:
+        """The flow for a feeder of the circuit's net, with what was opened in the net."""
+        kept = {
+            f"{kind}.{name}"
+            for kind, table in (("line", "line"), ("transformer", "trafo"))
+            for names in net[table].loc[net[table]["in_service"], "name"]
+            for name in str(names).split(TOGETHER)
+        }
+        self.disabled = sorted(self.closed - kept)
+        with_generator = set(feeder.generators.bus)
+        loads = zip(feeder.network.buses, feeder.p_load_kw, strict=True)
+        self.load_kw = {bus: kw for bus, kw in loads if kw > 0 and bus not in with_generator}
+        return self
+
+    def v_pu(
+        self, buses: Names, p_kw: Floats, q_kvar: Floats, v_slack_pu: float | None = None
+    ) -> dict[int, float] | None:
+        """See :class:`vppres.feeders.feeder.SourceFlow`; None for powers of another shape."""
+        drawn = dict(zip(buses, -p_kw, strict=True))
+        shares = [drawn[bus] / kw for bus, kw in self.load_kw.items()]
+        if not shares or np.ptp(shares) > SHAPE_TOLERANCE:
+            return None
+        share = float(np.mean(shares))
+        if (share, v_slack_pu) not in self.known:
+            self.known[share, v_slack_pu] = self._solved(share, 0.0 if share == 0 else 1.0)
+        return self.known[share, v_slack_pu]
+
+    def told(self, feeder: ImportedFeeder) -> tuple[str, ...]:
+        """Causes of a difference, with what is left of it where all phases are."""
+        source = self.as_given()
+        if source is None:
+            return self.causes
+        three = {bus: v for bus, v in source.items() if bus in self.complete}
+        left_pu = largest_difference(feeder, three)
+        if left_pu is None or not self.causes:
+            return self.causes
+        first = f"{self.causes[0]} (buses with three phases differ by at most {left_pu:.2g} pu)"
+        return (first, *self.causes[1:])
+
+    def as_given(self) -> dict[int, float] | None:
+        """Voltages with the circuit's own powers."""
+        return self._solved(1.0, 1.0) if self.disabled else self.given
+
+    def _solved(self, load: float, generation: float) -> dict[int, float] | None:
+        state = {
+            "load": load,
+            "generation": generation,
+            "disabled": self.disabled,
+            "v_slack_pu": None,
+        }
+        job = {**self.job, "state": state}
+        return self._by_index(confined("dss_engine", job, self.name, self.time_limit_s)["v_pu"])
+
+    def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:
+        """Voltages by the index of the bus in the net."""
+        if v_pu is None:
+            return None
+        return {self.index[bus]: v for bus, v in v_pu.items() if bus in self.index}
 
 
 def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
@@ -91,19 +202,45 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     import pandapower as pp
 
     names = [bus["name"] for bus in found["buses"]]
-    net = pp.create_empty_network(name=found["name"])
+    net = pp.create_empty_network(name=found["name"], f_hz=found["frequency_hz"])
     pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
-    for source in found["sources"]:
-        pp.create_ext_grid(net, at[source["bus"]], vm_pu=source["v_pu"], name=source["name"])
     for line in found["lines"]:
         _add_line(net, line, at)
-    for transformer in found["transformers"]:
+    for transformer in _banks(found["transformers"]):
         _add_transformer(net, transformer, at)
+    for capacitor in found["capacitors"]:
+        q_mvar = -float(kw_to_mw(capacitor["kvar"]))
+        pp.create_shunt(net, at[capacitor["bus"]], q_mvar=q_mvar, name=capacitor["name"])
     _add_powers(net, found["powers"], at)
+    for source in found["sources"]:
+        _add_source(net, source, at[source["bus"]])
     # Scenario folders read buses as whole numbers where all of them are.
     whole = all(name.isdecimal() and str(int(name)) == name for name in names)
-    return net, {i: int(name) if whole else name for i, name in enumerate(names)}
+    ids: dict[int, BusId] = {i: int(name) if whole else name for i, name in enumerate(names)}
+    for extra in net.bus.index[len(names) :]:
+        ids[int(extra)] = max(int(name) for name in names) + 1 if whole else "vsource"
+    return net, ids
+
+
+def _add_source(net: Any, source: dict[str, Any], bus: int) -> None:
+    """The source's voltage behind its impedance."""
+    import pandapower as pp
+
+    kv = float(net.bus.at[bus, "vn_kv"])
+    behind = pp.create_bus(net, vn_kv=kv, name="vsource")
+    pp.create_ext_grid(net, behind, vm_pu=source["v_pu"], name=source["name"])
+    pp.create_line_from_parameters(
+        net,
+        behind,
+        bus,
+        length_km=1.0,
+        r_ohm_per_km=source["r_ohm"],
+        x_ohm_per_km=source["x_ohm"],
+        c_nf_per_km=0.0,
+        max_i_ka=NO_LIMIT_KA,
+        name="vsource",
+    )
 
 
 def _add_line(net: Any, line: dict[str, Any], at: dict[str, int]) -> None:
@@ -116,44 +253,91 @@ def _add_line(net: Any, line: dict[str, Any], at: dict[str, int]) -> None:
         at[line["end"]],
         length_km=line["length"],
         max_i_ka=line["amps"] / A_PER_KA,
-        r_ohm_per_km=_positive_sequence(line["r"], line["phases"]),
-        x_ohm_per_km=_positive_sequence(line["x"], line["phases"]),
-        c_nf_per_km=0.0,
+        r_ohm_per_km=_of_three(line["phases"]) * _positive_sequence(line["r"], line["phases"]),
+        x_ohm_per_km=_of_three(line["phases"]) * _positive_sequence(line["x"], line["phases"]),
+        c_nf_per_km=_positive_sequence(line["c"], line["phases"]) / _of_three(line["phases"]),
         name=line["name"],
         in_service=line["closed"],
     )
 
 
+def _of_three(n_phases: int) -> float:
+    """How much more current a phase carries than if its power were spread over three."""
+    return 3.0 / min(n_phases, 3)
+
+
 def _positive_sequence(matrix: list[float], n_phases: int) -> float:
-    """Mean self impedance less mean mutual impedance.
+    """Mean self impedance less what the currents of the other phases induce.
+
+    Currents of three phases cancel but for one, those of two phases but for half.
 
     >>> _positive_sequence([5.0, 2.0, 2.0, 2.0, 5.0, 2.0, 2.0, 2.0, 5.0], 3)
     3.0
+    >>> _positive_sequence([5.0, 2.0, 2.0, 5.0], 2)
+    4.0
     """
     z: Floats = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
     own = np.trace(z) / n_phases
     mutual = (z.sum() - np.trace(z)) / max(n_phases * (n_phases - 1), 1)
-    return float(own - mutual)
+    return float(own - 0.5 * (min(n_phases, 3) - 1) * mutual)
+
+
+def _banks(transformers: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Units of single phases between the same buses as one, with the mean of their taps.
+
+    Units on the same phase are parallel, and stay apart.
+    """
+    rest = list(transformers)
+    while rest:
+        first = rest.pop(0)
+        bank = [first]
+        taken = set(first["nodes"])
+        ends = (first["start"], first["end"], first["closed"])
+        for other in list(rest):
+            like = (other["start"], other["end"], other["closed"]) == ends
+            single = max(first["phases"], other["phases"]) < PHASE_COUNT
+            if like and single and not taken & set(other["nodes"]):
+                taken |= set(other["nodes"])
+                bank.append(other)
+                rest.remove(other)
+        yield first if len(bank) == 1 else _bank(bank)
+
+
+def _bank(units: list[dict[str, Any]]) -> dict[str, Any]:
+    """A transformer with the rating of its units, and the mean of everything else."""
+    mean = {
+        name: float(np.mean([unit[name] for unit in units]))
+        for name in ("r_percent", "x_percent", "no_load_percent", "magnetising_percent")
+    }
+    return {
+        **units[0],
+        **mean,
+        "name": TOGETHER.join(unit["name"] for unit in units),
+        "kva": sum(unit["kva"] for unit in units),
+        "kv": np.mean([unit["kv"] for unit in units], axis=0).tolist(),
+    }
 
 
 def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) -> None:
-    """A transformer at the nominal ratio of its buses; units of a bank are parallel ones."""
+    """A transformer at its taps: rated voltages are those of the turns that are in use."""
     import pandapower as pp
 
     ends = (at[transformer["start"]], at[transformer["end"]])
+    kv = dict(zip(ends, transformer["kv"], strict=True))
     high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
     r_percent = transformer["r_percent"]
+    no_load = transformer["no_load_percent"]
     pp.create_transformer_from_parameters(
         net,
         high,
         low,
         sn_mva=float(kw_to_mw(transformer["kva"])),
-        vn_hv_kv=net.bus.at[high, "vn_kv"],
-        vn_lv_kv=net.bus.at[low, "vn_kv"],
+        vn_hv_kv=kv[high],
+        vn_lv_kv=kv[low],
         vkr_percent=r_percent,
         vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
-        pfe_kw=0.0,
-        i0_percent=0.0,
+        pfe_kw=no_load / 100.0 * transformer["kva"],
+        i0_percent=float(np.hypot(no_load, transformer["magnetising_percent"])),
         name=transformer["name"],
         in_service=transformer["closed"],
     )

@@ -128,7 +128,7 @@ def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) 
 
 def _groups(source: Path) -> dict[str, str]:
     """The feeder's bus for each bus of the circuit that has supply, both as words."""
-    net, ids, _, _ = read_opendss(source)
+    net, ids, *_ = read_opendss(source)
     # Which line opens a loop says nothing of which buses are one.
     net, _ = changed(net, source.name, Changes(open_loops=True), ids)
     bus_of = feeder_of(net, source.name, bus_ids=ids).bus_of

@@ -14,7 +14,9 @@ from typing import Any, Literal, get_args
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.balance import PhasePowers, balanced
 from vppres.feeders.changes import Changes, changed
+from vppres.feeders.closeness import given_deviation
 from vppres.feeders.feeder import ImportedFeeder, Profile
+from vppres.feeders.opendss import OpenDSSFlow
 from vppres.feeders.reduce import feeder_of
 from vppres.feeders.source_series import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean
@@ -47,6 +49,7 @@ class _Net:
     bus_ids: Mapping[int, BusId] | None = None
     notes: tuple[str, ...] = ()
     phases: PhasePowers | None = None
+    flow: OpenDSSFlow | None = None
     profiles: tuple[Profile, ...] = ()
 
 
@@ -114,6 +117,11 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
         notes += (balanced(found.phases, name, changes.balance),)
     net, made = changed(found.net, name, changes, found.bus_ids)
     feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    if found.flow is not None:
+        flow = found.flow.of(net, feeder)
+        feeder = replace(feeder, source_flow=flow, causes=flow.told(feeder) + feeder.causes)
+        given = given_deviation(feeder, flow.as_given(), flow.losses_kw)
+        feeder = replace(feeder, deviation=given)
     feeder = _with_profiles(feeder, found.profiles or profiles_of(net))
     return replace(feeder, notes=notes + made + feeder.notes)
 
