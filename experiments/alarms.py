@@ -53,6 +53,9 @@ HEADINGS = (
     "steps read wrong",
     "missed",
     "share",
+    "after the first of the day",
+    "missed",
+    "share",
     "wrong by more than 5 %",
     "missed",
     "share",
@@ -195,12 +198,21 @@ def alarm_rows(counts: Iterable[dict[str, Alarms]]) -> list[tuple[object, ...]]:
                 total.wrong,
                 total.missed,
                 _share(total.missed, total.wrong),
+                *_later(day[quantity] for day in days),
                 total.material,
                 total.material_missed,
                 _share(total.material_missed, total.material),
             )
         )
     return rows
+
+
+def _later(days: Iterable[Alarms]) -> tuple[int, int, str]:
+    """Wrong steps after the first of each day, and those missed: before it is no evidence."""
+    frozen = [day for day in days if day.wrong]
+    wrong = sum(day.wrong - 1 for day in frozen)
+    missed = sum(max(day.missed - 1, 0) for day in frozen)
+    return wrong, missed, _share(missed, wrong)
 
 
 def _share(part: int, whole: int) -> str:

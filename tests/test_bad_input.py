@@ -64,7 +64,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         'gurobi = "yes"',
         [
             "scenario.toml, controller.gurobi: is not a known key. Remove it. "
-            "Known: kind, horizon_h, mode."
+            "Known: kind, horizon_h, mode, soc_end."
         ],
     ),
     "missing key": (

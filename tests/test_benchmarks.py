@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from typer.testing import CliRunner
 import benchmarks.__main__ as command
 from benchmarks import make_instances, profiles
 from benchmarks.day import error_settings
+from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
+from benchmarks.findings import deadline_bars
 from benchmarks.instances import FILE, Instance, packaged, read_instances, window_data
 from benchmarks.report import BEGIN, END, Section, publish
 from benchmarks.scaling import exponent
@@ -24,6 +27,7 @@ from benchmarks.windows import NOT_ADMITTED
 from benchmarks.worker import summary
 from vppres.core.errors import InputError
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.solve.deadline import Stopwatch
 
 INSTANCES = read_instances()
 
@@ -366,3 +370,44 @@ def test_document_without_marks_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no marks for the results"):
         publish([], document, "A run.")
     assert document.read_text(encoding="utf-8") == "Words.\n"
+
+
+# Deadlines.
+
+
+def solved_late(buses: int, first_s: float, again_s: float, ending: str) -> dict[str, object]:
+    return {
+        "window": "one",
+        "buses": buses,
+        "limit_s": 1.0,
+        "load": 2.0,
+        "first_ending": "LimitError",
+        "first_late_s": first_s,
+        "first_late_cpu_s": 0.1,
+        "again_ending": ending,
+        "again_late_s": again_s,
+        "again_late_cpu_s": 0.0,
+    }
+
+
+def test_deadlines_by_hand() -> None:
+    rows = pd.DataFrame(
+        [solved_late(33, 0.5, 0.51, "optimal"), solved_late(1021, 2.0, 0.0, "NumericalError")]
+    )
+    small, large, named = deadline_bars(rows)
+    assert (small.measured, small.met) == ("1 of 2, latest 0.51 s, 0.10 s of processor", False)
+    assert (large.measured, large.met) == ("2 of 2, latest 2.00 s, 0.10 s of processor", True)
+    assert (named.measured, named.met) == ("NumericalError", False)
+    assert len(deadline_table(rows)) == 4
+
+
+def test_windows_are_measured_in_both_turns() -> None:
+    (window,) = windows(read_instances()[:1], large=0)
+    with by_processor():
+        watch = Stopwatch()
+        time.sleep(0.2)
+        assert watch.spent_s < 0.1
+        row = measure(window, 10.0)
+    assert (row["buses"], row["steps"]) == (33, window.data.n_steps)
+    assert row["first_ending"] == row["again_ending"] == "optimal"
+    assert row["first_late_s"] == row["again_late_s"] == 0.0
