@@ -150,6 +150,7 @@ def attempt(candidate: Candidate, folder: Path) -> Outcome:
                 continue
             if "--accept-deviation" in text and not accept:
                 accept = True
+                state["apart"] = text.partition("Causes: ")[2].partition(". Accept")[0]
                 options.append(ACCEPT)
                 continue
             words = f"no: {text.removeprefix(f'{candidate.label}: ')}"
@@ -189,7 +190,8 @@ def _run(
     rows = done.customers[~done.customers["time"].map(_outage_of(done)).astype(bool)]
     met = float((rows["p_load_kw"] * rows["served"]).sum() / rows["p_load_kw"].sum())
     v_min = float(done.steps["v_min_ac_pu"].min())
-    return f"runs; {met:.0%} of the demand met with grid, lowest voltage {v_min:.3f} pu"
+    causes = f"; apart by {state['apart']}" if "apart" in state else ""
+    return f"runs; {met:.0%} of the demand met with grid, lowest voltage {v_min:.3f} pu{causes}"
 
 
 def _outage_of(done: Any) -> dict[Any, bool]:

@@ -182,6 +182,7 @@ def test_single_phases_are_spread_with_a_note() -> None:
         "Phases draw -7.0, 10.0 and 15.0 kW in all; they differ most at bus 1, by 12.0 kW: "
         "-12.0, 0.0 and 0.0."
     )
+    assert feeder.notes[1].startswith("Voltages are compared with the net so balanced, not with ")
 
 
 SINGLE_PHASE = """

@@ -10,15 +10,19 @@ import pytest
 
 from experiments.random_feeders import Window, random_window
 from tests.support.dispatch_check import check_dispatch
+from tests.support.made_up_runs import without_devices
 from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.model.beyond_paper.losses import Sweeps
 from vppres.model.linearise import drawn_by
 from vppres.model.site import Site
 from vppres.physics.nose import follow
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Reactance
@@ -224,3 +228,23 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     assert outcome.status == Status.OPTIMAL and dispatch is not None
     assert check_dispatch(*case, dispatch).worst[1] <= CHECKER_TOLERANCE
     assert outcome.value <= case.data.price_gbp_per_kwh @ answer.p_grid_kw * site.dt_h + 1e-5
+
+
+def test_a_dark_island_behind_a_tap_needs_no_fallback(tiny: Scenario) -> None:
+    """At rest the tap would raise the voltage above its limit; in the dark there is none."""
+    network = replace(
+        tiny.network,
+        v_slack_pu=1.04,
+        ratio=[1.0, 1 / 1.03, 1.0],
+        b_us=[0.0, 50.0, 0.0],
+        drawing_bus=[3],
+        p_shunt_kw=[5.0],
+        q_shunt_kvar=[120.0],
+        p_fixed_kw=[0.0],
+        q_fixed_kvar=[9000.0],
+    )
+    day = replace(tiny, network=network, batteries=without_devices(tiny).batteries)
+    run = run_day(day, RunOptions(mode="physical"))
+    assert run.steps["dark"].sum() == day.outage.sum() > 0
+    assert (run.steps["fallback"] == "none").all()
+    assert run.steps["v_error_pu"].max() < 1e-3

@@ -16,7 +16,14 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, NumericalError
-from vppres.model.beyond_paper.losses import ACPoints, Sweeps, injections, linearised, lossless
+from vppres.model.beyond_paper.losses import (
+    ACPoints,
+    Sweeps,
+    injections,
+    linearised,
+    lit_steps,
+    lossless,
+)
 from vppres.model.data import Physics, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site
@@ -90,7 +97,7 @@ class ConvergedPlanner:
         whole = whole if n_steps is None else whole.first(n_steps)
         physics = physics_of(site, whole, self.headroom)
         dark = dark_steps(site, whole)
-        start = lossless(without_power(whole, dark), physics)
+        start = self._at_rest(lossless(without_power(whole, dark), physics))
         if self.passes == 0:
             return in_the_dark(site, whole, dark, self.solver.solve(start))
         data, solution = self._decide(self._guessed(t0, start), start)
@@ -181,6 +188,7 @@ class ConvergedPlanner:
             "drawn_kvar": drawn.kvar.copy(),
         }
         last: dict[bool, _Line] = {}
+        lit = lit_steps(start)
         for step in sorted(self._known):
             if step < t0:
                 last[self._known[step][0]] = self._known[step][1]
@@ -189,7 +197,7 @@ class ConvergedPlanner:
             known = self._known.get(t0 + row)
             if known is not None and known[0] == island:
                 last[island] = known[1]
-            if island in last:
+            if island in last and (lit[row] or not self._own):
                 for name, values in rows.items():
                     values[row] = getattr(last[island], name)
         return replace(
@@ -198,6 +206,21 @@ class ConvergedPlanner:
             physics=replace(physics, loss_kw=rows["loss_kw"], loss_kvar=rows["loss_kvar"]),
             drawn=start.drawn and Drawn(rows["drawn_kw"], rows["drawn_kvar"]),
         )
+
+    @property
+    def _own(self) -> bool:
+        """Whether the network has ratios, or draws power by itself."""
+        network = self.solver.site.network
+        return network.draws or network.has_ratios
+
+    def _at_rest(self, data: WindowData) -> WindowData:
+        """The window with the slack bus's voltage everywhere in the dark, ratios or not."""
+        net = self.solver.site.network
+        if not net.has_ratios:
+            return data
+        u_pu2 = net.u_pu2(np.full(net.n_buses, net.v_slack_pu))
+        flat = u_pu2[1:] - u_pu2[net.parent]
+        return replace(data, delta_pu2=np.where(lit_steps(data)[:, None], data.delta_pu2, flat))
 
     def _nothing(self, n_steps: int) -> Drawn:
         """What a network without shunts draws."""
@@ -209,7 +232,10 @@ class ConvergedPlanner:
         physics = data.require_physics()
         self._forget(t0)
         drawn = data.drawn or self._nothing(data.n_steps)
+        lit = lit_steps(data)
         for row in range(data.n_steps):
+            if self._own and not lit[row]:
+                continue  # dark: nothing to begin with where there is light
             line = _Line(
                 data.delta_pu2[row],
                 physics.loss_kw[row],

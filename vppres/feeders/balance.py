@@ -74,7 +74,7 @@ def _three(values: pd.Series[float]) -> str:
 
 
 def balance_net(net: Any, name: str, wanted: bool) -> Iterator[str]:
-    """Replace loads and generators of single phases in place; one note says what they were.
+    """Replace loads and generators of single phases in place; notes say what they were.
 
     Raises
     ------
@@ -97,6 +97,7 @@ def balance_net(net: Any, name: str, wanted: bool) -> Iterator[str]:
             net[table].loc[frame.index, "in_service"] = False
     if words:
         yield balanced(PhasePowers(", ".join(words), pd.concat(powers)), name, wanted)
+        yield "Voltages are compared with the net so balanced, not with its flow phase by phase."
 
 
 def _phase_kw(frame: pd.DataFrame) -> pd.DataFrame:

@@ -31,6 +31,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     problems = engine.build(job["commands"])
     if problems:
         return {"problems": problems}
+    engine.settled()  # the taps of the plan are those of the state that the file gives
     loads = _loads(job["group_of"], job["constant_power"])
     feeds = _new_feeds(sorted({bus for step in job["steps"] for bus in step["feed"]}))
     switched_off = list(_switch_off())

@@ -44,10 +44,14 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     problems = build(job["commands"])
     if problems:
         return {"problems": problems}
-    # Regulators and switched capacitors find their places in the state that is given.
-    solved = _solved("set mode=snapshot", "set controlmode=static", "set maxcontroliter=100")
+    solved = settled()
     state = job.get("state")
     return _tables(solved) if state is None else {"problems": [], **_in_state(state)}
+
+
+def settled() -> bool:
+    """Let regulators and switched capacitors find their places in the state that is given."""
+    return _solved("set mode=snapshot", "set controlmode=static", "set maxcontroliter=100")
 
 
 def _solved(*settings: str) -> bool:

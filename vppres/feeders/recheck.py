@@ -2,7 +2,7 @@
 
 The circuit is built from the script as it was written, in the process that reads such files. What
 was served, fed in, charged and discharged is set in every step, and OpenDSS solves it. Regulators
-stay at the taps of the file, as in the plan.
+stay at the taps that they find with the loads of the file, as in the plan.
 """
 
 from __future__ import annotations
@@ -293,7 +293,10 @@ def _notes(
     found: dict[str, Any], steps: pd.DataFrame, voltages: pd.DataFrame, island_bus: BusId | None
 ) -> Iterator[str]:
     """What the comparison assumes."""
-    yield "Regulators and capacitors are as in the file; no control acts, as in the plan."
+    yield (
+        "Regulators and capacitors stay as OpenDSS's controls leave them with the loads of the "
+        "file, as in the plan."
+    )
     if found["switched_off"]:
         yield (
             f"Switched off, as the run has its own in their place: {few(found['switched_off'])}."

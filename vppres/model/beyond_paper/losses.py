@@ -149,11 +149,22 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     return p_kw, q_kvar
 
 
+def lit_steps(data: WindowData) -> Flags:
+    """Steps in which anything can be served, generated or drawn, (W,)."""
+    lit = data.load_kw.any(axis=1) | data.pv_kw.any(axis=1)
+    if data.drawn is not None:
+        lit = lit | data.drawn.kw.any(axis=1) | data.drawn.kvar.any(axis=1)
+    return np.asarray(lit, dtype=bool)
+
+
 def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:
     """The window with losses, draws and voltages as at these points; steps without keep theirs."""
     old = data.require_physics()
     sound = points.converged[:, None]
     drawn = data.drawn
+    if network.draws or network.has_ratios:
+        # In the dark nothing is drawn or lost, and no voltage is too high, whatever a flow says.
+        sound = sound & lit_steps(data)[:, None]
     if drawn is not None:
         # Points that are not sound may have no voltage at all.
         kw, kvar = network.drawn(np.where(sound, points.v_pu, 1.0))
