@@ -7,6 +7,7 @@ a job that is asked for twice is run once, and a job whose worker dies is run ag
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 import sys
@@ -18,7 +19,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -235,7 +235,7 @@ def _client(scheduler: str) -> Iterator[Any]:
     InputError
         If Dask is not installed, or no scheduler answers.
     """
-    if find_spec("distributed") is None:
+    if not _dask_is_there():
         raise InputError(
             _problem(
                 "scheduler",
@@ -263,6 +263,10 @@ def _client(scheduler: str) -> Iterator[Any]:
         ) from error
     with client:
         yield client
+
+
+def _dask_is_there() -> bool:
+    return importlib.util.find_spec("distributed") is not None
 
 
 def _check_workers(client: Any, expected: dict[str, str | None], package: str) -> None:
@@ -308,7 +312,7 @@ def identity(package: str = "vppres") -> dict[str, str | None]:
 @cache
 def _sources(package: str) -> str | None:
     """SHA-256 of a package's Python files, None for what is none."""
-    spec = find_spec(package) if package != "__main__" else None
+    spec = importlib.util.find_spec(package) if package != "__main__" else None
     if spec is None or not spec.submodule_search_locations:
         return None
     folder = Path(next(iter(spec.submodule_search_locations)))
@@ -367,7 +371,5 @@ def by_name(function: Callable[[J], R]) -> Callable[[J], R]:
     spec = getattr(main, "__spec__", None)
     if function.__module__ != "__main__" or spec is None:
         return function
-    from importlib import import_module
-
-    found: Callable[[J], R] = getattr(import_module(spec.name), function.__qualname__)
+    found: Callable[[J], R] = getattr(importlib.import_module(spec.name), function.__qualname__)
     return found
