@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from dataclasses import fields
 from typing import Any
 
@@ -34,8 +35,14 @@ def content_key(*tables: Any) -> str:
         for f in fields(table):
             value = getattr(table, f.name)
             numeric = isinstance(value, np.ndarray) and value.dtype != object
-            digest.update(value.tobytes() if numeric else repr(value).encode())
+            digest.update(value.tobytes() if numeric else _whole_repr(value).encode())
     return digest.hexdigest()
+
+
+def _whole_repr(value: object) -> str:
+    """The representation in full: numpy leaves out the middle of more than a thousand items."""
+    with np.printoptions(threshold=sys.maxsize):
+        return repr(value)
 
 
 def freeze_fields(record: object, **dtypes: Any) -> None:

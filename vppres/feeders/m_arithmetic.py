@@ -32,7 +32,7 @@ from vppres.feeders.m_text import (
     Table,
 )
 
-Matrix = npt.NDArray[Any]
+_Matrix = npt.NDArray[Any]
 """Real numbers, or truth values as comparisons make them; always two dimensions."""
 
 MOST_NUMBERS = 2_000_000
@@ -52,7 +52,7 @@ NAMED: dict[str, float | bool] = {
 }
 
 
-def tables_of(program: Program) -> dict[str, Matrix]:
+def tables_of(program: Program) -> dict[str, _Matrix]:
     r"""The fields of the case after its last statement, by name, shape (rows, columns) each.
 
     Raises
@@ -86,7 +86,7 @@ class _Wrong(Exception):
 class _Memory:
     """Values by name, and the work that is left."""
 
-    values: dict[str, Matrix] = field(default_factory=dict)
+    values: dict[str, _Matrix] = field(default_factory=dict)
     opaque: set[str] = field(default_factory=set)
     work_left: int = MOST_WORK
 
@@ -139,11 +139,11 @@ class _Memory:
         else:
             self._change(name, statement.index, self.value(statement.value))
 
-    def _change(self, name: str, index: tuple[Expression, ...], value: Matrix) -> None:
+    def _change(self, name: str, index: tuple[Expression, ...], value: _Matrix) -> None:
         """``name(index) = value``, where the places exist."""
         whole = self.values[name]
         if len(index) == 1:
-            flat: Matrix = whole.flatten(order="F")
+            flat: _Matrix = whole.flatten(order="F")
             at = self._places(index[0], flat.size)
             if value.size not in (1, at.size):
                 raise _Wrong(f"puts {value.size} values into {at.size} places of '{name}'")
@@ -189,13 +189,13 @@ class _Memory:
 
     # Expressions
 
-    def value(self, node: Expression) -> Matrix:
+    def value(self, node: Expression) -> _Matrix:
         """Value of an expression as a matrix."""
         found = self._value(node)
         self._spend(found.size)
         return found
 
-    def _value(self, node: Expression) -> Matrix:
+    def _value(self, node: Expression) -> _Matrix:
         if isinstance(node, Table):
             return node.value
         if isinstance(node, Name):
@@ -208,7 +208,7 @@ class _Memory:
             return self._joined(node)
         raise _Wrong("has a text, a cell, ':' or 'end' where a number is expected")
 
-    def _named(self, name: str) -> Matrix:
+    def _named(self, name: str) -> _Matrix:
         if name in self.values:
             return self.values[name]
         if name in NAMED:
@@ -217,7 +217,7 @@ class _Memory:
             raise _Wrong(f"has '{name}' before define_constants or another function defines it")
         raise _Wrong(f"has '{name}', which is no number that is known here")
 
-    def _called(self, node: Call) -> Matrix:
+    def _called(self, node: Call) -> _Matrix:
         """Elements of a variable, or a function's value."""
         if node.name in self.values:
             return self._elements(self.values[node.name], node.arguments)
@@ -229,7 +229,7 @@ class _Memory:
             return self._computed(node.name, arguments)
         raise _Wrong(f"calls '{node.name}', which is not evaluated")
 
-    def _computed(self, name: str, arguments: list[Matrix]) -> Matrix:
+    def _computed(self, name: str, arguments: list[_Matrix]) -> _Matrix:
         """A function's value; it is real."""
         if name in _MAKERS:
             self._sized(_shape(arguments))
@@ -238,7 +238,7 @@ class _Memory:
         found = np.atleast_2d(np.asarray(CALLS[name][2](*arguments)))
         return _real(found, arguments)
 
-    def _elements(self, whole: Matrix, index: tuple[Expression, ...]) -> Matrix:
+    def _elements(self, whole: _Matrix, index: tuple[Expression, ...]) -> _Matrix:
         """``name(index)``."""
         if len(index) == 1:
             return self._picked(whole, index[0])
@@ -246,9 +246,9 @@ class _Memory:
         self._sized((len(rows), len(columns)))
         return whole[np.ix_(rows, columns)]
 
-    def _picked(self, whole: Matrix, index: Expression) -> Matrix:
+    def _picked(self, whole: _Matrix, index: Expression) -> _Matrix:
         """Elements by their number, column by column: in the index's shape, or along a vector."""
-        found: Matrix = whole.flatten(order="F")[self._places(index, whole.size)]
+        found: _Matrix = whole.flatten(order="F")[self._places(index, whole.size)]
         self._spend(whole.size)
         if isinstance(index, Colon):
             return found.reshape(-1, 1)
@@ -257,7 +257,7 @@ class _Memory:
         asked = self.value(_without_end(index, whole.size))
         return found.reshape((-1, 1) if asked.dtype == bool else asked.shape, order="F")
 
-    def _rows_and_columns(self, index: tuple[Expression, ...], whole: Matrix) -> tuple[Any, Any]:
+    def _rows_and_columns(self, index: tuple[Expression, ...], whole: _Matrix) -> tuple[Any, Any]:
         if len(index) != 2:
             raise _Wrong(f"has {len(index)} indices")
         return self._places(index[0], whole.shape[0]), self._places(index[1], whole.shape[1])
@@ -266,7 +266,7 @@ class _Memory:
         """Positions from 0 that an index means, of so many."""
         if isinstance(index, Colon):
             return np.arange(size)
-        found: Matrix = self.value(_without_end(index, size)).flatten(order="F")
+        found: _Matrix = self.value(_without_end(index, size)).flatten(order="F")
         if found.dtype == bool:
             found = np.flatnonzero(found) + 1.0
         if not np.isfinite(found).all() or (found != np.floor(found)).any() or (found < 1).any():
@@ -275,7 +275,7 @@ class _Memory:
             raise _Wrong(f"has the index {found.max():.0f}, beyond the last, {size}")
         return found.astype(int) - 1
 
-    def _operated(self, node: Operation) -> Matrix:
+    def _operated(self, node: Operation) -> _Matrix:
         """An operator's value."""
         values = [self.value(operand) for operand in node.operands]
         if node.operator == ":":
@@ -293,7 +293,7 @@ class _Memory:
         found = np.asarray(_OPERATORS[node.operator](_number(left), _number(right)))
         return _real(found, values)
 
-    def _product(self, left: Matrix, right: Matrix) -> Matrix:
+    def _product(self, left: _Matrix, right: _Matrix) -> _Matrix:
         """Rows times columns."""
         if left.shape[1] != right.shape[0]:
             raise _Wrong(f"multiplies {_by(left.shape)} by {_by(right.shape)} numbers")
@@ -301,7 +301,7 @@ class _Memory:
         self._spend(left.size * right.shape[1])
         return np.asarray(_number(left) @ _number(right))
 
-    def _range(self, parts: list[Matrix]) -> Matrix:
+    def _range(self, parts: list[_Matrix]) -> _Matrix:
         """``first:last`` and ``first:step:last``."""
         if any(part.size != 1 for part in parts):
             raise _Wrong("has a range between values that are not single numbers")
@@ -314,7 +314,7 @@ class _Memory:
         self._sized((1, count))
         return (first + step * np.arange(max(count, 0))).reshape(1, -1)
 
-    def _joined(self, node: Rows) -> Matrix:
+    def _joined(self, node: Rows) -> _Matrix:
         """Matrices side by side and one above the other."""
         rows = []
         for row in node.rows:
@@ -332,11 +332,11 @@ class _Memory:
         return np.vstack(rows)
 
 
-def _scalar(value: float) -> Matrix:
+def _scalar(value: float) -> _Matrix:
     return np.array([[float(value)]])
 
 
-def _number(value: Matrix) -> Matrix:
+def _number(value: _Matrix) -> _Matrix:
     """Truth values as 0 and 1."""
     return value.astype(float) if value.dtype == bool else value
 
@@ -345,7 +345,7 @@ def _by(shape: tuple[int, ...]) -> str:
     return " by ".join(map(str, shape))
 
 
-def _common_shape(values: list[Matrix]) -> tuple[int, ...]:
+def _common_shape(values: list[_Matrix]) -> tuple[int, ...]:
     """Shape of what an operation makes element by element."""
     try:
         return np.broadcast_shapes(*(value.shape for value in values))
@@ -355,7 +355,7 @@ def _common_shape(values: list[Matrix]) -> tuple[int, ...]:
         ) from None
 
 
-def _shape(arguments: list[Matrix]) -> tuple[int, ...]:
+def _shape(arguments: list[_Matrix]) -> tuple[int, ...]:
     """Shape that ``zeros`` and ``ones`` are asked for."""
     sizes = [float(n) for argument in arguments for n in argument.flatten()] or [1.0]
     if not all(n >= 0 and n == np.floor(n) and np.isfinite(n) for n in sizes) or len(sizes) > 2:
@@ -363,7 +363,7 @@ def _shape(arguments: list[Matrix]) -> tuple[int, ...]:
     return (int(sizes[0]), int(sizes[-1]))
 
 
-def _real(found: Matrix, arguments: list[Matrix]) -> Matrix:
+def _real(found: _Matrix, arguments: list[_Matrix]) -> _Matrix:
     """A result, unless it is not a number though all that it comes from are."""
     known = all(np.isfinite(_number(argument)).all() for argument in arguments)
     if known and np.isnan(_number(found)).any():
@@ -389,7 +389,7 @@ def _along(
 ) -> Callable[..., Any]:
     """A reduction along a dimension: the one asked for, or the first that is not 1."""
 
-    def reduced(value: Matrix, dimension: Matrix | None = None) -> Any:
+    def reduced(value: _Matrix, dimension: _Matrix | None = None) -> Any:
         if dimension is None:
             axis = 1 if value.shape[0] == 1 else 0
         elif dimension.size == 1 and dimension[0, 0] in (1.0, 2.0):
@@ -407,13 +407,13 @@ def _extreme(pair: Callable[..., Any], reduce: Callable[..., Any]) -> Callable[.
     """``max`` and ``min``: of two values, or along the first dimension."""
     along = _along(reduce)
 
-    def extreme(value: Matrix, other: Matrix | None = None) -> Any:
+    def extreme(value: _Matrix, other: _Matrix | None = None) -> Any:
         return along(value) if other is None else pair(value, other)
 
     return extreme
 
 
-def _size(value: Matrix, dimension: Matrix | None = None) -> Any:
+def _size(value: _Matrix, dimension: _Matrix | None = None) -> Any:
     if dimension is None:
         return np.array([value.shape], dtype=float)
     at = int(dimension[0, 0]) if dimension.size == 1 else 0
@@ -422,24 +422,24 @@ def _size(value: Matrix, dimension: Matrix | None = None) -> Any:
     return float(value.shape[at - 1])
 
 
-def _find(value: Matrix) -> Matrix:
+def _find(value: _Matrix) -> _Matrix:
     """Places that are not zero, along the value if it is a row."""
     at = np.flatnonzero(value.flatten(order="F")) + 1.0
     return at.reshape(1, -1) if value.shape[0] == 1 else at.reshape(-1, 1)
 
 
-def _rounded(value: Matrix) -> Matrix:
+def _rounded(value: _Matrix) -> _Matrix:
     """To whole numbers, halves away from zero."""
     return np.sign(value) * np.floor(np.abs(value) + 0.5)
 
 
-_SIGNS: dict[str, Callable[[Matrix], Matrix]] = {
+_SIGNS: dict[str, Callable[[_Matrix], _Matrix]] = {
     "+": _number,
     "-": lambda value: -_number(value),
     "~": lambda value: value == 0,
     "'": lambda value: value.T,
 }
-_OPERATORS: dict[str, Callable[[Matrix, Matrix], Any]] = {
+_OPERATORS: dict[str, Callable[[_Matrix, _Matrix], Any]] = {
     "+": np.add,
     "-": np.subtract,
     "*": np.multiply,
@@ -460,7 +460,7 @@ _OPERATORS: dict[str, Callable[[Matrix, Matrix], Any]] = {
     "|": np.logical_or,
     "||": np.logical_or,
 }
-_ELEMENTWISE: dict[str, Callable[[Matrix], Any]] = {
+_ELEMENTWISE: dict[str, Callable[[_Matrix], Any]] = {
     "sqrt": np.sqrt,
     "sin": np.sin,
     "cos": np.cos,
@@ -488,7 +488,7 @@ _ELEMENTWISE: dict[str, Callable[[Matrix], Any]] = {
     "isnan": np.isnan,
     "isinf": np.isinf,
 }
-_PAIRWISE: dict[str, Callable[[Matrix, Matrix], Any]] = {
+_PAIRWISE: dict[str, Callable[[_Matrix, _Matrix], Any]] = {
     "atan2": np.arctan2,
     "hypot": np.hypot,
     "power": np.power,

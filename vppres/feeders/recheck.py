@@ -33,8 +33,8 @@ SMALL_PU = 0.005
 """Differences below it need no cause."""
 
 
+# Tables of a finished run by name, as `Trajectory.tables`.
 Tables = Mapping[str, pd.DataFrame]
-"""Tables of a finished run by name, as :attr:`vppres.day.trajectory.Trajectory.tables`."""
 
 
 @dataclass(frozen=True, eq=False)
