@@ -199,6 +199,6 @@ def test_a_scheduler_that_is_not_there_is_refused_by_name(
 
 
 def test_without_dask_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(side_by_side, "find_spec", lambda name: None)
+    monkeypatch.setattr(side_by_side, "_dask_is_there", lambda: False)
     with pytest.raises(InputError, match=r'pip install "vppres\[cluster\]"'):
         results(square, [1], Where(scheduler="tcp://127.0.0.1:9"))

@@ -235,7 +235,7 @@ def _client(scheduler: str) -> Iterator[Any]:
     InputError
         If Dask is not installed, or no scheduler answers.
     """
-    if importlib.util.find_spec("distributed") is None:
+    if not _dask_is_there():
         raise InputError(
             _problem(
                 "scheduler",
@@ -263,6 +263,10 @@ def _client(scheduler: str) -> Iterator[Any]:
         ) from error
     with client:
         yield client
+
+
+def _dask_is_there() -> bool:
+    return importlib.util.find_spec("distributed") is not None
 
 
 def _check_workers(client: Any, expected: dict[str, str | None], package: str) -> None:
@@ -367,7 +371,5 @@ def by_name(function: Callable[[J], R]) -> Callable[[J], R]:
     spec = getattr(main, "__spec__", None)
     if function.__module__ != "__main__" or spec is None:
         return function
-    from importlib import import_module
-
-    found: Callable[[J], R] = getattr(import_module(spec.name), function.__qualname__)
+    found: Callable[[J], R] = getattr(importlib.import_module(spec.name), function.__qualname__)
     return found
