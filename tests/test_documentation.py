@@ -40,6 +40,7 @@ NOT_RUN = {
     "python -m benchmarks --time-limit 10 --jobs 1 --results elsewhere": "takes minutes",
     "python -m benchmarks --publish": "writes into the checkout",
     "make studies": "takes an hour",
+    "vppres report results/first --pdf": "needs a browser",
     "python -m experiments.campaign --days 500": "takes an hour",
     "python -m experiments.quiet_days --days 500": "takes minutes",
     "python -m experiments.alarms --days 200": "takes minutes",

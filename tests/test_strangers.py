@@ -143,7 +143,7 @@ def master(house: Path, *lines: str) -> Path:
 
 
 def test_the_circuit_without_hostile_lines_is_read(house: Path) -> None:
-    assert import_network(master(house)).network.buses.tolist() == ["src", "a"]
+    assert import_network(master(house)).network.buses.tolist() == ["vsource", "src", "a"]
 
 
 ROW = "mill.dss, row 6"
@@ -417,7 +417,7 @@ def test_controllers_are_left_out_and_not_imported(house: Path) -> None:
     file.write_text(made_of({"x": frame(controller)}))
     assert "pandapower.control.canary" not in sys.modules
     assert import_network(file).notes == (
-        "Controllers, time series and protection of the source are left out.",
+        "Controllers and protection of the source do not act; --profiles source takes its series.",
     )
 
 
@@ -567,6 +567,6 @@ def test_files_below_the_master_are_read_in_their_place(where: str, house: Path)
             "new energymeter.m line.head 1",
         )
     )
-    assert feeder.network.buses.tolist() == ["src", "a", "b"]
-    assert feeder.network.r_ohm.tolist() == pytest.approx([0.3, 0.2])
-    assert feeder.p_load_kw.tolist() == pytest.approx([0.0, 50.0, 10.0])
+    assert feeder.network.buses.tolist() == ["vsource", "src", "a", "b"]
+    assert feeder.network.r_ohm[1:].tolist() == pytest.approx([0.3, 0.2])
+    assert feeder.p_load_kw.tolist() == pytest.approx([0.0, 0.0, 50.0, 10.0])

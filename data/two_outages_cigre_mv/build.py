@@ -21,7 +21,9 @@ from vppres.feeders import import_network
 from vppres.feeders.new_options import NewScenarioOptions
 from vppres.feeders.new_scenario import new_scenario
 from vppres.io import write_scenario
+from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.source import Source
 
 NAME = "two-outages-cigre-mv"
 TITLE = "Two outages in two days on the CIGRE medium-voltage feeder, in quarter hours"
@@ -87,10 +89,21 @@ def build(seed: int = SEED) -> Scenario:
         name=NAME,
         title=TITLE,
         controller=ControllerDefaults(mode="paper"),
+        network=_series_only(day.network),
+        customers=replace(day.customers, power_factor=np.round(day.customers.power_factor, 6)),
+        export_limit_kw=np.zeros(()),
+        source=Source(),
         load_kw=np.round(day.load_kw * np.clip(noise, 0.5, 1.5), DIGITS),
         pv_kw=np.round(day.pv_kw * _clear(draw_clouds, times)[:, np.newaxis], DIGITS),
         grid_limit_kw=np.where(back, PARTIAL_KW, day.grid_limit_kw),
     )
+
+
+def _series_only(network: Network) -> Network:
+    """The feeder as the days were made for it: without charging and shunts, as in the paper."""
+    none = np.zeros(network.n_lines)
+    nowhere = np.zeros(network.n_buses)
+    return replace(network, b_us=none, g_us=none, **{name: nowhere for name in BUS_DRAWS})
 
 
 def write() -> None:

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from vppres.core.errors import Problem
 from vppres.core.text import visible
-from vppres.scenario.remarks import export_words, remarks
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
@@ -40,6 +39,8 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
+    from vppres.scenario.remarks import export_words, remarks
+
     return {
         "name": day.name,
         "title": day.title,
@@ -96,6 +97,8 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
 
 def remarks_text(day: Scenario, mode: str) -> str:
     """What to know beside the figures of a run, a line each; of very many the first."""
+    from vppres.scenario.remarks import remarks
+
     words = remarks(day, mode)
     more = (
         [f"{len(words) - REMARKS_SHOWN} more in the report."] if len(words) > REMARKS_SHOWN else []

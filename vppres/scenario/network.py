@@ -189,19 +189,25 @@ class Network:
                 value=bus,
             )
             for i, bus in enumerate(self.drawing_bus)
-            if bus not in known
+            # A copy with other lines keeps the names of buses that draw nothing.
+            if bus not in known and self._draws(i)
         ]
+
+    def _draws(self, row: int) -> bool:
+        """Whether a row of the drawing buses has any power."""
+        return any(len(values := getattr(self, name)) and values[row] for name in BUS_DRAWS)
 
     def _drawn_at(self, order: Names) -> dict[str, Any]:
         """What the buses draw by themselves, in the network's order; rows of a bus add up."""
         position = {bus: i for i, bus in enumerate(order)}
-        at = np.array([position[bus] for bus in self.drawing_bus], dtype=int)
+        rows = [i for i, bus in enumerate(self.drawing_bus) if bus in position]
+        at = np.array([position[self.drawing_bus[i]] for i in rows], dtype=int)
         drawn: dict[str, Any] = {"drawing_bus": order}
         for name in BUS_DRAWS:
             values = np.asarray(getattr(self, name), float)
             drawn[name] = np.zeros(len(order))
             if len(values):
-                np.add.at(drawn[name], at, values)
+                np.add.at(drawn[name], at, values[rows])
         return drawn
 
     @property
