@@ -21,7 +21,7 @@ from vppres.feeders import import_network
 from vppres.feeders.new_options import NewScenarioOptions
 from vppres.feeders.new_scenario import new_scenario
 from vppres.io import write_scenario
-from vppres.scenario.network import BUS_DRAWS, Network
+from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.source import Source
 
@@ -103,7 +103,15 @@ def _series_only(network: Network) -> Network:
     """The feeder as the days were made for it: without charging and shunts, as in the paper."""
     none = np.zeros(network.n_lines)
     nowhere = np.zeros(network.n_buses)
-    return replace(network, b_us=none, g_us=none, **{name: nowhere for name in BUS_DRAWS})
+    return replace(
+        network,
+        b_us=none,
+        g_us=none,
+        p_shunt_kw=nowhere,
+        q_shunt_kvar=nowhere,
+        p_fixed_kw=nowhere,
+        q_fixed_kvar=nowhere,
+    )
 
 
 def write() -> None:
