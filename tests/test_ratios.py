@@ -33,6 +33,8 @@ BASE_KV = 10.0
 B_US, G_US = 30.0, 4.0
 TAP = 1.04
 LOAD = {"c": (300.0, 120.0), "d": (500.0, -80.0)}
+# A source behind the tap holds the middle of what keeps both sides within 0.947 and 1.053 pu.
+HELD_PU = {"a": 1.02, "d": (0.947 + 1.053 / TAP) / 2}
 
 
 def tapped(turned: bool = False) -> Network:
@@ -67,7 +69,7 @@ def source_net(slack: str = "a") -> pp.pandapowerNet:
     # Behind the tap pandapower counts in pu of a base that is smaller by the ratio.
     kv = {"a": BASE_KV, "b": BASE_KV, "c": BASE_KV / TAP, "d": BASE_KV / TAP}
     at = {name: pp.create_bus(net, vn_kv=level, name=name) for name, level in kv.items()}
-    pp.create_ext_grid(net, at[slack], vm_pu=1.02 * BASE_KV / kv[slack])
+    pp.create_ext_grid(net, at[slack], vm_pu=HELD_PU[slack] * BASE_KV / kv[slack])
     base_ohm = {name: level**2 for name, level in kv.items()}
 
     def line(start: str, end: str, z_ohm: complex, y_us: complex) -> None:
@@ -228,6 +230,18 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     assert outcome.status == Status.OPTIMAL and dispatch is not None
     assert check_dispatch(*case, dispatch).worst[1] <= CHECKER_TOLERANCE
     assert outcome.value <= case.data.price_gbp_per_kwh @ answer.p_grid_kw * site.dt_h + 1e-5
+
+
+def test_an_island_behind_a_regulator_is_lit(tiny: Scenario) -> None:
+    """At 0.98 pu behind a tap of 6 % the empty bus before it would be at 0.925 pu."""
+    network = replace(tiny.network, v_slack_pu=0.98, ratio=[1 / 1.06, 1.0, 1.0])
+    assert network.held_pu.tolist() == pytest.approx([0.98] + 3 * [(0.947 * 1.06 + 1.053) / 2])
+    run = run_day(replace(tiny, network=network), RunOptions(mode="physical"))
+    lit = run.steps[run.steps["outage"]]
+    assert not lit["dark"].any()
+    assert (run.steps["fallback"] == "none").all()
+    assert lit["v_min_ac_pu"].min() > 0.947
+    assert lit["v_max_ac_pu"].max() < 1.053
 
 
 def test_a_dark_island_behind_a_tap_needs_no_fallback(tiny: Scenario) -> None:

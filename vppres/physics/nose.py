@@ -92,7 +92,7 @@ class _Tree:
         n = network.n_buses
         self.free = np.delete(np.arange(n), reference)
         self.reference = reference
-        self.v_source = float(network.v_slack_pu / network.bus_ratio[reference])
+        self.v_source = float(network.held_pu[reference] / network.bus_ratio[reference])
         self.z = (network.referred_r_ohm + 1j * network.referred_x_ohm) / network.base_kv**2
         self.s = s_mva
         shunts = kw_to_mw(network.shunt_kw) - 1j * kw_to_mw(network.shunt_kvar)

@@ -363,7 +363,7 @@ def _build(network: Network, reference: int) -> pp.pandapowerNet:
     """The pandapower net: one load per bus, shunts, one source, and lines of 1 km."""
     net = pp.create_empty_network()
     buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
-    v_source = network.v_slack_pu / network.bus_ratio[reference]
+    v_source = network.held_pu[reference] / network.bus_ratio[reference]
     pp.create_ext_grid(net, buses[reference], vm_pu=float(v_source))
     # The rating only serves pandapower's loading figure, which is not used.
     pp.create_lines_from_parameters(

@@ -277,6 +277,21 @@ class Network:
         return freeze(found)
 
     @cached_property
+    def held_pu(self) -> Floats:
+        """Voltage at which a source at each bus holds it, shape (N,).
+
+        The grid holds ``v_slack_pu``, and so does a battery that forms an island. Where taps are
+        off nominal, that could put buses beyond them outside their limits: there the battery holds
+        the middle of what keeps all voltages inside them at no load.
+        """
+        found = np.full(self.n_buses, self.v_slack_pu)
+        if self.has_ratios:
+            least = self.v_min_pu / self.bus_ratio.min()
+            most = self.v_max_pu / self.bus_ratio.max()
+            found[1:] = self.bus_ratio[1:] * (least + most) / 2
+        return freeze(found)
+
+    @cached_property
     def referred_r_ohm(self) -> Floats:
         """Series resistance referred to the slack bus, shape (L,)."""
         return freeze(self.r_ohm / self.bus_ratio[1:] ** 2)

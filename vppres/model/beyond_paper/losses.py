@@ -117,7 +117,7 @@ class Sweeps:
         z = (net.r_pu2_per_kw + 1j * net.x_pu2_per_kvar)[:, None]
         drawn = -(p_kw - net.p_fixed_kw + 1j * (q_kvar - net.q_fixed_kvar)).T
         shunt = (net.shunt_kw - 1j * net.shunt_kvar)[:, None]
-        v_source = float(net.v_slack_pu / net.bus_ratio[self.reference])
+        v_source = float(net.held_pu[self.reference] / net.bus_ratio[self.reference])
         v: Complexes = np.full(drawn.shape, v_source, dtype=complex)
         change = np.full(drawn.shape[1], np.inf)
         with np.errstate(all="ignore"):

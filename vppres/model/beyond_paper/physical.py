@@ -102,7 +102,7 @@ class PhysicalParameters:
         held = cp.sum(cp.multiply(self.held, v.u), axis=1)
         u_held: cp.Expression | float = net.v_slack_pu**2
         if net.has_ratios:
-            u_held = self.held @ net.u_pu2(np.full(net.n_buses, net.v_slack_pu))
+            u_held = self.held @ net.u_pu2(net.held_pu)
         return {
             "voltage_reference": held == u_held,
             "root_voltage_min": v.u[:, 0] >= self.u_root_min,
