@@ -52,9 +52,12 @@ class Recorded:
         self.curtailed_kw = self._array(trajectory.pv, "curtailed_kw")
         self.v_ac_pu = self._array(trajectory.buses, "v_ac_pu")
 
-    @property
+    @cached_property
     def battery_kw(self) -> Floats:
-        """Power of each battery, charging positive, shape (T, B)."""
+        """Power of each battery, charging positive, shape (T, B).
+
+        Made once: every step keeps its row, and with it the whole array.
+        """
         return np.asarray(self.charge_kw - self.discharge_kw)
 
     @property
