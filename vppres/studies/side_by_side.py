@@ -188,7 +188,11 @@ def _end_with(parent: int) -> None:
 def _on_cluster(
     function: Callable[[J], R], jobs: Sequence[J], scheduler: str
 ) -> Generator[Done[J, R] | Lost[J], None, None]:
-    """Jobs as tasks of a Dask cluster, keyed by what they depend on."""
+    """Jobs as tasks of a Dask cluster, keyed by what they depend on.
+
+    With a worker die the tasks that wait on it, and the scheduler gives all of them up after some
+    deaths. So those that it gave up go on alone, and the one to blame is found.
+    """
     with _client(scheduler) as client:
         from distributed import KilledWorker, as_completed
 
@@ -197,25 +201,42 @@ def _on_cluster(
         by_key: dict[str, list[J]] = {}
         for job in jobs:
             by_key.setdefault(_key(function, job, expected), []).append(job)
-        futures = [
-            client.submit(
-                _on_worker, function, alike[0], expected, key=key, pure=True, retries=RETRIES
+
+        def submitted(key: str, suffix: str = "") -> Any:
+            return client.submit(
+                _on_worker,
+                function,
+                by_key[key][0],
+                expected,
+                key=key + suffix,
+                pure=True,
+                retries=RETRIES,
             )
-            for key, alike in by_key.items()
-        ]
+
+        futures = {key: submitted(key) for key in by_key}
+        suspects: list[str] = []
         try:
-            for future in as_completed(futures, loop=client.loop):
+            for future in as_completed(futures.values(), loop=client.loop):
                 error = future.exception()
+                if isinstance(error, KilledWorker):
+                    suspects.append(future.key)
+                elif error is not None:
+                    raise error
+                else:
+                    yield from (Done(job, future.result()) for job in by_key[future.key])
+                future.release()
+            for key in suspects:
+                futures[key] = submitted(key, "-alone")
+                error = futures[key].exception()
                 if error is not None and not isinstance(error, KilledWorker):
                     raise error
-                for job in by_key[future.key]:
+                for job in by_key[key]:
                     if error is None:
-                        yield Done(job, future.result())
+                        yield Done(job, futures[key].result())
                     else:
-                        yield Lost(job, f"Its worker died each time. {_line(error)}")
-                future.release()
+                        yield Lost(job, f"Its worker died each time, alone too. {_line(error)}")
         finally:
-            client.cancel(futures)
+            client.cancel(list(futures.values()))
 
 
 def _on_worker(function: Callable[[J], R], job: J, expected: dict[str, str | None]) -> R:
