@@ -73,10 +73,19 @@ class Program:
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
 
-    def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
-        """A solver that has the program."""
+    def loaded(self, gap_abs: float = 0.0, enough: float = -np.inf) -> highspy.Highs:
+        """A solver that has the program.
+
+        A search ends at the first value of ``enough`` or less: one that nothing can be below.
+        """
         solver = highspy.Highs()
-        options = {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "threads": 1}
+        options = {
+            "output_flag": False,
+            "mip_rel_gap": 0.0,
+            "mip_abs_gap": gap_abs,
+            "objective_target": enough,
+            "threads": 1,
+        }
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
@@ -188,6 +197,7 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     """What HiGHS's end is worth."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
+        highspy.HighsModelStatus.kObjectiveTarget: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
         highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
     }
