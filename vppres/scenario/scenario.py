@@ -14,6 +14,7 @@ from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
@@ -54,6 +55,7 @@ class ControllerDefaults:
     horizon_h: float = default_of("horizon_h")
     mode: str = default_of("mode")
     soc_end: float | None = default_of("soc_end")
+    outages: str = default_of("outages")
 
 
 def _zero() -> Floats:
@@ -96,6 +98,10 @@ class Scenario:
         Where the feeder comes from; it changes no result.
     voll_gbp_per_kwh : float
         Value of lost load, at which the report prices energy that was not supplied.
+    warnings : tuple of OutageWarning
+        Messages about outages, for runs that do not know them.
+    outage_statistics : OutageStatistics
+        Outages that nobody announces, for the same runs.
     """
 
     name: str
@@ -118,6 +124,8 @@ class Scenario:
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
+    warnings: tuple[OutageWarning, ...] = ()
+    outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
 
     def __post_init__(self) -> None:
         freeze_fields(
