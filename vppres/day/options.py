@@ -39,8 +39,10 @@ class RunOptions:
         What is known of outages ahead; None leaves it to the scenario.
     solver, method : str
         Names in the solver table and of the method.
+    forecaster : {"paper", "seasonal"}
+        Who forecasts load and PV power: the paper's error model, or what was measured before.
     errors : ForecastErrors
-        Forecast errors of load and PV.
+        Forecast errors of the paper's forecaster.
     thermal : ThermalScheme
         Battery heating.
     seed : int
@@ -85,6 +87,7 @@ class RunOptions:
     outages: str | None = None
     solver: str = default_of("solver")
     method: str = default_of("method")
+    forecaster: str = default_of("forecaster")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")

@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.export import Export
-from vppres.contract.forecast import Forecast, Forecaster
+from vppres.contract.forecast import Forecast
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
+from vppres.day.forecasting import Forecasts
 from vppres.day.options import PERFECT
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
@@ -117,7 +118,7 @@ class OutageView:
         grid: GridSeen,
         scenario: Scenario,
         row: int,
-        forecaster: Forecaster,
+        forecaster: Forecasts,
     ) -> Observation:
         """An observation without what nobody can know.
 

@@ -12,6 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -102,6 +103,8 @@ class Scenario:
         Messages about outages, for runs that do not know them.
     outage_statistics : OutageStatistics
         Outages that nobody announces, for the same runs.
+    history : History, optional
+        What was measured before the first step, for forecasters that learn from it.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Scenario:
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
     warnings: tuple[OutageWarning, ...] = ()
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
+    history: History | None = None
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -180,6 +184,8 @@ class Scenario:
     def between(self, first: int, last: int) -> Scenario:
         """The same scenario from step ``first`` on, up to but without step ``last``.
 
+        Where it has a history, the steps before join it.
+
         Examples
         --------
         >>> from vppres.io.find import load_scenario
@@ -193,7 +199,10 @@ class Scenario:
             n_steps=last - first,
         )
         rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}
-        return replace(self, grid=grid, **rows)
+        history = self.history
+        if history is not None:
+            history = history.followed_by(self.grid.start, self.load_kw[:first], self.pv_kw[:first])
+        return replace(self, grid=grid, history=history, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
         """The same scenario with one outage over the half-open interval ``[start, end)``."""
