@@ -56,7 +56,7 @@ class Program:
         """The program with rows ``lower <= rows @ x <= upper`` more."""
         return replace(
             self,
-            rows=sp.csc_array(sp.vstack([self.rows, rows])),
+            rows=stacked(self.rows, rows),
             lower=np.append(self.lower, lower),
             upper=np.append(self.upper, upper),
         )
@@ -73,19 +73,10 @@ class Program:
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
 
-    def loaded(self, gap_abs: float = 0.0, enough: float = -np.inf) -> highspy.Highs:
-        """A solver that has the program.
-
-        A search ends at the first value of ``enough`` or less: one that nothing can be below.
-        """
+    def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
+        """A solver that has the program."""
         solver = highspy.Highs()
-        options = {
-            "output_flag": False,
-            "mip_rel_gap": 0.0,
-            "mip_abs_gap": gap_abs,
-            "objective_target": enough,
-            "threads": 1,
-        }
+        options = {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "threads": 1}
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
@@ -167,6 +158,25 @@ class ProgramSolution:
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
 
 
+def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:
+    """Two sparse arrays of as many columns, one above the other; SciPy takes eight times as long.
+
+    >>> stacked(sp.csc_array([[1.0, 0.0]]), sp.csc_array([[2.0, 3.0]])).toarray().tolist()
+    [[1.0, 0.0], [2.0, 3.0]]
+    """
+    # Before a column's own entries stand those of earlier columns from the other array too.
+    first = np.arange(above.nnz) + np.repeat(below.indptr[:-1], np.diff(above.indptr))
+    second = np.arange(below.nnz) + np.repeat(above.indptr[1:], np.diff(below.indptr))
+    values = np.empty(above.nnz + below.nnz)
+    values[first] = above.data
+    values[second] = below.data
+    rows = np.empty(len(values), dtype=above.indices.dtype)
+    rows[first] = above.indices
+    rows[second] = below.indices + above.shape[0]
+    shape = (above.shape[0] + below.shape[0], above.shape[1])
+    return sp.csc_array((values, rows, above.indptr + below.indptr), shape=shape)
+
+
 def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
     """The arrays that cvxpy hands to HiGHS for the parameters' present values.
 
@@ -197,7 +207,6 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     """What HiGHS's end is worth."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
-        highspy.HighsModelStatus.kObjectiveTarget: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
         highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
     }

@@ -35,9 +35,6 @@ LOSSY_GAP_SHARE = 0.4
 number, most of it, since the levels after it are exact; where PV power must be lost, less, since
 they have to weigh the loss again."""
 
-HALF_UNIT = 0.5
-"""What a whole number may miss a bound by and still be the number itself."""
-
 DEMAND_GAP_REL = 1e-4
 """Gap of the search for whom to serve with the PV power that would be lost: the demand that is
 asked for is met either way, and a tenth of a per mille more costs nothing that counts."""
@@ -152,7 +149,6 @@ class Counts:
         self.reach = Reach(model)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
-        self.proven: dict[bytes, float] = {}
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
@@ -285,17 +281,9 @@ class Counts:
         if whole:
             # Below one unit a whole number is known; a window of many units needs no such proof.
             gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
-        if not whole:
-            return self._solve(program, layout, gap, integer, deadline)
-        # What fewer cuts have proven holds with more: whoever serves as much is the best.
-        proven = self.proven.get(block.tobytes(), -np.inf)
-        found = self._solve(program, layout, gap, integer, deadline, proven + HALF_UNIT)
-        if not found.status.has_answer:
-            return found
+        found = self._solve(program, layout, gap, integer, deadline)
         # Service is whole, so its bound may be rounded.
-        bound = max(float(np.ceil(found.bound - TOLERANCE)), proven)
-        self.proven[block.tobytes()] = bound
-        return replace(found, bound=bound)
+        return replace(found, bound=float(np.ceil(found.bound - TOLERANCE))) if whole else found
 
     def _least(self, free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
         """Least cost of so many units."""
@@ -343,17 +331,11 @@ class Counts:
         )
 
     def _solve(
-        self,
-        program: Program,
-        layout: _Layout,
-        gap_abs: float,
-        integer: bool,
-        deadline: Deadline,
-        enough: float = -np.inf,
+        self, program: Program, layout: _Layout, gap_abs: float, integer: bool, deadline: Deadline
     ) -> _Found:
-        """Solve a program once; ``enough`` is a value that nothing is below."""
+        """Solve a program once."""
         whole = program if integer else replace(program, integer=np.arange(0))
-        answer = ProgramSolution.of(whole.loaded(gap_abs, enough), deadline)
+        answer = ProgramSolution.of(whole.loaded(gap_abs), deadline)
         served = self.able.copy()
         if answer.status.has_answer:
             counts = answer.x[layout.counts]
