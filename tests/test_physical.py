@@ -12,7 +12,9 @@ import scipy.sparse as sp
 
 from experiments.islands import claims_of, imbalance_kw, random_day
 from experiments.random_feeders import Window, random_scenario, random_window
+from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
@@ -41,10 +43,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.programs import Program
-from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.result import WindowSolution
 
-CHECKER_TOLERANCE = 1e-5
-BOUND_TOLERANCE = 1e-6
 WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 DAYS = tuple(range(14))
 PAPER_R = 0.9207
@@ -102,24 +102,14 @@ def physical_window(seed: int, stressed: bool) -> Window:
 def physical_answers(seed: int, stressed: bool) -> tuple[Window, list[WindowSolution]]:
     case = physical_window(seed, stressed)
     site = Site.of(case.scenario)
-    return case, [
-        WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
-    ]
+    return case, both_methods(site, case.data)
 
 
 @pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), WINDOWS)
 def test_decomposed_equals_monolithic_with_losses_and_headroom(seed: int, stressed: bool) -> None:
     case, answers = physical_answers(seed, stressed)
-    whole = case.scenario.customers.weight.sum() * case.scenario.grid.dt_h * case.data.n_steps
-    gap, best = SolveLimits().absolute(whole), max(a.objective for a in answers)
-    for answer in answers:
-        check = check_dispatch(*case, answer.dispatch)
-        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
-        assert answer.bound >= best - BOUND_TOLERANCE
-        assert answer.objective >= best - gap
-        assert answer.status == "optimal"
+    assert_agree(case.scenario, case.data, answers)
 
 
 def test_windows_have_losses_islands_and_headroom() -> None:

@@ -9,6 +9,7 @@ import pandapower as pp
 import pytest
 
 from experiments.random_feeders import Window, random_window
+from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import without_devices
 from tests.support.small_windows import CHECKER_TOLERANCE
@@ -27,7 +28,7 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
-from vppres.solve.result import SolveLimits, Status
+from vppres.solve.result import Status
 
 BASE_KV = 10.0
 B_US, G_US = 30.0, 4.0
@@ -207,17 +208,8 @@ def with_transformers(case: Window, seed: int) -> Window:
 def test_masters_and_monolith_agree_on_a_network_with_ratios_and_shunts(seed: int) -> None:
     case = with_transformers(random_window(seed, stressed=seed % 2 == 1), seed)
     site = Site.of(case.scenario)
-    answers = [
-        WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
-    ]
-    whole = case.scenario.customers.weight.sum() * case.scenario.grid.dt_h * case.data.n_steps
-    gap, best = SolveLimits().absolute(whole), max(a.objective for a in answers)
-    for answer in answers:
-        check = check_dispatch(*case, answer.dispatch)
-        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
-        assert answer.bound >= best - 1e-6
-        assert answer.objective >= best - gap
+    answers = both_methods(site, case.data)
+    assert_agree(case.scenario, case.data, answers)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 5, 8])  # with weights on a grid

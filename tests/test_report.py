@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.made_up_runs import (
+    SECTIONS_OF_A_DAY,
     SERVED,
     day_run,
     day_scenario,
@@ -30,18 +31,6 @@ from vppres.report.plots import FIGURES, RUN_FIGURES, save_figures
 from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
 from vppres.scenario.network import Network
-
-KEYS = [
-    "overview",
-    "timeline",
-    "service",
-    "feeder",
-    "energy",
-    "network",
-    "figures",
-    "solver",
-    "assumptions",
-]
 
 
 @pytest.fixture(scope="module")
@@ -99,15 +88,15 @@ def test_the_report_needs_nothing_beside_it(report: str) -> None:
     own = re.sub(r"<script>.*?</script>", "", report, flags=re.DOTALL)
     assert {link.partition(",")[0] for link in re.findall(r'(?:src|href)="([^"]*)', own)} == {
         "data:image/svg+xml;base64",
-        *(f"#{key}" for key in KEYS),
+        *(f"#{key}" for key in SECTIONS_OF_A_DAY),
     }
     assert not re.search(r"https?://", own)
     assert "default-src 'none'" in report
 
 
 def test_all_sections_are_there_in_order(report: str) -> None:
-    assert re.findall(r'<section id="(\w+)">', report) == KEYS
-    assert len(SECTIONS) == len(KEYS) + 2  # no explanation here, and only one day
+    assert re.findall(r'<section id="(\w+)">', report) == SECTIONS_OF_A_DAY
+    assert len(SECTIONS) == len(SECTIONS_OF_A_DAY) + 2  # no explanation here, and only one day
 
 
 def test_every_figure_is_in_the_report(report: str) -> None:
@@ -128,7 +117,7 @@ def test_the_size_is_stated_and_kept(report: str) -> None:
 def test_a_static_report_has_no_charts_and_is_small(folder: Path) -> None:
     run = read_run(folder)
     text = render_report(run, summarise(run), folder / "figures", interactive=False)
-    assert re.findall(r'<section id="(\w+)">', text) == KEYS
+    assert re.findall(r'<section id="(\w+)">', text) == SECTIONS_OF_A_DAY
     assert "Plotly" not in text
     assert "chart-" not in text
     assert 'class="replaced"' not in text
@@ -147,7 +136,7 @@ def test_a_static_report_has_no_charts_and_is_small(folder: Path) -> None:
 def test_reports_of_unusual_days(scenario, folder: Path) -> None:
     run = small_run(scenario)
     text = render_report(run, summarise(run), folder / "figures")
-    assert re.findall(r'<section id="(\w+)">', text) == KEYS
+    assert re.findall(r'<section id="(\w+)">', text) == SECTIONS_OF_A_DAY
     assert "alert(1)</script>" not in text
 
 

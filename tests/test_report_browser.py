@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.made_up_runs import day_run, day_scenario
+from tests.support.made_up_runs import SECTIONS_OF_A_DAY, day_run, day_scenario
 from vppres.report.run_folder import write_run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -21,17 +21,6 @@ BROWSER = next(
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on the path")
 
 LOCAL = ("file:", "data:", "blob:")
-SECTIONS = [
-    "overview",
-    "timeline",
-    "service",
-    "feeder",
-    "energy",
-    "network",
-    "figures",
-    "solver",
-    "assumptions",
-]
 WORST = 17  # of the made-up day: the last step of the outage serves the least
 DESKTOP = {"width": 1280, "height": 900}
 
@@ -74,7 +63,9 @@ def show(page: Any, step: int) -> None:
 
 def test_all_sections_are_seen(opened: tuple[Any, list[str], list[str]]) -> None:
     page = opened[0]
-    assert page.locator("section").evaluate_all("all => all.map(one => one.id)") == SECTIONS
+    assert (
+        page.locator("section").evaluate_all("all => all.map(one => one.id)") == SECTIONS_OF_A_DAY
+    )
     heights = page.locator("section").evaluate_all("all => all.map(one => one.offsetHeight)")
     assert min(heights) > 100
     assert page.evaluate("document.documentElement.scrollWidth") <= DESKTOP["width"]

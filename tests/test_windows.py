@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import Window, random_state, random_window
+from tests.support.agreement import BOUND_TOLERANCE, assert_agree, assert_sound
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,
@@ -34,7 +34,6 @@ from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
 
-BOUND_TOLERANCE = 1e-6
 RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(100)]
 NEGATIVE_PRICES = [(seed, stressed) for stressed in (False, True) for seed in range(0, 36, 3)]
 CONE_WINDOWS = [(seed, True) for seed in range(11, 22)]
@@ -386,32 +385,6 @@ def packaged_solvers(packaged: Scenario) -> dict[tuple[str, str], WindowSolver]:
         key: WindowSolver(Site.of(packaged), *key)
         for key in (("decomposed", "highs"), ("monolithic", "highs"), ("monolithic", "scip"))
     }
-
-
-def largest_objective(scenario: Scenario, data: WindowData) -> float:
-    """f1 with everybody served in every step."""
-    return float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
-
-
-def assert_sound(scenario: Scenario, data: WindowData, answer: WindowSolution) -> None:
-    """The dispatch satisfies every equation, its objective is what it says, its bound above it."""
-    check = check_dispatch(scenario, data, answer.dispatch)
-    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
-    assert answer.bound >= answer.objective - BOUND_TOLERANCE
-    assert answer.status == "optimal"
-    assert answer.gap <= SolveLimits().gap_rel
-    assert answer.gap_abs <= SolveLimits().gap_abs
-
-
-def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowSolution]) -> None:
-    """Objectives are equal within the gap, and no bound lies below any dispatch's objective."""
-    gap = SolveLimits().absolute(largest_objective(scenario, data))
-    best = max(answer.objective for answer in answers)
-    for answer in answers:
-        assert_sound(scenario, data, answer)
-        assert answer.objective >= best - gap
-        assert answer.bound >= best - BOUND_TOLERANCE
 
 
 @pytest.mark.monolith

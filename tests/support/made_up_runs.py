@@ -26,6 +26,19 @@ OPTIONS = {
     "thermal": "off",
 }
 
+SECTIONS_OF_A_DAY = [
+    "overview",
+    "timeline",
+    "service",
+    "feeder",
+    "energy",
+    "network",
+    "figures",
+    "solver",
+    "assumptions",
+]
+"""Of a report of one day without explanations, in order."""
+
 
 def batteries(bus: list[int], energy_kwh: float) -> Batteries:
     """Equal batteries, one at each bus, with the paper's constants."""

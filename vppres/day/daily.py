@@ -42,11 +42,7 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
         return np.asarray(np.add.reduceat(np.asarray(values, dtype=float), first))
 
     outage = steps["outage"].to_numpy(bool)
-    connected = ~outage
-    p_grid_kw = steps["p_grid_kw"].to_numpy(float) * connected
-    if run.scenario.exports:
-        p_grid_kw = np.maximum(p_grid_kw, 0.0)
-    earned = run.scenario.export_price[: len(steps)]
+    export_price = run.scenario.export_price[: len(steps)]
     demand = demand_kw(run)
     served = run.customers["served"].to_numpy(bool).reshape(len(steps), -1)
     weight = run.scenario.customers.weight
@@ -67,13 +63,13 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
             "unserved_customer_h": dt_h * total((~served).sum(axis=1)),
             "demand_kwh": dt_h * total(demand),
             "unserved_kwh": dt_h * total(demand - served_kw(run)),
-            "import_kwh": dt_h * total(p_grid_kw),
+            "import_kwh": dt_h * total(run.imported_kw),
             "pv_available_kwh": dt_h * total(pv_available_kw(run)),
             "pv_curtailed_kwh": dt_h * total(per_step(run, run.pv["curtailed_kw"], run.pv)),
             "losses_kwh": dt_h * total(steps["losses_kw"].to_numpy(float)),
-            "cost_gbp": dt_h * total(price * p_grid_kw),
+            "cost_gbp": dt_h * total(price * run.imported_kw),
             "export_kwh": dt_h * total(run.exported_kw),
-            "export_revenue_gbp": dt_h * total(earned * run.exported_kw),
+            "export_revenue_gbp": dt_h * total(export_price * run.exported_kw),
             "stored_start_kwh": stored[first],
             "stored_end_kwh": stored[np.append(first[1:], len(steps))],
             "v_min_ac_pu": np.minimum.reduceat(steps["v_min_ac_pu"].to_numpy(float), first),

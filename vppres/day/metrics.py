@@ -300,9 +300,10 @@ def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:
 
 
 def _imported_kw(trajectory: Trajectory) -> pd.Series:
-    """Import of the steps with a grid; an import-only meter counts backwards, as the paper's."""
-    p_grid_kw = _connected(trajectory)["p_grid_kw"]
-    return p_grid_kw.clip(lower=0.0) if trajectory.scenario.exports else p_grid_kw
+    """Import of the steps with a grid."""
+    steps = trajectory.steps
+    connected = ~steps["outage"].astype(bool)
+    return pd.Series(trajectory.imported_kw, steps.index)[connected]
 
 
 def _connected(trajectory: Trajectory) -> pd.DataFrame:

@@ -161,6 +161,14 @@ class Trajectory:
     shadow_prices: pd.DataFrame | None = None
 
     @property
+    def imported_kw(self) -> Floats:
+        """Import in the AC power flow, shape (T,); an import-only meter counts backwards too."""
+        p_grid_kw = self.steps["p_grid_kw"].to_numpy(float)
+        if self.scenario.exports:
+            p_grid_kw = np.maximum(p_grid_kw, 0.0)
+        return np.where(self.steps["outage"].to_numpy(bool), 0.0, p_grid_kw)
+
+    @property
     def exported_kw(self) -> Floats:
         """Export in the AC power flow, shape (T,); a surplus of an import-only meter is none."""
         if not self.scenario.exports:

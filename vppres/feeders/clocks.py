@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
@@ -132,25 +133,19 @@ def in_utc(
     where, field : str
         File and column, for messages.
     """
-    empty = pd.DatetimeIndex([], tz="UTC")
     dated, bad = _dated(times)
     if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        return empty, [
+        return _refused(
+            times,
+            bad,
             Problem(
-                where,
-                "is not an ISO 8601 time",
-                "Write it like 2022-07-19T12:00:00Z.",
-                row=first + 2,
-                field=field,
-                value=str(times[first])[:60],
-                more=int(bad.sum()) - 1,
-            )
-        ]
+                where, "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z.", field=field
+            ),
+        )
     if dated.tz is not None:
         return dated.tz_convert("UTC"), []
     if zone is None:
-        return empty, [
+        return pd.DatetimeIndex([], tz="UTC"), [
             Problem(
                 where,
                 "has no time zone",
@@ -179,36 +174,40 @@ def _localised(
     clock: pd.DatetimeIndex, zone: str, where: str, field: str
 ) -> tuple[pd.DatetimeIndex, list[Problem]]:
     """Clock times in UTC; the second of two equal hours is the later one."""
-    local = clock.tz_localize(ZoneInfo(zone), ambiguous=True, nonexistent="NaT")
-    skipped = np.asarray(local.isna())
+    place = ZoneInfo(zone)
+    skipped = np.asarray(clock.tz_localize(place, ambiguous=True, nonexistent="NaT").isna())
     if skipped.any():
-        first = int(np.flatnonzero(skipped)[0])
-        return pd.DatetimeIndex([], tz="UTC"), [
+        return _refused(
+            clock,
+            skipped,
             Problem(
                 where,
                 f"is a time that the clocks of {zone} skip",
                 "Write the times with their offset, or give the zone that they are in.",
-                row=first + 2,
                 field=field,
-                value=str(clock[first]),
-                more=int(skipped.sum()) - 1,
-            )
-        ]
-    twice = np.asarray(clock.tz_localize(ZoneInfo(zone), ambiguous="NaT").isna())
-    again = clock.duplicated()
+            ),
+        )
+    twice = np.asarray(clock.tz_localize(place, ambiguous="NaT").isna())
     once = twice & ~clock.duplicated(keep=False)
     if once.any():
-        first = int(np.flatnonzero(once)[0])
-        return pd.DatetimeIndex([], tz="UTC"), [
+        return _refused(
+            clock,
+            once,
             Problem(
                 where,
                 f"is a time that the clocks of {zone} show twice, and it is there once",
                 "Write the times with their offset, or give both hours.",
-                row=first + 2,
                 field=field,
-                value=str(clock[first]),
-                more=int(once.sum()) - 1,
-            )
-        ]
-    summer = ~again  # the first time through the hour the clocks are not yet put back
-    return clock.tz_localize(ZoneInfo(zone), ambiguous=summer).tz_convert("UTC"), []
+            ),
+        )
+    summer = ~clock.duplicated()  # the first time through the hour clocks are not yet put back
+    return clock.tz_localize(place, ambiguous=summer).tz_convert("UTC"), []
+
+
+def _refused(
+    times: pd.Index, bad: np.ndarray, problem: Problem
+) -> tuple[pd.DatetimeIndex, list[Problem]]:
+    """No times, and the problem of the first that is bad; others of its kind are counted."""
+    first = int(np.flatnonzero(bad)[0])
+    told = replace(problem, row=first + 2, value=str(times[first])[:60], more=int(bad.sum()) - 1)
+    return pd.DatetimeIndex([], tz="UTC"), [told]

@@ -18,6 +18,7 @@ from vppres.feeders.profile_files import units_missing
 from vppres.feeders.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
+from vppres.scenario.network import BusId
 from vppres.scenario.timegrid import TimeGrid
 
 OF_SYSTEM = ("price_gbp_per_kwh", "temperature_c")
@@ -273,19 +274,21 @@ def _loads(
 ) -> tuple[Floats, list[str]]:
     """Demand of the customers, (T, C): their own series, or the sum of their loads'."""
     loads = feeder.loads
+    at_bus: dict[BusId, list[int]] = {}
+    for e, bus in enumerate(loads.bus):
+        at_bus.setdefault(bus, []).append(e)
     load_kw = np.outer(shape, assets.peak_kw)
     without: list[str] = []
     for i, (name, bus) in enumerate(zip(assets.customers.id, assets.customers.bus, strict=True)):
         if ("customer", i) in placed:
             load_kw[:, i] = placed["customer", i]
             continue
-        mine = np.flatnonzero(np.array([b == bus for b in loads.bus], dtype=bool))
-        given = [e for e in mine if ("load", int(e)) in placed]
+        given = [e for e in at_bus.get(bus, []) if ("load", e) in placed]
         rest_kw = assets.peak_kw[i] - loads.p_kw[given].sum()
         if not given or abs(rest_kw) > 1e-6:
             without.append(str(name))
         if given:
-            own = np.sum([placed["load", int(e)] for e in given], axis=0)
+            own = np.sum([placed["load", e] for e in given], axis=0)
             load_kw[:, i] = own + shape * (rest_kw if abs(rest_kw) > 1e-6 else 0.0)
     return load_kw, [_invented(without, len(assets.customers), "Load")] if without else []
 
@@ -297,7 +300,7 @@ def _systems(
     shape_kw: Floats,
 ) -> tuple[Floats, list[str]]:
     """Available power of the systems, (T, P): their own series, or the sum of their elements'."""
-    table = generator_table(feeder)
+    most_kw = generator_table(feeder)["p_max_kw"].to_numpy(float)
     pv_kw = shape_kw.copy()
     parts: dict[int, list[int]] = {}
     for e, position in enumerate(assets.of_generator):
@@ -308,9 +311,9 @@ def _systems(
         if ("system", i) in placed:
             pv_kw[:, i] = placed["system", i]
             continue
-        given = [e for e in parts.get(i, []) if ("generator", e) in placed]
-        rest_kw = table["p_max_kw"].to_numpy(float)[parts.get(i, [])].sum()
-        rest_kw -= table["p_max_kw"].to_numpy(float)[given].sum()
+        mine = parts.get(i, [])
+        given = [e for e in mine if ("generator", e) in placed]
+        rest_kw = most_kw[mine].sum() - most_kw[given].sum()
         if not given or rest_kw > 1e-6:
             without.append(str(name))
         if given:

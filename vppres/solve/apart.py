@@ -22,6 +22,9 @@ from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 SolveStep = Callable[[WindowData, SolveLimits], WindowSolution]
 
+LEAST_S = 0.01
+"""What a step may take where earlier ones have used up the time: its grace is for an answer."""
+
 
 def falls_apart(site: Site, data: WindowData) -> bool:
     """Whether a window has several steps and nothing that joins them."""
@@ -58,14 +61,13 @@ def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> Wind
     return _joined(steps, limits, deadline)
 
 
-LEAST_S = 0.01
-"""What a step may take where earlier ones have used up the time: its grace is for an answer."""
-
-
 def _joined(
     steps: Sequence[WindowSolution], limits: SolveLimits, deadline: Deadline
 ) -> WindowSolution:
-    """The window of these steps: all figures are sums."""
+    """The window of these steps: all figures are sums.
+
+    So the gap of cost is that of sets that serve as much in each step, not in all together.
+    """
     objective = sum(step.objective for step in steps)
     bound = sum(step.bound for step in steps)
     losses = [step.loss_kw for step in steps if step.loss_kw is not None]

@@ -62,8 +62,11 @@ TOLERANCE = 1e-6
 """Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
 def applies(site: Site, data: WindowData) -> bool:
-    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid."""
-    plain = not data.physical and data.switching is None
+    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
+
+    Service is counted in whole units here, so none of it may be later service.
+    """
+    plain = not data.physical and data.switching is None and not data.keeps_service
     return plain and weight_grid(site.customers.weight * site.dt_h) > 0.0
 
 
@@ -339,13 +342,18 @@ class NetworkMaster:
     def price(self) -> tuple[Wholes, Floats]:
         """Columns of import and export and what they cost for a step, in GBP/kW.
 
-        Behind them what is missing at the end, in GBP/kWh.
+        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
         """
         columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
         prices = [self.data.price_gbp_per_kwh]
         if self.data.export is not None:
             prices.append(-self.data.export.price_gbp_per_kwh)
         values = (np.column_stack(prices) * self.site.dt_h).ravel()
+        if self.data.stored_value is not None:
+            kept = self.model.at["kept"].ravel()
+            return np.append(columns.ravel(), kept), np.append(
+                values, -self.data.stored_value.gbp_as_cost
+            )
         if self.data.terminal is None:
             return columns.ravel(), values
         missing = self.model.at["missing"].ravel()

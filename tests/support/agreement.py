@@ -1,0 +1,48 @@
+"""The ladder beside the whole problem: both answers of a window, checked by code that is neither."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import CHECKER_TOLERANCE
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import METHODS, WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+
+BOUND_TOLERANCE = 1e-6
+
+
+def both_methods(site: Site, data: WindowData) -> list[WindowSolution]:
+    """The window's answers by the ladder and by the monolith."""
+    return [WindowSolver(site, method).solve(data) for method in METHODS]
+
+
+def largest_objective(scenario: Scenario, data: WindowData) -> float:
+    """f1 with everybody served in every step."""
+    return float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
+
+
+def assert_sound(scenario: Scenario, data: WindowData, answer: WindowSolution) -> None:
+    """The dispatch satisfies every equation, its objective is what it says, its bound above it."""
+    check = check_dispatch(scenario, data, answer.dispatch)
+    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
+    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    assert answer.bound >= answer.objective - BOUND_TOLERANCE
+    assert answer.status == "optimal"
+    assert answer.gap <= SolveLimits().gap_rel
+    assert answer.gap_abs <= SolveLimits().gap_abs
+
+
+def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowSolution]) -> None:
+    """Objectives are equal within the gap, and no bound lies below any dispatch's objective."""
+    gap = SolveLimits().absolute(largest_objective(scenario, data))
+    best = max(answer.objective for answer in answers)
+    for answer in answers:
+        assert_sound(scenario, data, answer)
+        assert answer.objective >= best - gap
+        assert answer.bound >= best - BOUND_TOLERANCE
