@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decider
-from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
@@ -22,6 +22,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
+from vppres.day.forecasting import PAPER, forecasts_of, history_before
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
@@ -31,11 +32,14 @@ from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
+from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
 ENDLESS = 2**40
 """Steps that a controller may be fed with in its life."""
+REMEMBERED_DAYS = 100
+"""Days of measurements that a controller keeps, more than any forecaster looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +287,9 @@ class Controller:
         window = self._window(seen.t)
         ends = window.stop == self.scenario.grid.n_steps
         seen = seen.window(window)
-        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(
-            0, range(seen.scenario.grid.n_steps)
+        remembered = replace(seen.scenario, history=past.history)
+        forecast = forecasts_of(remembered, self.options, ForecastErrors()).at(
+            0, range(len(window))
         )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
@@ -328,6 +333,7 @@ class Controller:
                 day.switching,
                 day.plant.cold_load,
                 record.customers["served"],
+                past.with_measured(scenario),
             ),
         )
 
@@ -341,11 +347,21 @@ class _Past:
     switching: SwitchingState | None
     cold_load: ColdLoad
     served: Flags | None
+    history: History | None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> _Past:
         day = Day(scenario, options)
-        return cls(-1, None, day.switching, day.plant.cold_load, None)
+        history = None if options.forecaster == PAPER else history_before(scenario)
+        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
+
+    def with_measured(self, now: Scenario) -> History | None:
+        """The history with the first step of a window; None where no forecaster learns from it."""
+        if self.history is None:
+            return None
+        return self.history.followed_by(now.grid.start, now.load_kw[:1], now.pv_kw[:1]).last_days(
+            REMEMBERED_DAYS
+        )
 
     def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
         """Switching state and cold load at a step, set-points held over those in between."""
