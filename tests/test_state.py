@@ -27,6 +27,7 @@ from vppres.live.controller import Controller, SetPoints
 from vppres.live.feed import Feed
 from vppres.live.measurement import Measurement
 from vppres.live.memory import Memory
+from vppres.scenario.history import History
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -79,15 +80,19 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
     [
         RunOptions(horizon_h=1.0, switching=RULES, protect_critical=True),
         RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
+        RunOptions(horizon_h=1.0, forecaster="seasonal"),
         RunOptions("full-horizon", mode="physical"),
-        RunOptions("full-horizon"),
         RunOptions("reserve"),
     ],
-    ids=["rules", "physical", "full-physical", "full", "reserve"],
+    ids=["rules", "physical", "seasonal", "full", "reserve"],
 )
 def test_a_relay_of_controllers_decides_as_one(tiny: Scenario, options: RunOptions) -> None:
     """Every step by a controller that knows of the ones before only what a file held."""
     day = stormy(tiny, 15 if options.controller == "mpc" else 8)
+    if options.forecaster == "seasonal":
+        before = repeated(stormy(tiny), 72, "2025-06-28T18:00Z")
+        history = History(before.grid.start, 60.0, before.load_kw, before.pv_kw)
+        day = replace(day.between(0, 9), history=history)
     here = replace(options, isolate=False)
     for one, other in zip(played(day, here, False), played(day, here, True), strict=True):
         assert same(one, other), one.time
@@ -231,8 +236,8 @@ def test_plain_values_come_back_to_the_bit() -> None:
     numbers = np.array([0.1 + 0.2, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1e308])
     back = from_plain(Floats, json.loads(json.dumps(to_plain(numbers))), "x")
     assert back.tobytes() == np.where(np.isnan(numbers), np.nan, numbers).tobytes()
-    empty = np.zeros((3, 0))
-    assert from_plain(Floats, to_plain(empty), "x").shape == (3, 0)
+    for shape in ((3, 0), (0, 3), (0,)):
+        assert from_plain(Floats, to_plain(np.zeros(shape)), "x").shape == shape
     with pytest.raises(InputError, match="x: holds other values than expected"):
         from_plain(Flags, [1.0, 0.5], "x")
     with pytest.raises(InputError, match="x: is of the type bool"):

@@ -15,6 +15,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 
@@ -44,6 +45,8 @@ def to_plain(value: Any, given: Given | None = None) -> Any:
         return _number_to_plain(float(value)) if isinstance(value, float) else value.item()
     if isinstance(value, bytes):
         return value.hex()
+    if isinstance(value, pd.Timestamp):
+        return value.isoformat()
     if isinstance(value, (list, tuple)):
         return [to_plain(item, known) for item in value]
     if isinstance(value, dict):
@@ -113,6 +116,8 @@ def _read(kind: Any, plain: Any, where: str, given: Given) -> Any:
         return _read_fields(kind, plain, where, given)
     if kind is float:
         return float(plain if isinstance(plain, str) else _of((int, float), plain, where))
+    if kind is pd.Timestamp:
+        return pd.Timestamp(_of(str, plain, where))
     if kind is bytes:
         return bytes.fromhex(_of(str, plain, where))
     return _of(kind, plain, where)
@@ -151,6 +156,8 @@ def _needed(kind: Any) -> frozenset[str]:
 
 def _read_array(dtype: Any, plain: Any, where: str) -> Any:
     """An array of a type; numbers of another type are no numbers of this one."""
+    if isinstance(plain, dict):
+        return np.empty([0, *plain["shape"][1:]], dtype=dtype)
     array = np.array(_of(list, plain, where), dtype=dtype)
     if dtype is not np.float64 and array.size and np.array(plain).dtype.kind != array.dtype.kind:
         raise _unreadable(where, "holds other values than expected")
@@ -170,7 +177,9 @@ def _unreadable(where: str, message: str) -> InputError:
 
 
 def _array_to_plain(array: Any) -> Any:
-    """Nested lists."""
+    """Nested lists; of no rows their width, which lists do not show."""
+    if array.ndim > 1 and len(array) == 0:
+        return {"shape": list(array.shape)}
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         return _numbers_to_plain(array.tolist())
     return array.tolist()

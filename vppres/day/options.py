@@ -37,8 +37,10 @@ class RunOptions:
         given, and none where it has none.
     solver, method : str
         Names in the solver table and of the method.
+    forecaster : {"paper", "seasonal"}
+        Who forecasts load and PV power: the paper's error model, or what was measured before.
     errors : ForecastErrors
-        Forecast errors of load and PV.
+        Forecast errors of the paper's forecaster.
     thermal : ThermalScheme
         Battery heating.
     seed : int
@@ -82,6 +84,7 @@ class RunOptions:
     soc_end: float | None = default_of("soc_end")
     solver: str = default_of("solver")
     method: str = default_of("method")
+    forecaster: str = default_of("forecaster")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")

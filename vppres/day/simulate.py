@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
@@ -15,6 +16,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
+from vppres.day.forecasting import basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
 from vppres.io.python_door import check_scenario
@@ -102,7 +104,7 @@ class Day:
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
-        self.forecaster = Forecaster(scenario, errors, options.seed)
+        self.forecaster = forecasts_of(scenario, self.options, errors)
         self.ac = shared_power_flow(scenario.network)
         self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
@@ -150,6 +152,7 @@ class Day:
         realised = done.realised
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, str(self.options.mode))
+        record = replace(record, steps={**record.steps, **basis_of(self.forecaster, t)})
         self.operating_point = (
             None
             if done.dark

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.operating_point import Centre, OperatingPoint
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
+from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
 from vppres.model.linearise import delta_offset, drawn_by
@@ -150,10 +151,11 @@ class Recorded:
         return self._array(self.trajectory.batteries, "eta_discharge")
 
     @cached_property
-    def _forecaster(self) -> Forecaster:
+    def _forecaster(self) -> Forecasts:
         known = self.options["controller"] == PERFECT
         errors = ForecastErrors(**({} if known else self.options.get("errors", {})))
-        return Forecaster(self.scenario, errors, int(self.options["seed"]))
+        name = PAPER if known else self.options.get("forecaster", PAPER)
+        return named_forecasts(self.scenario, name, errors, int(self.options["seed"]))
 
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""

@@ -41,6 +41,9 @@ def _canonical(value: Any) -> Any:
         # A connection that imports only keeps the digest from before there was another.
         if isinstance(value, Scenario) and not value.exports:
             left_out = left_out | _EXPORT
+        # So does a day of which nothing was measured before.
+        if isinstance(value, Scenario) and value.history is None:
+            left_out = left_out | {"history"}
         # So does a run whose batteries may end empty.
         if isinstance(value, ControllerDefaults) and value.soc_end is None:
             left_out = left_out | {"soc_end"}

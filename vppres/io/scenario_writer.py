@@ -20,6 +20,7 @@ from vppres.io.messages import problems_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
+from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, Scenario
@@ -161,6 +162,8 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     rating_a = frames["lines"]["i_max_a"]
     frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
     frames["lines"] = _without(frames["lines"], LINE_DEFAULTS | {"i_max_a": np.nan})
+    if scenario.history is not None:
+        frames |= _history_frames(scenario, scenario.history)
     if network.has_draws:
         frames["buses"] = _bus_frame(network)
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
@@ -168,6 +171,17 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     if (customers.shed_steps == 1).all():
         frames["customers"] = frames["customers"].drop(columns="shed_steps")
     return frames
+
+
+def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:
+    """What was measured before, empty cells where nothing was."""
+    values = {
+        "history_load_kw": (scenario.customers.id, history.load_kw),
+        "history_pv_kw": (scenario.pv.id, history.pv_kw),
+    }
+    return {
+        name: _timed_frame(history.times, ids, kw) for name, (ids, kw) in values.items() if kw.size
+    }
 
 
 def _bus_frame(network: Network) -> pd.DataFrame:
@@ -209,8 +223,12 @@ def _battery_frame(batteries: Batteries) -> pd.DataFrame:
 
 
 def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.DataFrame:
+    return _timed_frame(scenario.grid.times, ids, values)
+
+
+def _timed_frame(times: pd.DatetimeIndex, ids: ArrayLike, values: Floats) -> pd.DataFrame:
     frame = pd.DataFrame(values, columns=np.asarray(ids, dtype=object))
-    frame.insert(0, TIME, [iso(time) for time in scenario.grid.times])
+    frame.insert(0, TIME, [iso(time) for time in times])
     return frame
 
 

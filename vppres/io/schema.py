@@ -647,6 +647,17 @@ class FilesSection(Section):
     system: Name = Field(
         default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series"
     )
+    history_load_kw: Name = Field(
+        default="history_load_kw.csv",
+        pattern=_FILE_NAME,
+        description="file of the demand before the first step, like that of the load series; steps "
+        "may be missing and cells empty (no such file: not known)",
+    )
+    history_pv_kw: Name = Field(
+        default="history_pv_kw.csv",
+        pattern=_FILE_NAME,
+        description="file of the PV power before the first step, likewise",
+    )
 
 
 class ScenarioFile(Section):

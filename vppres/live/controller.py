@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decider
-from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
@@ -19,6 +19,7 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
+from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
@@ -138,7 +139,8 @@ class Controller:
         at = Standing(scenario, 0, start)
         if state is not None:
             at = restored(state, scenario, decider, options, start)
-        self.scenario = at.known
+        # Measurements are remembered in the past, once.
+        self.scenario = replace(at.known, history=None)
         self.options = options
         self._decider = decider
         # Steps of controllers count on from the very first one; the scenario begins later.
@@ -314,8 +316,9 @@ class Controller:
         window = self._window(seen.t)
         ends = window.stop == self.scenario.grid.n_steps
         seen = seen.window(window)
-        forecast = Forecaster(seen.scenario, ForecastErrors(), 0).at(
-            0, range(seen.scenario.grid.n_steps)
+        remembered = replace(seen.scenario, history=past.history)
+        forecast = forecasts_of(remembered, self.options, ForecastErrors()).at(
+            0, range(len(window))
         )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
@@ -359,6 +362,7 @@ class Controller:
                 day.switching,
                 day.plant.cold_load,
                 record.customers["served"],
+                past.with_measured(scenario),
             ),
         )
 

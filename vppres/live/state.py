@@ -24,6 +24,7 @@ from vppres.day.options import RunOptions
 from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.model.site import Site
+from vppres.scenario.history import History
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -96,6 +97,7 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
             "forgotten": standing.forgotten,
             "series": {name: to_plain(getattr(known, name)) for name in SERIES},
         },
+        "history": to_plain(standing.past.history),
         "now": _moment(decider, standing.past, given),
         "before": _moment_before(decider, standing, given),
     }
@@ -140,12 +142,21 @@ def _restored(
     _check(state, scenario, options)
     known = _known(state["known"], scenario)
     given = _given(known, options)
+    forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
+    history = _history(state["history"], start)
     before = None
     if state["before"] is not None:
-        past = _put_back(decider, state["before"], start, given, f"{WHERE}.before")
+        row = from_plain(int, state["now"]["past"]["t"], f"{WHERE}.now.past.t") - forgotten
+        then = (
+            None
+            if history is None
+            else history.before(
+                known.grid.start + row * pd.Timedelta(minutes=known.grid.step_minutes)
+            )
+        )
+        past = _put_back(decider, state["before"], start, then, given)
         before = Memory(decider), past
-    now = _put_back(decider, state["now"], start, given, f"{WHERE}.now")
-    forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
+    now = _put_back(decider, state["now"], start, history, given)
     return Standing(known, forgotten, now, before)
 
 
@@ -167,10 +178,23 @@ def _moment_before(decider: Decider, standing: Standing, given: Given) -> dict[s
         latest.restore()
 
 
-def _put_back(decider: Decider, moment: Any, start: Past, given: Given, where: str) -> Past:
+def _put_back(
+    decider: Decider, moment: Any, start: Past, history: History | None, given: Given
+) -> Past:
     """Past of a moment; the controller remembers the rest."""
-    put_back(decider, moment["memory"], given, f"{where}.memory")
-    return start.read(moment["past"], given, f"{where}.past")
+    put_back(decider, moment["memory"], given, f"{WHERE}.memory")
+    return start.read(moment["past"], history, given, f"{WHERE}.past")
+
+
+def _history(plain: Any, start: Past) -> History | None:
+    """What was measured, where a forecaster learns from it; the site's own if the state has none.
+
+    The measurements before the last step are those of its beginning: no other copy is kept.
+    """
+    if start.history is None or plain is None:
+        return start.history
+    found: History = from_plain(History, plain, f"{WHERE}.history")
+    return found
 
 
 def _given(known: Scenario, options: RunOptions) -> Given:

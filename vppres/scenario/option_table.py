@@ -68,7 +68,7 @@ HEADROOM = Range(
 )
 
 # Headings of the help.
-FORECAST = "Forecast errors"
+FORECAST = "Forecasts"
 SOLVER = "Solver"
 SWITCHING = "Switching"
 GUARD = "Guard and baselines"
@@ -211,6 +211,18 @@ OPTIONS: tuple[Option, ...] = (
         "method of solving a window",
         words="decomposed or monolithic",
         group=SOLVER,
+    ),
+    Option(
+        "forecaster",
+        "forecaster",
+        str,
+        "paper",
+        "forecaster of load and PV power",
+        words="paper (the actual day with the errors below) or seasonal (from what was measured "
+        "before)",
+        page="see {doc}`forecasts`",
+        choices=("paper", "seasonal"),
+        group=FORECAST,
     ),
     Option(
         "load-bias",
