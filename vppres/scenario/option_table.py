@@ -301,6 +301,19 @@ OPTIONS: tuple[Option, ...] = (
         file_most=1.0,
     ),
     Option(
+        "outages",
+        "outages",
+        str,
+        "known",
+        "what is known of outages ahead",
+        words="known (their exact times), likely (the most likely one as if it were known), belief "
+        "(probabilities, from warnings and statistics) or none (nothing until they are there)",
+        page="see {doc}`uncertain-outages`",
+        choices=("known", "likely", "belief", "none"),
+        scenario_key="controller.outages",
+        follows_scenario=True,
+    ),
+    Option(
         "seed", "seed", int, 0, "seed of the random forecast errors", range=COUNT, group=FORECAST
     ),
     Option(
@@ -555,7 +568,7 @@ def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 
     >>> list(section_options("controller"))
-    ['kind', 'horizon_h', 'mode', 'soc_end']
+    ['kind', 'horizon_h', 'mode', 'soc_end', 'outages']
     """
     parted = [(option.scenario_key.partition("."), option) for option in OPTIONS]
     return {key: option for (name, _, key), option in parted if name == section}

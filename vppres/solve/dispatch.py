@@ -221,7 +221,8 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     site = cache.site
     terms = evaluate(site, data, dispatch)
-    f2_max = terms.f2 + HELD_REL * abs(terms.f2) + HELD_ABS
+    f2 = held_gbp(site, data, dispatch)
+    f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
     f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
@@ -241,8 +242,15 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
     better = model.dispatch(dispatch.served)
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
-    kept = after.f2 <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
+    f2_after = held_gbp(site, data, better)
+    kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
     return Attempt(outcome, better if kept else None)
+
+
+def held_gbp(site: Site, data: WindowData, dispatch: Dispatch) -> float:
+    """Cost that the tie-breakers hold: where energy at the end has a value, it is held itself."""
+    gbp = data.cost_gbp(dispatch.p_grid_kw, site.dt_h)
+    return gbp + data.end_gbp(site.batteries, dispatch.soc[-1]) if data.ending == "target" else gbp
 
 
 def least_reactive(

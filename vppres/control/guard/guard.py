@@ -165,7 +165,9 @@ class GuardedController:
         if known.online.all() or isinstance(self.inner, FullHorizonController):
             return self.inner.decide(known.observation)
         part = self.part_for(known.online.tobytes())
-        decision = part.decide(reduced_observation(known.observation, known.online))
+        decision = part.decide(
+            reduced_observation(known.observation, known.online, self.site.batteries)
+        )
         return replace(
             decision, dispatch=whole_fleet(decision.dispatch, known.online, known.observation.soc)
         )
@@ -185,7 +187,7 @@ class GuardedController:
     def _relaxed(self, known: Known, state: StepState, reason: str) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
-        seen = reduced_observation(known.observation, known.online)
+        seen = reduced_observation(known.observation, known.online, self.site.batteries)
         data = WindowData.of(seen, site, self.options.centre)
         for name, answer in relaxed_answers(site, data, self._solver_of):
             try:
@@ -296,8 +298,10 @@ class GuardedController:
         """The one-step problem with the first tier above everything else; the rule if it fails."""
         try:
             solver = self._critical_solver(known.online)
-            seen = reduced_observation(known.observation, known.online)
-            solution = solver.solve(WindowData.of(seen, solver.site, self.options.centre).first(1))
+            seen = reduced_observation(known.observation, known.online, self.site.batteries)
+            # Nothing is worth keeping beside the first tier.
+            alone = replace(seen, stored_value=None)
+            solution = solver.solve(WindowData.of(alone, solver.site, self.options.centre).first(1))
             decision = Decision(
                 whole_fleet(solution.dispatch, known.online, known.observation.soc),
                 0,
