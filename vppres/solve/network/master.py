@@ -61,6 +61,7 @@ must stay below one unit, or the best set would no longer be told from the next.
 TOLERANCE = 1e-6
 """Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
+
 def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
 
