@@ -86,7 +86,12 @@ class Program:
     def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
-        options = {"output_flag": False, "mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "threads": 1}
+        options: dict[str, Any] = {
+            "output_flag": False,
+            "mip_rel_gap": 0.0,
+            "mip_abs_gap": gap_abs,
+            "threads": 1,
+        }
         if self.is_wide:
             options["presolve"] = "off"
         for name, value in options.items():
