@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from experiments.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
-from vppres.physics import nose, powerflow
+from vppres.physics import nose
+from vppres.physics.newton import Newton
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.island import (
     COLLAPSE,
@@ -257,7 +258,7 @@ def test_an_island_whose_flow_is_not_found_keeps_its_customers(
 ) -> None:
     day = replace(tiny, load_kw=tiny.load_kw * 0.75)
     plan = decision(day, battery_kw=[-30.0, -28.0])
-    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(Newton, "solve", lambda *_: None)
     monkeypatch.setattr(nose, "MAX_POINTS", 0)
     done = settle(day, plan, state([0.85, 0.85]))
     assert not done.dark
@@ -272,7 +273,7 @@ def test_an_island_whose_flow_is_not_found_sheds_what_the_balance_shows(
 ) -> None:
     # 156 kW of demand against 47.5 kW of sun and 95 kW of the batteries: evidence without a flow.
     plan = decision(tiny, battery_kw=[-30.0, -28.0])
-    monkeypatch.setattr(powerflow, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(Newton, "solve", lambda *_: None)
     monkeypatch.setattr(nose, "MAX_POINTS", 0)
     done = settle(tiny, plan, state([0.85, 0.85]))
     assert done.shed.tolist() == [False, False, True]

@@ -31,6 +31,7 @@ class SolveInfo:
     passes: int = 1
     switching_relaxed: bool = False
     moved_kw: float = np.nan
+    stored_value_gbp_per_kwh: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,10 +36,14 @@ class RunOptions:
     soc_end : float or None
         State of charge that batteries keep at the end of what is known; the scenario's if not
         given, and none where it has none.
+    outages : {"known", "likely", "belief", "none"} or None
+        What is known of outages ahead; None leaves it to the scenario.
     solver, method : str
         Names in the solver table and of the method.
+    forecaster : {"paper", "seasonal"}
+        Who forecasts load and PV power: the paper's error model, or what was measured before.
     errors : ForecastErrors
-        Forecast errors of load and PV.
+        Forecast errors of the paper's forecaster.
     thermal : ThermalScheme
         Battery heating.
     seed : int
@@ -83,8 +87,10 @@ class RunOptions:
     controller: str = default_of("controller")
     horizon_h: float = default_of("horizon_h")
     soc_end: float | None = default_of("soc_end")
+    outages: str | None = None
     solver: str = default_of("solver")
     method: str = default_of("method")
+    forecaster: str = default_of("forecaster")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")
@@ -148,6 +154,7 @@ class RunOptions:
             self,
             mode=own.mode if self.mode is None else self.mode,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
+            outages=own.outages if self.outages is None else self.outages,
         )
 
     def as_record(self) -> dict[str, Any]:

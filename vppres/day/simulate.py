@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
@@ -15,7 +16,9 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
+from vppres.day.forecasting import basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
+from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
 from vppres.io.python_door import check_scenario
 from vppres.physics.powerflow import shared_power_flow
@@ -102,7 +105,7 @@ class Day:
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
-        self.forecaster = Forecaster(scenario, errors, options.seed)
+        self.forecaster = forecasts_of(scenario, self.options, errors)
         self.ac = shared_power_flow(scenario.network)
         self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
@@ -110,6 +113,8 @@ class Day:
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
+        self.outages = OutageView.create(scenario, self.options.as_record())
+        self.grid_seen = GridSeen()
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
@@ -131,6 +136,9 @@ class Day:
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
         )
+        now = self.scenario.grid.times[t]
+        self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
+        seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         return seen if self.faults is None else self.faults.observe(seen)
 
     def step(self, controller: Decider, t: int) -> None:
@@ -149,7 +157,8 @@ class Day:
         done = self.carry_out(t, decision)
         realised = done.realised
         result = done.ac
-        record = _record(self.scenario, t, decision, self.state, done, str(self.options.mode))
+        record = _record(self.scenario, t, decision, self.state, done, self.options)
+        record = replace(record, steps={**record.steps, **basis_of(self.forecaster, t)})
         self.operating_point = (
             None
             if done.dark
@@ -185,7 +194,12 @@ class Day:
 
 
 def _record(
-    scenario: Scenario, t: int, decision: Decision, state: BatteryState, done: Settled, mode: str
+    scenario: Scenario,
+    t: int,
+    decision: Decision,
+    state: BatteryState,
+    done: Settled,
+    options: RunOptions,
 ) -> StepRecord:
     """Everything that is known of the step."""
     realised = done.realised
@@ -222,6 +236,7 @@ def _record(
         "p_ac_kw": done.ac.p_from_kw,
         "q_ac_kvar": done.ac.q_from_kvar,
     }
+    mode = str(options.mode)
     held_by_batteries = mode == "physical" and bool(scenario.outage[t])
     steps = {
         **_supply(done, buses, held_by_batteries),
@@ -232,6 +247,8 @@ def _record(
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
     }
+    if options.outages == BELIEF:
+        steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
     return StepRecord(t, steps, customers, pv, batteries, buses, lines)
 
 

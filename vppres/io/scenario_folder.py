@@ -15,12 +15,16 @@ from pydantic.fields import FieldInfo
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
+from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.source import Source, SourceDeviation
@@ -30,7 +34,9 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "buses": schema.BusRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
+    "warnings": schema.WarningRow,
 }
+_HISTORY = ("history_load_kw", "history_pv_kw")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,9 @@ class _Folder:
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
+    warnings: Table | None
+    history_load_kw: Table | None
+    history_pv_kw: Table | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +66,7 @@ class _Rows:
     customers: dict[int, schema.CustomerRow]
     pv: dict[int, schema.PVRow]
     batteries: dict[int, schema.BatteryRow]
+    warnings: dict[int, OutageWarning]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +102,14 @@ def read_scenario(folder: str | Path) -> Scenario:
     content, problems = _read_files(folder)
     rows, row_problems = _read_all_rows(content)
     series, series_problems = _read_series(content, rows)
+    history, history_problems = _read_history(content, rows)
+    series_problems += history_problems
     problems += row_problems + _check_across(content, rows) + series_problems
     if problems or content.lines is None or content.settings.grid is None:
         files = [SCENARIO_FILE, *content.settings.files.model_dump().values()]
         raise InputError(in_order(problems, files))
-    return _assemble(content.settings, rows, series, checks.bus_reader(content.lines))
+    day = _assemble(content.settings, rows, series, checks.bus_reader(content.lines))
+    return day if history is None else replace(day, history=history)
 
 
 def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
@@ -106,9 +119,10 @@ def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
     tables: dict[str, Table | None] = {}
     for key, file in names.items():
         without_pv = key == "pv_kw" and (pv := tables["pv"]) is not None and pv.frame.empty
-        optional = key in _OPTIONAL or without_pv
+        optional = key in _OPTIONAL or key in _HISTORY or without_pv
         if optional and key not in settings.files.model_fields_set and not (folder / file).exists():
-            tables[key] = no_table(file, _OPTIONAL.get(key, schema.PVSeries))
+            absent = no_table(file, _OPTIONAL.get(key, schema.PVSeries))
+            tables[key] = None if key in _HISTORY else absent
             continue
         tables[key], found = read_table(folder / file)
         problems += found
@@ -121,9 +135,15 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
+    warnings, warning_problems = read_warnings(content.warnings)
     return (
-        _Rows(lines, buses, customers, pv, batteries),
-        line_problems + bus_problems + customer_problems + pv_problems + battery_problems,
+        _Rows(lines, buses, customers, pv, batteries, warnings),
+        line_problems
+        + bus_problems
+        + customer_problems
+        + pv_problems
+        + battery_problems
+        + warning_problems,
     )
 
 
@@ -220,6 +240,20 @@ def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]
     return _Series(_stack(load, n_steps), _stack(pv, n_steps), **system), problems
 
 
+def _read_history(content: _Folder, rows: _Rows) -> tuple[History | None, list[Problem]]:
+    """What was measured before the first step, if there is anything."""
+    grid = content.settings.grid
+    if grid is None or (content.history_load_kw is None and content.history_pv_kw is None):
+        return None, []
+    columns = Columns(
+        [row.id for row in rows.customers.values()], [row.id for row in rows.pv.values()]
+    )
+    history, problems = history_of(
+        content.history_load_kw, content.history_pv_kw, columns, grid.zone
+    )
+    return (None if history is None else history.before(grid.start)), problems
+
+
 def _read_columns(
     table: Table | None, items: Table | None, field: FieldInfo, cure: str
 ) -> tuple[dict[str, Floats], list[Problem]]:
@@ -306,6 +340,8 @@ def _assemble(
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
+        warnings=tuple(rows.warnings.values()),
+        outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
     )
 
 

@@ -24,7 +24,7 @@ _OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
 
 def check_times(table: Table, grid: TimeGrid) -> list[Problem]:
     """Problems of the time column: unreadable, missing, duplicate, strange or unsorted steps."""
-    times, problems = _read_times(table)
+    times, problems = read_times(table)
     if problems or TIME not in table.names:
         return problems
     if times.empty:
@@ -37,7 +37,7 @@ def check_times(table: Table, grid: TimeGrid) -> list[Problem]:
 
 
 def read_values(
-    table: Table, name: str, field: FieldInfo, infinite: bool = False
+    table: Table, name: str, field: FieldInfo, infinite: bool = False, gaps: bool = False
 ) -> tuple[Floats, list[Problem]]:
     """Numbers of one column and the cells that are none, or out of bounds.
 
@@ -51,6 +51,8 @@ def read_values(
         Its bounds and unit.
     infinite : bool
         Whether ``inf`` is a value.
+    gaps : bool
+        Whether a cell may be empty.
 
     Returns
     -------
@@ -61,8 +63,11 @@ def read_values(
     column = table.frame[name]
     values = _as_floats(column)
     low, high = schema.limits(field)
+    unread = np.isnan(values)
+    if gaps and unread.any():
+        unread[unread] = column[unread].map(cell_text).to_numpy() != ""
     faults = [
-        (np.isnan(values), "is not a number"),
+        (unread, "is not a number"),
         (np.isinf(values) & ~(infinite & (values > 0)), "is not a finite number"),
         (np.isfinite(values) & (values < low), f"must be at least {low:g}"),
         (np.isfinite(values) & (values > high), f"must be at most {high:g}"),
@@ -104,7 +109,21 @@ def _as_float(cell: object) -> float:
         return float("nan")
 
 
-def _read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
+def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
+    """The time that a text says; None where it says none, with what is wrong and the cure.
+
+    >>> time_of("2022-07-19T12:00")[1:]
+    ('has no time zone', 'Add the offset, for example 2022-07-19T12:00Z.')
+    """
+    times = pd.to_datetime(pd.Series([text]), utc=True, format="ISO8601", errors="coerce")
+    if times.isna()[0] or not text[:4].isdigit():
+        return None, "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
+    if _OFFSET.search(text[:_LONGEST_TIME]) is None:
+        return None, "has no time zone", f"Add the offset, for example {text}Z."
+    return times[0], "", ""
+
+
+def read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     """Times in UTC by line of the file."""
     texts = table.texts(TIME) if TIME in table.names else pd.Series([], dtype=object)
     times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")

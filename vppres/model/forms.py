@@ -27,15 +27,17 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.stored_value import Ending
 from vppres.contract.switching import RuleSteps
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.model import lumped
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.ends import AtEnd, end_of_window, f2_at_end, f7_at_end
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import PhysicalParameters
+from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import ColdDemand, SwitchingModel, cold_demand
-from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.constraints import (
     AddedDemand,
     Named,
@@ -108,10 +110,15 @@ class Form:
         Shape of the switching rules; None has none. A fixed service obeys them or does not.
     exporting : bool
         Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
+<<<<<<< HEAD
     ending : bool
         Whether what batteries hold at the end is part of the problem.
     squares : {"none", "tangents", "exact"}
         What stands for f4 and f5 at the level ``weighted``; the other levels have neither.
+=======
+    ending : {"", "target", "value"}
+        What the problem says of what batteries hold at the end.
+>>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
     """
 
     level: Level = "service"
@@ -123,8 +130,12 @@ class Form:
     physical: bool = False
     switching: RuleSteps | None = None
     exporting: bool = False
+<<<<<<< HEAD
     ending: bool = False
     squares: Squares = "none"
+=======
+    ending: Ending = ""
+>>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
 
     @property
     def polygon(self) -> Polygon | None:
@@ -168,8 +179,12 @@ class WindowModel:
         self.export: ExportToGrid | None = None
         if form.exporting:
             self.export = ExportToGrid.create(n_steps, form.exclusivity)
+<<<<<<< HEAD
         self.terminal = HeldAtEnd.create(len(site.batteries)) if form.ending else None
         self.tangents = Tangents.create(site, n_steps) if form.squares == "tangents" else None
+=======
+        self.terminal = end_of_window(form.ending, len(site.batteries))
+>>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -212,8 +227,10 @@ class WindowModel:
         if self.export is not None:
             f2 = f2 - self.export.f2_revenue
         if self.terminal is not None:
-            f2 = f2 + self.terminal.f2_missing
+            f2 = f2 + f2_at_end(self.terminal)
         cost = gbp * w.lambda_grid * f2 + gbp * w.lambda_curt * terms.f3_curtailment(*args)
+        if self.form.ending == "value":
+            cost = cost - gbp * f7_at_end(self.terminal)
         if self.form.level == "cost":
             return cp.Minimize(cost)
         service = terms.f1_service(*args)
@@ -248,7 +265,7 @@ class WindowModel:
         if self.export is not None:
             self.export.fill(self.site, data)
         if self.terminal is not None:
-            fill_terminal(self.terminal, self.site, data)
+            fill_end(self.terminal, self.site, data)
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
         """The solution of the last solve, import and export of a step netted."""
@@ -271,11 +288,15 @@ def stored_at_end(site: Site, v: Variables) -> cp.Expression:
     return cp.multiply(site.batteries.energy_kwh, v.SoC[-1])
 
 
-def fill_terminal(held: HeldAtEnd, site: Site, data: WindowData) -> None:
-    """Write what each battery is to hold; nothing for a window that does not end there."""
+def fill_end(held: AtEnd, site: Site, data: WindowData) -> None:
+    """Write a value, or what each battery is to hold: nothing where the window does not end."""
+    if isinstance(held, ValueAtEnd):
+        held.fill(data.require_value())
+        return
     terminal = data.terminal or Terminal(0.0, 0.0)
     target_kwh = terminal.target_kwh(site.batteries)
-    held.fill(target_kwh if data.ending else 0.0 * target_kwh, terminal.price_gbp_per_kwh)
+    ends = data.terminal is not None
+    held.fill(target_kwh if ends else 0.0 * target_kwh, terminal.price_gbp_per_kwh)
 
 
 def in_order(named: Named, order: Sequence[str]) -> Named:

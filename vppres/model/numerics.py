@@ -15,9 +15,9 @@ SIDES_BEYOND = 16
 def disc_sides(site: Site, n_steps: int) -> int:
     """Sides of the discs in problems without binaries: 0 for cones, polygons for large windows.
 
-    cvxpy's time to compile cones grows with the product of variables and parameters: 3 s at 33
-    buses and 24 steps, and more than 12 GiB at 500 buses and 6. Inscribed polygons compile ten
-    times faster there, solve slower, and cost 0.01 % of f4.
+    Inscribed polygons cost 0.01 % of f4 and are solved slower. They are there because cvxpy's own
+    way to compile cones took seconds and gigabytes in large windows, which
+    ``vppres.solve.interior_points`` no longer does; answers of long windows are theirs.
     """
     return 0 if site.network.n_buses * n_steps <= LARGEST_WITH_CONES else SIDES_BEYOND
 

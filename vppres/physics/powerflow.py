@@ -1,9 +1,10 @@
 """AC power flow of what the plant did. Besides this module only ``networks`` imports pandapower.
 
-The check shares the network's data with the optimiser, never its equations: pandapower solves the
-full AC equations by Newton's method. The pandapower net, which is mutable and keeps its results as
-side effects, does not leave this module. What Newton's method does not find is followed from no
-load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which there is none.
+The check shares the network's data with the optimiser, never its equations: the full AC equations
+are solved by Newton's method (:mod:`vppres.physics.newton`) on pandapower's admittances. The
+pandapower net, which is mutable, does not leave this module. What Newton's method does not find is
+followed from no load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which
+there is none.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 import pandapower as pp
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Floats, content_key, freeze_fields
+from vppres.core.arrays import Complexes, Floats, content_key, freeze_fields
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
+from vppres.physics.newton import Admittances, Newton
 from vppres.physics.nose import Followed, follow
 from vppres.scenario.network import Network
 
@@ -33,9 +35,6 @@ them; four also cover buses with many lines and voltages above 1 pu."""
 LARGEST_TOLERANCE_MVA = 1e-6
 """1 W: where rounding allows no less, Newton's method in voltages is no judge, and its answer
 would be noise in what islands settle with."""
-
-REUSE = {"bus_pq": True, "trafo": False, "gen": False}
-"""What pandapower refreshes between two solves: the power of the loads, nothing else."""
 
 
 class NoSolutionError(VerificationError):
@@ -131,9 +130,10 @@ class ACPowerFlow:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self._nets = {0: _build(network, 0)}
-        self._warm: set[int] = set()
         self.tolerance_mva = reachable_mva(network)
+        self._admittances = _admittances(network)
+        self._newtons: dict[int, Newton] = {}
+        self._last: dict[int, Complexes] = {}
 
     def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
         """Power flow for the net injection of every bus.
@@ -163,19 +163,29 @@ class ACPowerFlow:
         """
         p = self._checked("p_kw", p_kw)
         q = self._checked("q_kvar", q_kvar)
-        if reference not in self._nets:
-            self._nets[reference] = _build(self.network, reference)
-        net = self._nets[reference]
-        net.load["p_mw"] = -kw_to_mw(p - self.network.p_fixed_kw)
-        net.load["q_mvar"] = -kw_to_mw(q - self.network.q_fixed_kvar)
-        warm = reference in self._warm
-        self._warm.discard(reference)
-        if not (warm and _run(net, init="results")) and not _run(net, init="flat"):
-            within_reach = TOLERANCE_MVA < self.tolerance_mva <= LARGEST_TOLERANCE_MVA
-            if not (within_reach and _run(net, "flat", self.tolerance_mva)):
-                return self._followed(p, q, reference)
-        self._warm.add(reference)
-        return _read(self.network, net)
+        net = self.network
+        s_mva = _summed(kw_to_mw(p - net.p_fixed_kw)) + 1j * _summed(kw_to_mw(q - net.q_fixed_kvar))
+        if reference not in self._newtons:
+            v_source = float(net.held_pu[reference] / net.bus_ratio[reference])
+            self._newtons[reference] = Newton(self._admittances, reference, v_source)
+        v = self._by_newton(reference, s_mva)
+        if v is None:
+            return self._followed(p, q, reference)
+        self._last[reference] = v
+        return _read(net, self._admittances, v, s_mva, reference)
+
+    def _by_newton(self, reference: int, s_mva: Complexes) -> Complexes | None:
+        """Voltages from those of the solve before, else from a flat start; None if not found."""
+        newton = self._newtons[reference]
+        flat = newton.flat()
+        attempts = [(flat, TOLERANCE_MVA)]
+        last = self._last.pop(reference, None)
+        if last is not None:
+            attempts.insert(0, (newton.again(last), TOLERANCE_MVA))
+        if TOLERANCE_MVA < self.tolerance_mva <= LARGEST_TOLERANCE_MVA:
+            attempts.append((flat, self.tolerance_mva))
+        found = (newton.solve(start, s_mva, tolerance) for start, tolerance in attempts)
+        return next((v for v in found if v is not None), None)
 
     @property
     def tolerance_kva(self) -> float:
@@ -209,7 +219,7 @@ class ACPowerFlow:
 
     def restart(self) -> None:
         """Forget the last solution: the next solve starts flat."""
-        self._warm.clear()
+        self._last.clear()
 
     def _checked(self, name: str, values: ArrayLike) -> Floats:
         """Injections as an array with one finite value per bus."""
@@ -269,40 +279,35 @@ def reachable_mva(network: Network) -> float:
     return max(TOLERANCE_MVA, float(ROUNDING * np.finfo(float).eps * 2.0 * sums.max()))
 
 
-def _run(net: pp.pandapowerNet, init: str, tolerance_mva: float = TOLERANCE_MVA) -> bool:
-    """Run Newton's method; whether it converged."""
-    # A flat start rebuilds pandapower's internal case; "results" reuses it, at a third of the
-    # time. Without numba the outcome does not hang on what else is installed.
-    try:
-        pp.runpp(
-            net,
-            init=init,
-            recycle=REUSE if init == "results" else None,
-            tolerance_mva=tolerance_mva,
-            calculate_voltage_angles=False,
-            numba=False,
-        )
-    except pp.LoadflowNotConverged:
-        return False
-    return bool(net.converged)
+def _summed(powers: Floats) -> Floats:
+    """The powers of all buses as pandapower adds them up: differences of running sums.
+
+    It costs a rounding of the total, far below any tolerance; answers are equal to the last bit.
+    """
+    return np.diff(np.cumsum(powers), prepend=0.0)
 
 
-def _read(network: Network, net: pp.pandapowerNet) -> ACResult:
-    """Results of the net in the network's order and in kW."""
-    lines = net.res_line
-    slack = net.res_ext_grid
-    v_referred = net.res_bus["vm_pu"].to_numpy()
-    losses_kw = float(mw_to_kw(lines["pl_mw"]).sum())
+def _read(
+    network: Network, admittances: Admittances, v: Complexes, s_mva: Complexes, reference: int
+) -> ACResult:
+    """Results of voltages in the network's order and in kW."""
+    y = admittances
+    sent = v[y.from_bus] * np.conj(y.sending @ v)
+    # Both ends count as flowing into the line.
+    arrived = v[y.to_bus] * np.conj(y.receiving @ v)
+    source = (v * np.conj(y.bus @ v))[reference]
+    own = s_mva[reference]
+    v_referred = np.abs(v)
+    losses_kw = float(mw_to_kw(sent.real + arrived.real).sum())
     return ACResult(
         v_pu=v_referred * network.bus_ratio,
-        p_from_kw=mw_to_kw(lines["p_from_mw"]),
-        q_from_kvar=mw_to_kw(lines["q_from_mvar"]),
-        # pandapower counts both ends as flowing into the line.
-        p_to_kw=-mw_to_kw(lines["p_to_mw"]),
-        q_to_kvar=-mw_to_kw(lines["q_to_mvar"]),
+        p_from_kw=mw_to_kw(sent.real),
+        q_from_kvar=mw_to_kw(sent.imag),
+        p_to_kw=-mw_to_kw(arrived.real),
+        q_to_kvar=-mw_to_kw(arrived.imag),
         losses_kw=losses_kw + float(network.shunt_kw @ v_referred**2),
-        p_slack_kw=float(mw_to_kw(slack["p_mw"])[0]),
-        q_slack_kvar=float(mw_to_kw(slack["q_mvar"])[0]),
+        p_slack_kw=float(mw_to_kw(source.real - own.real)),
+        q_slack_kvar=float(mw_to_kw(source.imag - own.imag)),
     )
 
 
@@ -359,12 +364,11 @@ _FLOWS = _Flows()
 _FLOWS_KEPT = 3
 
 
-def _build(network: Network, reference: int) -> pp.pandapowerNet:
-    """The pandapower net: one load per bus, shunts, one source, and lines of 1 km."""
+def _admittances(network: Network) -> Admittances:
+    """What pandapower makes of lines of 1 km and shunts."""
     net = pp.create_empty_network()
     buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
-    v_source = network.held_pu[reference] / network.bus_ratio[reference]
-    pp.create_ext_grid(net, buses[reference], vm_pu=float(v_source))
+    pp.create_ext_grid(net, buses[0])
     # The rating only serves pandapower's loading figure, which is not used.
     pp.create_lines_from_parameters(
         net,
@@ -376,8 +380,12 @@ def _build(network: Network, reference: int) -> pp.pandapowerNet:
         c_nf_per_km=0.0,
         max_i_ka=1.0,
     )
-    pp.create_loads(net, buses, p_mw=0.0, q_mvar=0.0)
     for bus in np.flatnonzero((network.shunt_kw != 0) | (network.shunt_kvar != 0)):
         p_mw, q_mvar = kw_to_mw([network.shunt_kw[bus], network.shunt_kvar[bus]])
         pp.create_shunt(net, buses[bus], p_mw=p_mw, q_mvar=q_mvar)
-    return net
+    # Any voltages will do, so that not a single step is taken; what counts is made before.
+    pp.runpp(net, tolerance_mva=np.inf, calculate_voltage_angles=False, numba=False)
+    case = net._ppc["internal"]
+    return Admittances(
+        case["Ybus"], case["Yf"], case["Yt"], network.parent, np.arange(1, network.n_buses)
+    )

@@ -68,7 +68,7 @@ HEADROOM = Range(
 )
 
 # Headings of the help.
-FORECAST = "Forecast errors"
+FORECAST = "Forecasts"
 SOLVER = "Solver"
 SWITCHING = "Switching"
 GUARD = "Guard and baselines"
@@ -214,6 +214,18 @@ OPTIONS: tuple[Option, ...] = (
         group=SOLVER,
     ),
     Option(
+        "forecaster",
+        "forecaster",
+        str,
+        "paper",
+        "forecaster of load and PV power",
+        words="paper (the actual day with the errors below) or seasonal (from what was measured "
+        "before)",
+        page="see {doc}`forecasts`",
+        choices=("paper", "seasonal"),
+        group=FORECAST,
+    ),
+    Option(
         "load-bias",
         "errors.load_bias",
         float,
@@ -288,6 +300,19 @@ OPTIONS: tuple[Option, ...] = (
         unset="they may end empty",
         scenario_key="controller.soc_end",
         file_most=1.0,
+    ),
+    Option(
+        "outages",
+        "outages",
+        str,
+        "known",
+        "what is known of outages ahead",
+        words="known (their exact times), likely (the most likely one as if it were known), belief "
+        "(probabilities, from warnings and statistics) or none (nothing until they are there)",
+        page="see {doc}`uncertain-outages`",
+        choices=("known", "likely", "belief", "none"),
+        scenario_key="controller.outages",
+        follows_scenario=True,
     ),
     Option(
         "seed", "seed", int, 0, "seed of the random forecast errors", range=COUNT, group=FORECAST
@@ -572,7 +597,7 @@ def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 
     >>> list(section_options("controller"))
-    ['kind', 'horizon_h', 'mode', 'soc_end']
+    ['kind', 'horizon_h', 'mode', 'soc_end', 'outages']
     """
     parted = [(option.scenario_key.partition("."), option) for option in OPTIONS]
     return {key: option for (name, _, key), option in parted if name == section}

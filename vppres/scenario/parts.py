@@ -30,6 +30,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
     """
     customers = scenario.customers
     pv = scenario.pv
+    history = scenario.history
     parts = customers.shed_steps
     if (parts == 1).all():
         return scenario
@@ -59,6 +60,13 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         pv=split_pv,
         load_kw=_shared(scenario.load_kw, parts),
         pv_kw=_shared(scenario.pv_kw, pv_parts),
+        history=None
+        if history is None
+        else replace(
+            history,
+            load_kw=_shared(history.load_kw, parts),
+            pv_kw=_shared(history.pv_kw, pv_parts),
+        ),
     )
 
 

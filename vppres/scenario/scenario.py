@@ -12,8 +12,10 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
@@ -54,6 +56,7 @@ class ControllerDefaults:
     horizon_h: float = default_of("horizon_h")
     mode: str = default_of("mode")
     soc_end: float | None = default_of("soc_end")
+    outages: str = default_of("outages")
 
 
 def _zero() -> Floats:
@@ -96,6 +99,12 @@ class Scenario:
         Where the feeder comes from; it changes no result.
     voll_gbp_per_kwh : float
         Value of lost load, at which the report prices energy that was not supplied.
+    warnings : tuple of OutageWarning
+        Messages about outages, for runs that do not know them.
+    outage_statistics : OutageStatistics
+        Outages that nobody announces, for the same runs.
+    history : History, optional
+        What was measured before the first step, for forecasters that learn from it.
     """
 
     name: str
@@ -118,6 +127,9 @@ class Scenario:
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
+    warnings: tuple[OutageWarning, ...] = ()
+    outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
+    history: History | None = None
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -172,6 +184,8 @@ class Scenario:
     def between(self, first: int, last: int) -> Scenario:
         """The same scenario from step ``first`` on, up to but without step ``last``.
 
+        Where it has a history, the steps before join it.
+
         Examples
         --------
         >>> from vppres.io.find import load_scenario
@@ -185,7 +199,10 @@ class Scenario:
             n_steps=last - first,
         )
         rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}
-        return replace(self, grid=grid, **rows)
+        history = self.history
+        if history is not None:
+            history = history.followed_by(self.grid.start, self.load_kw[:first], self.pv_kw[:first])
+        return replace(self, grid=grid, history=history, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
         """The same scenario with one outage over the half-open interval ``[start, end)``."""

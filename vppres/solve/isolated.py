@@ -27,6 +27,7 @@ from typing import Any
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem, SolverLostError
+from vppres.core.parent import command
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.dispatch import POLYGON_SIDES
@@ -254,20 +255,9 @@ def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[by
     if not sys.executable:
         raise ValueError("this Python does not know its own executable")
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    bound = "bound" if threading.current_thread() is threading.main_thread() else "free"
-    command = [
-        sys.executable,
-        "-P",
-        "-X",
-        "faulthandler",
-        "-m",
-        "vppres.solve.worker",
-        str(theirs.fileno()),
-        str(os.getpid()),
-        bound,
-    ]
+    python, *rest = command("vppres.solve.worker", str(theirs.fileno()))
     return subprocess.Popen(
-        command,
+        [python, "-P", "-X", "faulthandler", *rest],
         stdin=start,
         stdout=log,
         stderr=log,

@@ -9,9 +9,11 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.errors import InputError, Problem
 from vppres.solve.deadline import Deadline
+from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.result import Outcome, Status
 
 COMPILER = cp.settings.COO_CANON_BACKEND
@@ -25,12 +27,10 @@ table are for binaries, and HiGHS takes no cones."""
 LEAST_S = 0.01
 """Least time limit that is handed to a solver: some take zero for none."""
 
-COMPILE_S_PER_ENTRY = 1e-5
-"""What compiling takes for each number that a problem has as a variable or in a constraint:
-8 to 9 µs in large problems, where it counts."""
-
-COMPILE_CONIC_S = 0.2
-"""What a problem with cones or squares takes besides: 0.1 to 0.25 s on 33 buses."""
+COMPILE_S = 0.04
+COMPILE_S_PER_ENTRY = 5e-6
+"""What compiling takes: 0.02 to 0.04 s for a small problem of any kind, and 1 to 5 µs for each
+number that a large one has as a variable or in a constraint, with cones or without."""
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ def _interior_points(problem: cp.Problem, deadline: Deadline, refined: bool) -> 
         return {"time_limit": time_s, "iterative_refinement_enable": refined}
 
     try:
-        if not _solve(problem, cp.CLARABEL, deadline, options):
+        if not _solve(problem, CLARABEL_INTERFACE, deadline, options):
             return Status.NO_ANSWER
     except cp.SolverError:
         return Status.NUMERICAL
@@ -304,7 +304,7 @@ def _interior_points(problem: cp.Problem, deadline: Deadline, refined: bool) -> 
 
 def _solve(
     problem: cp.Problem,
-    cvxpy_name: str,
+    interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
 ) -> bool:
@@ -318,10 +318,10 @@ def _solve(
     cp.SolverError
         If the solver gave up.
     """
-    if deadline.left_s < _compile_s(problem, conic=cvxpy_name == cp.CLARABEL):
+    if deadline.left_s < _compile_s(problem):
         return False
     data, chain, inverse = problem.get_problem_data(
-        cvxpy_name, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
+        interface, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
     )
     if deadline.passed:
         return False
@@ -334,10 +334,10 @@ def _solve(
     return True
 
 
-def _compile_s(problem: cp.Problem, conic: bool) -> float:
+def _compile_s(problem: cp.Problem) -> float:
     """What compiling a problem may take, 0 for one that is compiled."""
     if problem.compilation_time is not None:
         return 0.0
     parts = [*problem.variables(), *problem.constraints]
     entries = float(sum(part.size for part in parts))
-    return COMPILE_S_PER_ENTRY * entries + COMPILE_CONIC_S * conic
+    return COMPILE_S + COMPILE_S_PER_ENTRY * entries

@@ -76,8 +76,9 @@ class WindowTask:
 
     @cached_property
     def everyone(self) -> float:
-        """Service of everyone in every step, in weighted customer hours."""
-        return float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
+        """Service of everyone in every step, in weighted customer hours, and the most of later."""
+        now = float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
+        return now + self.data.kept_range(self.site)[1] if self.data.keeps_service else now
 
     @property
     def gap(self) -> float:

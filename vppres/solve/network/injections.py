@@ -82,7 +82,8 @@ class Injections:
     ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
     ``P_grid``, ``P_out`` and ``Q_grid`` (W, 1), where ``P_out``, the export, has no column if there
     is none; ``missing`` (1, B), the energy that is missing at the end, or (1, 0) where none is
-    asked for. Charging and discharging may overlap, and so may import and export.
+    asked for; ``kept`` (1, 1), what the energy at the end is worth, or (1, 0). Charging
+    and discharging may overlap, and so may import and export.
 
     Parameters
     ----------
@@ -118,9 +119,12 @@ class Injections:
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
-        missing = B if data.ending else 0
-        self.at["missing"] = self.size + np.arange(missing).reshape(1, missing)
-        self.size += missing
+        for name, width in {
+            "missing": B if data.terminal is not None else 0,
+            "kept": int(data.stored_value is not None),
+        }.items():
+            self.at[name] = self.size + np.arange(width).reshape(1, width)
+            self.size += width
         self.own_kw = data.self_limit_kw(site)
         self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
         self.load_kvar = data.load_kw * site.customers.q_per_p
@@ -145,6 +149,7 @@ class Injections:
             "Q_grid": (-q_grid, q_grid),
             "P_out": (0.0, data.export_max_kw(site)[:, None]),
             "missing": (0.0, np.inf if data.terminal is None else data.terminal.target_kwh(b)),
+            "kept": data.kept_range(site),
         }
         lower = np.zeros(self.size)
         upper = np.zeros(self.size)
@@ -189,6 +194,7 @@ class Injections:
                 *self._battery_rows(),
                 *self._connection_rows(),
                 *self._terminal_rows(),
+                *self._value_rows(),
             ]
         )
 
@@ -210,6 +216,18 @@ class Injections:
         target_kwh = self.data.terminal.target_kwh(self.site.batteries)
         columns = np.column_stack([self.at["energy"][-1], self.at["missing"][0]])
         return [Rows.of(columns, np.ones(2), target_kwh, np.inf, self.size)]
+
+    def _value_rows(self) -> list[Rows]:
+        """What the energy at the end is worth: no more than any of the pieces says."""
+        value = self.data.stored_value
+        if value is None:
+            return []
+        pieces = len(value.slope)
+        energy = self.at["energy"][-1]
+        columns = np.tile(np.append(self.at["kept"][0], energy), (pieces, 1))
+        slopes = np.tile(-value.slope[:, None], (1, len(energy)))
+        values = np.column_stack([np.ones(pieces), slopes])
+        return [Rows.of(columns, values, -np.inf, value.offset, self.size)]
 
     def _battery_rows(self) -> list[Rows]:
         """Energies, and one active power at a time."""

@@ -63,8 +63,11 @@ MOST_BUSES = 3000
 
 
 def applies(site: Site, data: WindowData) -> bool:
-    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid."""
-    plain = not data.physical and data.switching is None
+    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
+
+    Service is counted in whole units here, so none of it may be later service.
+    """
+    plain = not data.physical and data.switching is None and not data.keeps_service
     return (
         plain
         and site.network.n_buses <= MOST_BUSES
@@ -292,13 +295,18 @@ class NetworkMaster:
     def price(self) -> tuple[Wholes, Floats]:
         """Columns of import and export and what they cost for a step, in GBP/kW.
 
-        Behind them what is missing at the end, in GBP/kWh.
+        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
         """
         columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
         prices = [self.data.price_gbp_per_kwh]
         if self.data.export is not None:
             prices.append(-self.data.export.price_gbp_per_kwh)
         values = (np.column_stack(prices) * self.site.dt_h).ravel()
+        if self.data.stored_value is not None:
+            kept = self.model.at["kept"].ravel()
+            return np.append(columns.ravel(), kept), np.append(
+                values, -self.data.stored_value.gbp_as_cost
+            )
         if self.data.terminal is None:
             return columns.ravel(), values
         missing = self.model.at["missing"].ravel()

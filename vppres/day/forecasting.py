@@ -1,0 +1,143 @@
+"""What a controller may know of load and PV power ahead: a forecaster by name, used in a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.core.errors import InputError, Problem
+from vppres.day.options import PERFECT, RunOptions
+from vppres.forecasts.interface import Fitted, LoadAndPV
+from vppres.forecasts.seasonal import Seasonal
+from vppres.scenario.history import History
+from vppres.scenario.scenario import Scenario
+
+PAPER = "paper"
+SEASONAL = "seasonal"
+BASIS = "forecast_basis"
+OWN_SERIES = "the scenario's own series"
+
+
+class Forecasts(Protocol):
+    """Forecasts of a scenario's day, as a run asks for them."""
+
+    def at(self, t0: int, steps: range) -> Forecast:
+        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        ...
+
+
+def basis_of(forecasts: Forecasts, t: int) -> dict[str, str]:
+    """What a step's forecast rested on, for its record; nothing of the paper's."""
+    if not isinstance(forecasts, MeasuredForecasts):
+        return {}
+    return {BASIS: forecasts.bases.get(t, "")}
+
+
+def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> Forecasts:
+    """The forecasts of a run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The actual day, with what was measured before it.
+    options : RunOptions
+        Of which the forecaster, the controller and the seed count.
+    errors : ForecastErrors
+        Errors of the paper's forecaster.
+
+    Raises
+    ------
+    InputError
+        If there are errors of the paper's forecaster for another one.
+    """
+    name = PAPER if options.controller == PERFECT else options.forecaster
+    if name != PAPER and options.errors != ForecastErrors():
+        raise InputError(
+            Problem(
+                "options",
+                "makes its own errors, so that none can be given",
+                f"Leave out biases and errors, or take the forecaster {PAPER}.",
+                field="forecaster",
+                value=name,
+            )
+        )
+    return named_forecasts(scenario, name, errors, options.seed)
+
+
+def named_forecasts(scenario: Scenario, name: str, errors: ForecastErrors, seed: int) -> Forecasts:
+    """Forecasts of a day by the forecaster's name."""
+    if name == PAPER:
+        return Forecaster(scenario, errors, seed)
+    return MeasuredForecasts(scenario)
+
+
+class MeasuredForecasts:
+    """Forecasts from what has been measured by the step, that step included, and nothing later.
+
+    Prices, temperature and grid availability are those of the scenario. Of an item that was never
+    measured, and of everything until a whole day has been, the scenario's own series are the
+    forecast; ``bases`` says for each step what its forecast rested on.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day as it comes.
+    model : Seasonal, optional
+        The forecaster.
+    """
+
+    def __init__(self, scenario: Scenario, model: Seasonal | None = None) -> None:
+        self.scenario = scenario
+        self.model = model or Seasonal()
+        self.bases: dict[int, str] = {}
+        self._given = Forecaster(scenario, ForecastErrors(), 0)
+        self._before = history_before(scenario)
+
+    def at(self, t0: int, steps: range) -> Forecast:
+        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        given = self._given.at(t0, steps)
+        first = t0 + 1
+        if steps.stop <= first:
+            return given
+        ahead = self._ahead(t0, steps.stop - first)
+        load_kw, pv_kw = ahead.point()
+        s = self.scenario
+        rows = np.array(steps) - first
+        later = (rows >= 0)[:, np.newaxis]
+        return replace(
+            given,
+            load_kw=np.where(later & ~np.isnan(load_kw[rows]), load_kw[rows], given.load_kw),
+            pv_kw=np.where(
+                later & ~np.isnan(pv_kw[rows]), np.minimum(pv_kw[rows], s.pv.p_max_kw), given.pv_kw
+            ),
+        )
+
+    def paths(self, t0: int, n_steps: int) -> LoadAndPV:
+        """The forecast of the steps behind ``t0`` in full."""
+        return self._ahead(t0, n_steps)
+
+    def _ahead(self, t0: int, n_steps: int) -> LoadAndPV:
+        grid = self.scenario.grid
+        known = self._before.followed_by(
+            grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
+        ).last_days(self.model.memory_days + n_steps * grid.dt_h / 24.0 + 1.0)
+        fitted: Fitted = self.model.fit(known)
+        found = fitted.forecast(grid.start + (t0 + 1) * known.step, n_steps)
+        unknown = found.basis in ("recent values", "nothing")
+        self.bases[t0] = OWN_SERIES if unknown else found.basis
+        if not unknown:
+            return found
+        none = np.full_like
+        return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
+
+
+def history_before(scenario: Scenario) -> History:
+    """What was measured before a day, in its steps; empty where nothing was."""
+    grid = scenario.grid
+    if scenario.history is None:
+        none = (np.empty((0, len(scenario.customers))), np.empty((0, len(scenario.pv))))
+        return History(grid.start, grid.step_minutes, *none, zone=grid.zone)
+    return scenario.history.in_steps_of(grid.step_minutes).before(grid.start)

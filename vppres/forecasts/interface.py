@@ -1,0 +1,138 @@
+"""What every forecaster takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from vppres.core.arrays import Floats, freeze_fields
+from vppres.scenario.history import History
+
+Basis = Literal["model", "past days", "recent values", "nothing"]
+"""What a forecast rests on, from the best to the least: see :mod:`vppres.forecasts.seasonal`."""
+
+MEDIAN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class LoadAndPV:
+    """A forecast of load and PV power: M equally likely paths of W steps, of all items together.
+
+    Path ``m`` is one possible course of everything: its load and its PV power belong together,
+    and so do its steps. What is asked of sums over items or steps is asked of the paths' sums.
+
+    Parameters
+    ----------
+    start : pandas.Timestamp
+        Beginning of the first step.
+    step_minutes : float
+        Step length in minutes.
+    load_kw : array, shape (M, W, C)
+        Demand of each customer; NaN where nothing is known of one.
+    pv_kw : array, shape (M, W, P)
+        Available power of each PV system.
+    basis : str
+        What it rests on.
+    """
+
+    start: pd.Timestamp
+    step_minutes: float
+    load_kw: Floats
+    pv_kw: Floats
+    basis: Basis = "model"
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, load_kw=float, pv_kw=float)
+
+    @property
+    def n_paths(self) -> int:
+        """Number of paths."""
+        return len(self.load_kw)
+
+    @property
+    def times(self) -> pd.DatetimeIndex:
+        """Beginning of every step."""
+        return pd.date_range(
+            self.start,
+            periods=self.load_kw.shape[1],
+            freq=pd.Timedelta(minutes=self.step_minutes),
+            name="time",
+        )
+
+    @property
+    def net_kw(self) -> Floats:
+        """Demand of all customers less all PV power, shape (M, W)."""
+        return np.asarray(self.load_kw.sum(axis=2) - self.pv_kw.sum(axis=2))
+
+    def load_quantiles(self, levels: ArrayLike) -> Floats:
+        """Quantiles of each customer's demand, shape (levels, W, C)."""
+        return quantiles(self.load_kw, levels)
+
+    def pv_quantiles(self, levels: ArrayLike) -> Floats:
+        """Quantiles of each PV system's power, shape (levels, W, P)."""
+        return quantiles(self.pv_kw, levels)
+
+    def point(self) -> tuple[Floats, Floats]:
+        """What a plan for one course of things takes: demand (W, C) and PV power (W, P).
+
+        The feeder's total is the median of its paths. It is shared out like the means of the
+        items: medians of single homes would add up to too little, as their demand is skew.
+        """
+        return middle(self.load_kw), middle(self.pv_kw)
+
+
+class Fitted(Protocol):
+    """A forecaster that knows a history."""
+
+    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        """The steps from ``issued_at`` on, from what was over by then and nothing later."""
+        ...
+
+
+class Forecaster(Protocol):
+    """A way of making forecasts."""
+
+    def fit(self, history: History) -> Fitted:
+        """Learn what can be learnt before a forecast is asked for."""
+        ...
+
+
+def quantiles(paths: Floats, levels: ArrayLike) -> Floats:
+    """Quantiles over paths that hold new values as often as they say.
+
+    Of m past errors and a new one every order is equally likely, so that the new one lies below
+    the i-th smallest with probability ``i / (m + 1)``: level q is at position ``q (m + 1)``, on a
+    straight line between two of them (split conformal prediction with its finite-sample
+    correction). Levels beyond the smallest and largest get these.
+
+    Parameters
+    ----------
+    paths : array, shape (m, ...)
+        Equally likely values.
+    levels : array_like
+        Levels between 0 and 1.
+
+    Examples
+    --------
+    >>> nine = np.arange(1.0, 10.0)
+    >>> [float(q) for q in quantiles(nine, [0.1, 0.5, 0.95])]
+    [1.0, 5.0, 9.0]
+    """
+    return np.asarray(np.quantile(paths, np.asarray(levels, dtype=float), axis=0, method="weibull"))
+
+
+def middle(paths: Floats) -> Floats:
+    """Means of the items over the paths, scaled to the median of their total: (M, W, n) to (W, n).
+
+    >>> float(middle(np.array([[[1.0, 1.0]], [[2.0, 2.0]], [[6.0, 0.0]]])).sum())
+    4.0
+    """
+    mean = paths.mean(axis=0)
+    total = np.nansum(mean, axis=1)
+    median = np.nanmedian(np.nansum(paths, axis=2), axis=0)
+    factor = np.divide(median, total, out=np.ones_like(total), where=total > 0.0)
+    return np.asarray(mean * factor[:, np.newaxis])

@@ -1,0 +1,229 @@
+"""Measured series from files: a history of demand and PV power, with or without gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from pydantic.fields import FieldInfo
+
+from vppres.core.arrays import Floats, Names
+from vppres.core.errors import InputError, Problem
+from vppres.io import schema
+from vppres.io.messages import few
+from vppres.io.series import TIME, read_times, read_values
+from vppres.io.settings import iso
+from vppres.io.tables import Table, check_columns, read_table
+from vppres.scenario.history import History
+from vppres.scenario.timegrid import UTC
+
+LOAD_NAMES = ("history_load_kw", "load_kw")
+PV_NAMES = ("history_pv_kw", "pv_kw")
+SUFFIXES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns that a history is read in: all of a file in their order, or those asked for.
+
+    Parameters
+    ----------
+    customers, pv : sequence of str, optional
+        Identifiers; one that a file lacks has no known value.
+    """
+
+    customers: Sequence[str] | Names | None = None
+    pv: Sequence[str] | Names | None = None
+
+
+def read_history(path: str | Path, columns: Columns | None = None, zone: str = UTC) -> History:
+    """Measured series of a folder or file.
+
+    A folder has ``history_load_kw`` or ``load_kw`` and may have ``history_pv_kw`` or ``pv_kw``, as
+    CSV or Parquet; a file is demand. Each has a column ``time`` and one column in kW for each
+    customer or PV system. Steps may be missing and cells empty.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder or file.
+    columns : Columns, optional
+        Identifiers in the order of the arrays.
+    zone : str
+        Time zone of the clocks on the feeder.
+
+    Raises
+    ------
+    InputError
+        With every problem of every file.
+    """
+    path = Path(path)
+    load_file, pv_file = _files(path)
+    load, problems = read_table(load_file)
+    pv: Table | None = None
+    if pv_file is not None:
+        pv, found = read_table(pv_file)
+        problems += found
+    if load is None or problems:
+        raise InputError(problems)
+    history, problems = history_of(load, pv, columns or Columns(), zone)
+    if history is None:
+        raise InputError(problems)
+    return history
+
+
+def _files(path: Path) -> tuple[Path, Path | None]:
+    """The file of demand, and that of PV power if there is one."""
+    if path.is_file():
+        return path, None
+    if not path.is_dir():
+        raise InputError(
+            Problem(
+                str(path),
+                "there is no such file or folder",
+                "Give a file of measured demand, or a folder with load_kw.csv and pv_kw.csv.",
+            )
+        )
+    load = _first(path, LOAD_NAMES)
+    if load is None:
+        raise InputError(
+            Problem(
+                str(path),
+                "has no measured demand",
+                "Add load_kw.csv or load_kw.parquet: time, and a column for each customer.",
+            )
+        )
+    return load, _first(path, PV_NAMES)
+
+
+def _first(folder: Path, names: Sequence[str]) -> Path | None:
+    """The first file there is of some names."""
+    files = (folder / f"{name}{suffix}" for name in names for suffix in SUFFIXES)
+    return next((file for file in files if file.is_file()), None)
+
+
+def history_of(
+    load: Table | None, pv: Table | None, columns: Columns, zone: str
+) -> tuple[History | None, list[Problem]]:
+    """A history from tables as they were read, and what is wrong with them.
+
+    Parameters
+    ----------
+    load, pv : Table or None
+        Demand and PV power; None for none.
+    columns : Columns
+        Identifiers in the order of the arrays.
+    zone : str
+        Time zone of the clocks on the feeder.
+    """
+    given = [
+        _Series.read(table, ids, field)
+        for table, ids, field in (
+            (load, columns.customers, schema.LoadSeries.model_fields["load_kw"]),
+            (pv, columns.pv, schema.PVSeries.model_fields["pv_kw"]),
+        )
+    ]
+    problems = [problem for series in given for problem in series.problems]
+    timed = [series for series in given if len(series.times)]
+    if not problems and not timed:
+        files = [table for table in (load, pv) if table is not None]
+        problems = [Problem(t.file, "has no row", "Add what was measured.") for t in files]
+    if problems or not timed:
+        return None, problems
+    step = min(series.step for series in timed)
+    start = min(series.times[0] for series in timed)
+    end = max(series.times[-1] for series in timed) + step
+    for series in timed:
+        problems += series.off_grid(start, step)
+    if problems:
+        return None, problems
+    times = pd.date_range(start, end, freq=step, inclusive="left")
+    load_kw, pv_kw = (series.on(times) for series in given)
+    return History(start, step / pd.Timedelta(minutes=1), load_kw, pv_kw, zone), []
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """One table of measured values, (n, items), at times in UTC."""
+
+    file: str
+    times: pd.DatetimeIndex
+    lines: pd.Index
+    values: Floats
+    problems: list[Problem]
+
+    @classmethod
+    def read(
+        cls, table: Table | None, ids: Sequence[str] | Names | None, field: FieldInfo
+    ) -> _Series:
+        """Times and values of a table; no rows where there is none."""
+        none = pd.DatetimeIndex([], tz=UTC)
+        if table is None:
+            n_items = 0 if ids is None else len(ids)
+            return cls("", none, pd.Index([]), np.empty((0, n_items)), [])
+        known = [name for name in table.names if name != TIME] if ids is None else list(ids)
+        problems = check_columns(
+            table, [TIME, *known], [TIME], {TIME: "Give the beginning of each step."}
+        )
+        times, found = read_times(table)
+        problems += found
+        values = np.full((len(table.frame), len(known)), np.nan)
+        for i, name in enumerate(known):
+            if name in table.names:
+                values[:, i], found = read_values(table, name, field, gaps=True)
+                problems += found
+        if problems:
+            return cls(table.file, none, pd.Index([]), values, problems)
+        order = np.argsort(times.to_numpy(), kind="stable")
+        index = pd.DatetimeIndex(times.iloc[order])
+        lines = table.frame.index[order]
+        return cls(table.file, index, lines, values[order], _twice(table.file, index, lines))
+
+    @property
+    def step(self) -> pd.Timedelta:
+        """The usual distance of two rows; an hour where there is one row."""
+        if len(self.times) < 2:
+            return pd.Timedelta(hours=1)
+        distances = pd.Series(np.diff(self.times.to_numpy()))
+        return pd.Timedelta(distances.mode().iloc[0])
+
+    def off_grid(self, start: pd.Timestamp, step: pd.Timedelta) -> list[Problem]:
+        """Times that are no multiple of the step after the start."""
+        off = np.flatnonzero((self.times - start) % step != pd.Timedelta(0))
+        cure = f"Give steps of {step / pd.Timedelta(minutes=1):g} min from {iso(start)}."
+        return few(
+            off,
+            lambda i: Problem(
+                self.file,
+                "is not the beginning of a step",
+                cure,
+                row=int(self.lines[i]),
+                field=TIME,
+                value=iso(self.times[i]),
+            ),
+        )
+
+    def on(self, times: pd.DatetimeIndex) -> Floats:
+        """Values at equal steps, NaN where there is none."""
+        values = np.full((len(times), self.values.shape[1]), np.nan)
+        values[times.get_indexer(self.times)] = self.values
+        return values
+
+
+def _twice(file: str, times: pd.DatetimeIndex, lines: pd.Index) -> list[Problem]:
+    """Steps that are given more than once."""
+    again = np.flatnonzero(times.duplicated())
+    return few(
+        again,
+        lambda i: Problem(
+            file,
+            "is given twice",
+            "Remove one of the two rows.",
+            row=int(lines[i]),
+            field=TIME,
+            value=iso(times[i]),
+        ),
+    )
