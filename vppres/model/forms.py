@@ -110,15 +110,10 @@ class Form:
         Shape of the switching rules; None has none. A fixed service obeys them or does not.
     exporting : bool
         Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
-<<<<<<< HEAD
-    ending : bool
-        Whether what batteries hold at the end is part of the problem.
-    squares : {"none", "tangents", "exact"}
-        What stands for f4 and f5 at the level ``weighted``; the other levels have neither.
-=======
     ending : {"", "target", "value"}
         What the problem says of what batteries hold at the end.
->>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
+    squares : {"none", "tangents", "exact"}
+        What stands for f4 and f5 at the level ``weighted``; the other levels have neither.
     """
 
     level: Level = "service"
@@ -130,12 +125,8 @@ class Form:
     physical: bool = False
     switching: RuleSteps | None = None
     exporting: bool = False
-<<<<<<< HEAD
-    ending: bool = False
-    squares: Squares = "none"
-=======
     ending: Ending = ""
->>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
+    squares: Squares = "none"
 
     @property
     def polygon(self) -> Polygon | None:
@@ -179,12 +170,8 @@ class WindowModel:
         self.export: ExportToGrid | None = None
         if form.exporting:
             self.export = ExportToGrid.create(n_steps, form.exclusivity)
-<<<<<<< HEAD
-        self.terminal = HeldAtEnd.create(len(site.batteries)) if form.ending else None
-        self.tangents = Tangents.create(site, n_steps) if form.squares == "tangents" else None
-=======
         self.terminal = end_of_window(form.ending, len(site.batteries))
->>>>>>> 3868a74db7c4449eec4fdde3a7a522593ab8459e
+        self.tangents = Tangents.create(site, n_steps) if form.squares == "tangents" else None
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
