@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.control.remembered import PART
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 
@@ -35,6 +37,8 @@ class MPCController:
         What moving a battery by its rated power away from the plan before is worth, in kW of line
         losses.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": tuple[int, Dispatch] | None, "planner": PART}
 
     def __init__(
         self,

@@ -19,7 +19,12 @@ from vppres.solve.cache import shared_cache
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
-from vppres.solve.fleet.rungs import all_terms, everyone_served, service_then_cost
+from vppres.solve.fleet.rungs import (
+    all_terms,
+    everyone_served,
+    service_then_cost,
+    with_modes_of_batteries,
+)
 from vppres.solve.network.decide import enter_network
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
@@ -154,8 +159,10 @@ def climb(task: WindowTask) -> None:
     if worth_everyone(task):
         everyone_served(task)
     for rung in rungs(task):
-        if task.goes_on and not task.search.passed:
+        if task.goes_on and not task.search.passed and not task.certificate.wasteful:
             rung(task)
+    if task.certificate.wasteful and task.goes_on:
+        with_modes_of_batteries(task)
     enter_network(task)
 
 
@@ -184,7 +191,9 @@ def worth_the_whole(task: WindowTask) -> bool:
     """Whether the whole problem is worth its time: not in a large window known in the network.
 
     There its relaxation says no more than ``network_service``, and its search never ends.
+    Nor where the network carries what the search for batteries' modes found: with the network that
+    takes longer.
     """
     known = task.certificate
-    decided = known.answered and known.ran("network_service")
-    return task.goes_on and not (decided and task.is_large)
+    decided = known.ran("network_service") and task.is_large
+    return task.goes_on and not (known.answered and (decided or known.ran("modes")))
