@@ -168,7 +168,7 @@ def main(
     found = list(windows(read_instances()[::every], large))
     with by_processor():
         rows = [
-            measure(window, limit_s)
+            {"window": window.name, "limit_s": limit_s, **measure(window, limit_s)}
             for window in track(found, "windows", transient=True)
             for limit_s in LIMITS_S
         ]

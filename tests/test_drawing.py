@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,8 +22,14 @@ from vppres.report.plots import save_figures
 def aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder in which the processes draw."""
     folder = tmp_path / "aside"
-    monkeypatch.setattr(drawing, "mkdtemp", lambda prefix: str(folder))
-    folder.mkdir()
+
+    @contextmanager
+    def made() -> Iterator[Path]:
+        folder.mkdir()
+        yield folder
+        shutil.rmtree(folder)
+
+    monkeypatch.setattr(drawing, "scratch_folder", made)
     return folder
 
 

@@ -9,6 +9,7 @@ it no dispatch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -73,6 +74,8 @@ class ConvergedPlanner:
         Largest number of solves and AC power flows of a window; 0 plans without losses in plain
         LinDistFlow.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_known": dict[int, tuple[bool, _Line]]}
 
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = DEFAULT_PASSES

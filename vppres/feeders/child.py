@@ -1,7 +1,8 @@
 """The process in which a library reads what a stranger wrote.
 
 Run by its path, without the package around it: it gets a job as JSON on its input, loads the engine
-that the job names from this folder, gives up what it does not need, and answers in JSON.
+that the job names from this folder, gives up what it does not need, and answers in JSON. It ends
+with the process that asks.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ def main() -> None:
     out = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     job = json.load(sys.stdin)
+    _loaded(Path(__file__).parents[1] / "core" / "parent.py").end_with(*job["parent"])
     engine = _engine(job["engine"])
     _confine(float(job["limit_s"]))
     answer = engine.answer(job)
@@ -38,8 +40,12 @@ def _engine(name: str) -> Any:
     """One of the modules beside this one; another that it needs is among the loaded ones."""
     for needed in ENGINES[name]:
         sys.modules[needed] = _engine(needed)
-    file = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(name, file)
+    return _loaded(Path(__file__).with_name(f"{name}.py"))
+
+
+def _loaded(file: Path) -> Any:
+    """A module by its file."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

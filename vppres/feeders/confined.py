@@ -6,11 +6,12 @@ import json
 import signal
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
+from vppres.core.parent import me
+from vppres.io.atomic import scratch_folder
 
 TIME_LIMIT_S = 10.0
 """For a library to read a file; the published feeders take less than one."""
@@ -44,7 +45,7 @@ def confined(
         If there is no answer in time, or none at all.
     """
     child = Path(__file__).with_name("child.py")
-    text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s})
+    text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s, "parent": me()})
     too_long = InputError(
         Problem(
             name,
@@ -52,7 +53,7 @@ def confined(
             "Give the feeder alone, with sizes that equipment has.",
         )
     )
-    with tempfile.TemporaryDirectory(prefix="vppres-") as folder:
+    with scratch_folder() as folder:
         try:
             # -I: neither variables nor files of the user say what is loaded; -B: no cache written.
             done = subprocess.run(
@@ -84,11 +85,11 @@ def confined(
     return answer
 
 
-def _environment(folder: str) -> dict[str, str]:
+def _environment(folder: Path) -> dict[str, str]:
     """Variables of the process: nothing of the user's, no program to find, one thread."""
     return {
-        "HOME": folder,
-        "TMPDIR": folder,
+        "HOME": str(folder),
+        "TMPDIR": str(folder),
         "PATH": "",
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",

@@ -94,12 +94,13 @@ def scratch_folder() -> Iterator[Path]:
     Yields
     ------
     Path
-        An empty folder, removed after the block.
+        An empty folder that only this user can open, removed after the block.
     """
     home = Path(tempfile.gettempdir())
     remove_leftovers(home)
     aside, descriptor = _locked_folder(home / "scratch")
     try:
+        aside.chmod(0o700)
         yield aside
     finally:
         shutil.rmtree(aside, ignore_errors=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,15 +13,13 @@ import pandas as pd
 from vppres.contract.decision import Decider
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
-from vppres.day.forecasting import PAPER, forecasts_of, history_before
+from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
@@ -30,16 +27,14 @@ from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
-from vppres.physics.cold_load import ColdLoad
+from vppres.live.past import Past
+from vppres.live.state import Standing, restored, state_of
 from vppres.plant.plant import BatteryState
-from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
 ENDLESS = 2**40
 """Steps that a controller may be fed with in its life."""
-REMEMBERED_DAYS = 100
-"""Days of measurements that a controller keeps, more than any forecaster looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,18 +132,27 @@ class Controller:
     True
     """
 
-    def __init__(self, scenario: Scenario, options: RunOptions, decider: Decider) -> None:
-        self.scenario = scenario
+    def __init__(
+        self, scenario: Scenario, options: RunOptions, decider: Decider, state: Any = None
+    ) -> None:
+        start = Past.before_the_day(scenario, options)
+        at = Standing(scenario, 0, start)
+        if state is not None:
+            at = restored(state, scenario, decider, options, start)
+        # Measurements are remembered in the past, once.
+        self.scenario = replace(at.known, history=None)
         self.options = options
         self._decider = decider
         # Steps of controllers count on from the very first one; the scenario begins later.
-        self._forgotten = 0
-        self._past = _Past.before_the_day(scenario, options)
-        self._step_before: tuple[Memory, _Past] | None = None
+        self._forgotten = at.forgotten
+        self._past = at.past
+        self._step_before: tuple[Memory, Past] | None = at.before
         self._turn = threading.Lock()
 
     @classmethod
-    def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:
+    def of(
+        cls, scenario: Scenario, options: RunOptions | None = None, *, state: Any = None
+    ) -> Controller:
         """The controller of a scenario's site.
 
         Parameters
@@ -159,11 +163,15 @@ class Controller:
             As for :func:`vppres.day.simulate.run_day`; forecast errors, heating and seed have no
             meaning here. Windows are solved in a process of its own unless the options say
             ``isolate=False`` (``docs/operation.md``).
+        state : dict, optional
+            What :meth:`state` returned, in this process or another: the controller goes on from
+            there. Of the scenario its site counts; the steps that are known are the state's.
 
         Raises
         ------
         InputError
-            If the options name what is not there.
+            If the options name what is not there, or the state is damaged, of another version,
+            another site, or a controller with other options.
         SolverLostError
             If no process to solve in can be started.
         """
@@ -173,7 +181,28 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
-        return cls(scenario, exact, make_controller(scenario, exact, grid=endless))
+        return cls(scenario, exact, make_controller(scenario, exact, grid=endless), state)
+
+    def state(self) -> dict[str, Any]:
+        """All that decides on the steps to come, as a plain value that JSON can hold.
+
+        A controller made with it, in another process or after a restart, decides as this one would
+        to the last bit; its last step may be decided again, too. It holds the steps that are known,
+        the AC operating point, switching duties and cold load, the plan, and what the guard has
+        seen and estimated, beside a layout ``version`` and a ``digest`` of all.
+
+        Examples
+        --------
+        >>> import json, vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> options = vppres.RunOptions(horizon_h=0, isolate=False)
+        >>> saved = json.dumps(Controller.of(day, options).state())
+        >>> Controller.of(day, options, state=json.loads(saved)).times[0].hour
+        0
+        """
+        with self._turn:
+            at = Standing(self.scenario, self._forgotten, self._past, self._step_before)
+            return state_of(at, self._decider, self.options)
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -280,7 +309,7 @@ class Controller:
         self._step_before = start
         return _set_points(scenario, record)
 
-    def _decided(self, seen: Seen, past: _Past) -> tuple[Scenario, StepRecord, _Past]:
+    def _decided(self, seen: Seen, past: Past) -> tuple[Scenario, StepRecord, Past]:
         """The window as it is believed to be, what was decided, and what to remember of it."""
         t = seen.t + self._forgotten
         switching, cold_load = past.held_until(t)
@@ -327,7 +356,7 @@ class Controller:
         return (
             scenario,
             record,
-            _Past(
+            Past(
                 t,
                 day.operating_point,
                 day.switching,
@@ -336,42 +365,6 @@ class Controller:
                 past.with_measured(scenario),
             ),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """What the set-points of the last step should have led to; ``t`` is -1 before the first."""
-
-    t: int
-    operating_point: OperatingPoint | None
-    switching: SwitchingState | None
-    cold_load: ColdLoad
-    served: Flags | None
-    history: History | None
-
-    @classmethod
-    def before_the_day(cls, scenario: Scenario, options: RunOptions) -> _Past:
-        day = Day(scenario, options)
-        history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
-
-    def with_measured(self, now: Scenario) -> History | None:
-        """The history with the first step of a window; None where no forecaster learns from it."""
-        if self.history is None:
-            return None
-        return self.history.followed_by(now.grid.start, now.load_kw[:1], now.pv_kw[:1]).last_days(
-            REMEMBERED_DAYS
-        )
-
-    def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
-        """Switching state and cold load at a step, set-points held over those in between."""
-        switching = self.switching
-        cold_load = copy(self.cold_load)  # a step that fails must not have advanced it
-        if self.served is not None:
-            for _ in range(self.t + 1, t):
-                switching = None if switching is None else switching.advance(self.served)
-                cold_load.advance(self.served)
-        return switching, cold_load
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:

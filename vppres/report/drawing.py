@@ -1,7 +1,8 @@
 """Figures that are drawn in processes of their own while the day is still being explained.
 
 Nothing here loads matplotlib in the process that asks: the others load it while the day runs, and
-have it when the day is done. They run this module: ``python -m vppres.report.drawing``.
+have it when the day is done. They run this module: ``python -m vppres.report.drawing``. They end
+with the process that asks.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ import pickle
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
-from tempfile import mkdtemp
 from types import TracebackType
 from typing import TYPE_CHECKING
+
+from vppres.core.parent import command
+from vppres.io.atomic import scratch_folder
 
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
@@ -39,14 +43,17 @@ class DrawingProcesses:
 
     def __init__(self, count: int = PROCESSES) -> None:
         # With its own session a process does not hear the Ctrl-C that the asking one answers.
-        command = [sys.executable, "-m", "vppres.report.drawing"]
         self._processes = [
             subprocess.Popen(
-                command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+                command("vppres.report.drawing"),
+                stdin=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
             )
             for _ in range(count)
         ]
-        self._folder = Path(mkdtemp(prefix="vppres-figures-"))
+        self._aside = ExitStack()
+        self._folder = self._aside.enter_context(scratch_folder())
 
     @classmethod
     def where_they_help(cls) -> DrawingProcesses:
@@ -69,7 +76,7 @@ class DrawingProcesses:
             for pipe in (process.stdin, process.stderr):
                 if pipe is not None:
                     pipe.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._aside.close()
 
     def begin(self, trajectory: Trajectory) -> None:
         """Let the processes draw the figures of a day; returns before they have."""

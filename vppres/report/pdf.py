@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 from vppres.core.errors import InputError, Problem, ReportError
+from vppres.core.parent import command
 from vppres.io.atomic import scratch_folder
 from vppres.report.pages import write_page
 
@@ -101,17 +102,18 @@ def _print(browser: str, page: Path, printed: Path, profile: Path) -> str:
     """Let a browser print a page; what it said last."""
     # Chromium refuses its sandbox to root.
     as_root = ("--no-sandbox",) if hasattr(os, "geteuid") and os.geteuid() == 0 else ()
-    command = [
+    printing = command(
+        "--",
         browser,
         *_QUIET,
         *as_root,
         f"--user-data-dir={profile}",
         f"--print-to-pdf={printed}",
         page.as_uri(),
-    ]
+    )
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PRINT_S, check=False
+            printing, stdin=subprocess.DEVNULL, capture_output=True, timeout=PRINT_S, check=False
         )
     except subprocess.TimeoutExpired:
         return f"no answer in {PRINT_S:g} s"

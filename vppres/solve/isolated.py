@@ -27,12 +27,14 @@ from typing import Any
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem, SolverLostError
+from vppres.core.parent import command
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task
+from vppres.solve.weighted import WeightedChoices
 
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
@@ -253,20 +255,9 @@ def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[by
     if not sys.executable:
         raise ValueError("this Python does not know its own executable")
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    bound = "bound" if threading.current_thread() is threading.main_thread() else "free"
-    command = [
-        sys.executable,
-        "-P",
-        "-X",
-        "faulthandler",
-        "-m",
-        "vppres.solve.worker",
-        str(theirs.fileno()),
-        str(os.getpid()),
-        bound,
-    ]
+    python, *rest = command("vppres.solve.worker", str(theirs.fileno()))
     return subprocess.Popen(
-        command,
+        [python, "-P", "-X", "faulthandler", *rest],
         stdin=start,
         stdout=log,
         stderr=log,
@@ -429,7 +420,7 @@ class IsolatedSolver(WindowSolver):
 
     Parameters
     ----------
-    site, method, solver, limits, polygon_sides
+    site, method, solver, limits, polygon_sides, weighted
         As for :class:`vppres.solve.ladder.WindowSolver`.
     factory : callable, optional
         Makes the solver in the other process; a class or function of a module.
@@ -451,6 +442,7 @@ class IsolatedSolver(WindowSolver):
         solver: str = "highs",
         limits: SolveLimits | None = None,
         polygon_sides: int = POLYGON_SIDES,
+        weighted: WeightedChoices | None = None,
         factory: Callable[..., WindowSolver] = WindowSolver,
         workers: Workers | None = None,
     ) -> None:
@@ -464,8 +456,10 @@ class IsolatedSolver(WindowSolver):
                     value=True,
                 )
             )
-        super().__init__(site, method, solver, limits, polygon_sides)
-        self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
+        super().__init__(site, method, solver, limits, polygon_sides, weighted)
+        self._setup = Setup(
+            factory, site, method, solver, self.limits, polygon_sides, self.weighted
+        )
         self._workers = workers
         self._compilations = 0
         self._from().start()

@@ -2,13 +2,12 @@
 
 It is started by :mod:`vppres.solve.isolated` and is of no use by itself. Its first object comes
 through standard input, tasks and replies go through the socket that it inherits. It ends with the
-process that started it, however that one ends.
+process that started it (:mod:`vppres.core.parent`), however that one ends.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import pickle
 import queue
@@ -29,7 +28,6 @@ from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Start, Task
 SOLVERS_KEPT = 8
 """Solvers of the last setups: whole fleet, parts of it, wider voltages, the first tier."""
 
-_PR_SET_PDEATHSIG = 1
 _FIRST_VICTIM = "500"
 """Added to what the kernel counts against a process when memory runs out (-1000 to 1000)."""
 
@@ -66,20 +64,15 @@ class Solvers:
             return Reply(error=_portable(error))
 
 
-def serve(fd: int, parent: int, bound: bool) -> None:
+def serve(fd: int) -> None:
     """Do tasks until the other end of the socket is closed.
 
     Parameters
     ----------
     fd : int
         Number of the socket.
-    parent : int
-        Process that started this one.
-    bound : bool
-        Whether that was its main thread, so that the kernel may be asked to end this process
-        with it: the kernel goes by the thread.
     """
-    _prepare(parent, bound)
+    _prepare()
     channel = Channel(socket.socket(fileno=fd))
     inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(channel, inbox), daemon=True).start()
@@ -109,21 +102,13 @@ def _read(channel: Channel, inbox: queue.SimpleQueue[bytes]) -> None:
         os._exit(0)
 
 
-def _prepare(parent: int, bound: bool) -> None:
-    """Leave Ctrl-C to the parent, and see that this process neither outlives it nor fills a disk.
-
-    A thread of this process sees the parent's end too, but not while a solver holds the
-    interpreter's lock.
-    """
+def _prepare() -> None:
+    """Leave Ctrl-C to the parent, write no core, and be the first to go where memory runs out."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             Path("/proc/self/oom_score_adj").write_text(_FIRST_VICTIM, encoding="ascii")
-        if bound:
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(0)
 
 
 def _limit_memory(memory_bytes: int) -> None:
@@ -147,4 +132,4 @@ def _portable(error: Exception) -> Exception:
 
 
 if __name__ == "__main__":
-    serve(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "bound")
+    serve(int(sys.argv[1]))

@@ -8,11 +8,7 @@ a job that is asked for twice is run once, and a job whose worker dies is run ag
 from __future__ import annotations
 
 import importlib.util
-import os
-import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -25,6 +21,7 @@ from typing import Any, Generic, TypeVar
 import joblib
 
 from vppres.core.errors import InputError, Problem
+from vppres.core.parent import end_with, me
 from vppres.day.metrics import versions
 
 J = TypeVar("J")
@@ -35,8 +32,6 @@ RETRIES = 2
 
 PATIENCE_S = 30.0
 """In which a scheduler must answer and have a worker."""
-
-_ASK_S = 0.5  # between two looks at the parent
 
 
 @dataclass(frozen=True)
@@ -150,9 +145,10 @@ def _loky(
     function: Callable[[J], R], jobs: Sequence[J], processes: int
 ) -> Generator[tuple[int, R], None, None]:
     """Results with the positions of their jobs; a single process is this one."""
-    # One thread each: solvers and linear algebra would only fight for the cores.
+    # One thread each: solvers and linear algebra would only fight for the cores. The processes end
+    # with this one, which the system does not see to by itself.
     with joblib.parallel_config(
-        "loky", inner_max_num_threads=1, initializer=_end_with, initargs=(os.getpid(),)
+        "loky", inner_max_num_threads=1, initializer=end_with, initargs=me()
     ):
         parallel = joblib.Parallel(n_jobs=processes, return_as="generator_unordered", batch_size=1)
         work = (joblib.delayed(_numbered)(function, *one) for one in enumerate(jobs))
@@ -163,23 +159,6 @@ def _loky(
 
 def _numbered(function: Callable[[J], R], number: int, job: J) -> tuple[int, R]:
     return number, function(job)
-
-
-def _end_with(parent: int) -> None:
-    """Let this worker die with its parent, which the system does not see to by itself.
-
-    It runs when a worker starts, whose parent may be dead by then. A thread asks: the death signal
-    of Linux comes with the end of the thread that started the worker, and not of its process.
-    """
-    if os.getpid() == parent:
-        return  # a single job runs in the process itself
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_ASK_S)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 # A cluster.
