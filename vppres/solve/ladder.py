@@ -41,9 +41,13 @@ from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
+from vppres.solve.weighted import ANY_GAP, WeightedChoices, require_choices, solve_weighted
 from vppres.solve.whole import with_binaries, without_binaries
 
-METHODS = ("decomposed", "monolithic")
+LEVELLED = ("decomposed", "monolithic")
+"""Methods that solve term by term, each to its own precision."""
+
+METHODS = (*LEVELLED, "weighted")
 
 IN_TURN_SHARE = 0.5
 """Share of the time for steps in turn: where watts count after all, the rest is for the window."""
@@ -56,8 +60,9 @@ class WindowSolver:
     ----------
     site : Site
         Fixed data.
-    method : {"decomposed", "monolithic"}
-        How the served set is found; ``docs/method.md`` proves the certificates.
+    method : {"decomposed", "monolithic", "weighted"}
+        How the served set is found; ``docs/method.md`` proves the certificates. ``weighted`` is one
+        solve of all terms as weighted, without levels.
     solver : str
         Name in the table of solvers. Counts, the stages in the network and continuous problems with
         cones do not follow it; the stages of a solution name the solver of each.
@@ -65,6 +70,8 @@ class WindowSolver:
         Gaps and time limit of a window.
     polygon_sides : int, optional
         Sides of an inverter's polygon for solvers that take no cones with binaries.
+    weighted : WeightedChoices, optional
+        Unit, tolerance and seed of the method ``weighted``.
 
     Raises
     ------
@@ -79,6 +86,7 @@ class WindowSolver:
         solver: str = "highs",
         limits: SolveLimits | None = None,
         polygon_sides: int = POLYGON_SIDES,
+        weighted: WeightedChoices | None = None,
     ) -> None:
         if method not in METHODS:
             raise InputError(
@@ -93,6 +101,10 @@ class WindowSolver:
         self.method = method
         self.limits = limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)
+        self.weighted = weighted or WeightedChoices()
+        if method == "weighted":
+            require_choices(solver)
+            self.limits = replace(self.limits, gap_abs=ANY_GAP)
         self.sides = 0 if self.spec.mip_cones else polygon_sides
         self.cache = shared_cache(site)
 
@@ -147,6 +159,8 @@ class WindowSolver:
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
+        if self.method == "weighted":
+            return solve_weighted(task, self.weighted)
         known = task.certificate
         if self.method == "decomposed":
             climb(task)

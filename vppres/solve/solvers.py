@@ -224,11 +224,20 @@ def run(
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
     The time limit holds for compiling too.
     """
+    return run_with(problem, spec, lambda s: spec.options(gap_abs * scale, s), time_s, scale)
+
+
+def run_with(
+    problem: cp.Problem,
+    spec: SolverSpec,
+    options: Callable[[float], Mapping[str, Any]],
+    time_s: float,
+    scale: float = 1.0,
+) -> Outcome:
+    """The same with options of one's own, of the seconds that are left."""
     deadline = Deadline(time_s)
     try:
-        asked = _solve(
-            problem, spec.cvxpy_name, deadline, lambda s: spec.options(gap_abs * scale, s)
-        )
+        asked = _solve(problem, spec.cvxpy_name, deadline, options)
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, deadline.spent_s, spec.name)
     elapsed = deadline.spent_s

@@ -49,7 +49,7 @@ def enter_network(task: WindowTask) -> None:
     master = network_master(task)
     found = None
     if master is None or worth_asking_tie_breakers(task, master, best):
-        found = with_tie_breakers(task, best)
+        found = carried(task, master, best)
     if found is None:
         found = decided_anew(task, master, best)
     task.certificate.best = found
@@ -71,6 +71,20 @@ def worth_asking_tie_breakers(task: WindowTask, master: NetworkMaster, best: Can
     if not task.is_large:
         return True
     return master.unit * (master.most_units + HALF_UNIT) > best.service
+
+
+def carried(task: WindowTask, master: NetworkMaster | None, best: Candidate) -> Candidate | None:
+    """The dispatch at hand in the network, None if the network forbids its cost.
+
+    In a huge window the tie-breakers are one problem of too many numbers: there the master finds
+    the dispatch of its set, which must be within the gaps.
+    """
+    if master is None or not task.is_huge:
+        return with_tie_breakers(task, best)
+    found = InNetwork(task, master).cheapest(best.dispatch.served)
+    known = task.certificate
+    enough = found is not None and known.limits.met(known.bound, found.value)
+    return found if enough else None
 
 
 def decided_anew(
@@ -116,7 +130,7 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served)
+        found = self.cheapest(served)
         if found is None:
             return None
         self._bound_cost(found)
@@ -133,7 +147,7 @@ class InNetwork:
         outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, deadline)
         known.note("network_cost_level", outcome)
         known.cost_bound_gbp = max(known.cost_bound_gbp, outcome.bound)
-        other = None if served is None else self._cheapest(served)
+        other = None if served is None else self.cheapest(served)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
@@ -185,7 +199,7 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def _cheapest(self, served: Flags) -> Candidate | None:
+    def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
         outcome, dispatch = self.master.cheapest(served, task.answer_by())
