@@ -83,7 +83,7 @@ class Program:
         """Whether it is a linear problem of hardly any rows."""
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
-    def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
+    def loaded(self, gap_abs: float = 0.0, most_nodes: int | None = None) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
         options: dict[str, Any] = {
@@ -94,6 +94,8 @@ class Program:
         }
         if self.is_wide:
             options["presolve"] = "off"
+        if most_nodes is not None:
+            options["mip_max_nodes"] = most_nodes
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
@@ -158,12 +160,14 @@ class ProgramSolution:
     @classmethod
     def of_search(cls, solver: highspy.Highs, patience: Patience) -> ProgramSolution:
         """Run a search for a smallest whole number as long as it improves."""
+        before = patience.nodes
 
         def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
             """HiGHS asks between nodes whether to go on."""
             # Its bound is worth the whole number above it.
             bound = np.ceil(now.mip_dual_bound - WHOLE_TOLERANCE)
-            patience.saw(best=-now.mip_primal_bound, bound=-bound)
+            nodes = before + max(int(now.mip_node_count), 0)
+            patience.saw(best=-now.mip_primal_bound, bound=-bound, nodes=nodes)
             answer.user_interrupt = patience.passed
 
         solver.setCallback(ask, None)
@@ -230,6 +234,6 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-    if status == highspy.HighsModelStatus.kInterrupt:
+    if status in (highspy.HighsModelStatus.kInterrupt, highspy.HighsModelStatus.kSolutionLimit):
         return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)

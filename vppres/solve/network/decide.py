@@ -30,9 +30,8 @@ FLEET_SHARE = 0.1
 LEAST_FLEET_S = 1.0
 """What it may take of a short limit, as far as there is so much left."""
 
-COST_SHARE = 0.04
-"""Share of the time left for a cheaper set. On the benchmark's windows what it finds comes early,
-and the proof that there is nothing cheaper never ends where it does not end soon."""
+COST_SHARE = 0.25
+"""Share of the time left for a cheaper set, whose search ends at a number of nodes."""
 
 HALF_UNIT = 0.5
 """Units of service by which the network's bound must lie below the fleet's set to say that it
