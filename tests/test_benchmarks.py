@@ -232,7 +232,7 @@ def test_unknown_size_is_an_error() -> None:
     with pytest.raises(InputError) as caught:
         feeder_scenario(34)
     assert str(caught.value) == (
-        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021."
+        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021, 2993, 9997."
     )
 
 

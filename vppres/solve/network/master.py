@@ -325,7 +325,8 @@ class NetworkMaster:
         of_columns[self.model.at["x"]] = kinds.kUpper
         of_columns[columns] = kinds.kBasic
         of_rows = np.full(solver.getNumRow(), kinds.kBasic, dtype=object)
-        of_rows[rows] = np.where(np.isfinite(self.program.lower[rows]), kinds.kLower, kinds.kUpper)
+        of_rows[rows] = kinds.kUpper
+        of_rows[rows[np.isfinite(self.program.lower[rows])]] = kinds.kLower
         basis = highspy.HighsBasis()
         basis.col_status = of_columns.tolist()
         basis.row_status = of_rows.tolist()
