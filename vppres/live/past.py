@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from vppres.contract.operating_point import OperatingPoint
@@ -13,6 +13,7 @@ from vppres.core.arrays import Flags
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
+from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
@@ -40,6 +41,8 @@ class Past:
         Who was served.
     history : History or None
         What was measured; None where no forecaster learns from it.
+    grid_seen : GridSeen
+        Outages so far.
     """
 
     t: int
@@ -48,6 +51,7 @@ class Past:
     cold_load: ColdLoad
     served: Flags | None
     history: History | None
+    grid_seen: GridSeen = field(default_factory=GridSeen)
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -82,6 +86,7 @@ class Past:
             "switching": to_plain(self.switching, given),
             "cold_load": memory_of(self.cold_load, given),
             "served": to_plain(self.served, given),
+            "grid_seen": to_plain(self.grid_seen, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -105,4 +110,7 @@ class Past:
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)
             for name, kind in kinds.items()
         }
+        seen = found.get("grid_seen")
+        if seen is not None:  # states from before there were beliefs have none
+            values["grid_seen"] = from_plain(GridSeen, seen, f"{where}.grid_seen", given)
         return Past(cold_load=cold_load, history=history, **values)
