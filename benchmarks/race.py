@@ -2,8 +2,8 @@
 
 All windows, those of ``instances.csv`` and of ``hard.csv``, in the processor's time of one process,
 so that others on the machine change little. A window that takes ``t`` seconds is slower where a
-monolith is certified in less than ``(t - HEAD_START_S) / SLOWER``: no monolith runs longer, and none
-at all beside a window that takes no more than the head start.
+monolith is certified in less than ``(t - HEAD_START_S) / SLOWER``: no monolith runs longer, and
+none at all beside a window that takes no more than the head start.
 """
 
 from __future__ import annotations
