@@ -195,7 +195,7 @@ def judge(drawn: RandomDay, steps: Sequence[StepToJudge]) -> list[str]:
 def _best_alone(tier: str, site: Site, known: Known) -> np.ndarray:
     """Who is served in the step alone with the tier above everything else, (C,)."""
     part = critical_site(site_with(site, known.online), tier)
-    seen: Observation = reduced_observation(known.observation, known.online)
+    seen: Observation = reduced_observation(known.observation, known.online, site.batteries)
     method, solver = JUDGE
     try:
         window = WindowData.of(seen, part, "lossless").first(1)

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.support.long_days import repeated
+from tests.support.same_steps import same
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller, SetPoints
@@ -21,7 +22,6 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 HOUR = pd.Timedelta("1h")
-FOUND = ("objective", "bound", "gap")
 
 
 def rolled(tiny: Scenario, n_steps: int = 30) -> Scenario:
@@ -41,18 +41,6 @@ def played(controller: Controller, pieces: list[Scenario], ahead: int) -> Iterat
         yield decision
         soc = dict(decision.batteries["soc_end"])
         now += HOUR
-
-
-def same(one: SetPoints, other: SetPoints) -> bool:
-    """Whether two decisions are the same to the last bit, but for their times of solution."""
-    tables = ("customers", "batteries", "pv", "buses")
-    return (
-        one.time == other.time
-        and all(getattr(one, name).equals(getattr(other, name)) for name in tables)
-        and one.import_kw == other.import_kw
-        and one.solve["status"] == other.solve["status"]
-        and np.array_equal(*([s.solve[k] for k in FOUND] for s in (one, other)), equal_nan=True)
-    )
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,16 @@ class Export:
             return None
         return cls(scenario.export_max_kw[rows], scenario.export_price[rows])
 
+    @classmethod
+    def believed(
+        cls, scenario: Scenario, rows: Wholes | slice, grid_limit_kw: Floats
+    ) -> Export | None:
+        """The same by import limits that are believed, (W,), whatever outages come."""
+        if not scenario.exports:
+            return None
+        limit_kw = np.broadcast_to(scenario.export_limit_kw, scenario.price_gbp_per_kwh.shape)
+        return cls(limit_kw[rows], scenario.export_price[rows]).within(grid_limit_kw)
+
     def part(self, steps: slice) -> Export:
         """Some of the steps."""
         return Export(self.limit_kw[steps], self.price_gbp_per_kwh[steps])

@@ -92,6 +92,18 @@ class Forecast:
             temperature_c=float,
         )
 
+    def first(self, n_steps: int) -> Forecast:
+        """The first steps alone."""
+        steps = slice(n_steps)
+        return Forecast(
+            self.load_kw[steps],
+            self.pv_kw[steps],
+            self.price_gbp_per_kwh[steps],
+            self.grid_limit_kw[steps],
+            self.temperature_c[steps],
+            self.export and self.export.part(steps),
+        )
+
     @property
     def export_now_kw(self) -> float:
         """Largest export in the first step, 0 where the connection imports only."""

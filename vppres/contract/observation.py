@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -41,6 +42,9 @@ class Observation:
         Who was really served in the step before; as decided if not given.
     terminal : Terminal, optional
         What batteries are to hold at the end of the window, where nothing is known behind it.
+    stored_value : StoredValue, optional
+        What energy is worth behind the present step, where the steps behind it are believed and not
+        known. The window is then the present step alone.
     """
 
     t0: int
@@ -56,3 +60,9 @@ class Observation:
     import_kw: float | None = None
     served: Flags | None = None
     terminal: Terminal | None = None
+    stored_value: StoredValue | None = None
+
+    @property
+    def window(self) -> Forecast:
+        """Forecast of the steps that are decided together: with a value, of the present one."""
+        return self.forecast if self.stored_value is None else self.forecast.first(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.control.remembered import PART
 from vppres.core.arrays import Floats, Names
 from vppres.model.data import WindowData
 from vppres.model.formulas import cell_kw, soc_after
@@ -64,6 +65,13 @@ class FullHorizonController:
     planner : Planner, optional
         Plans the windows; one solve at the centre if not given.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "plan": Dispatch | None,
+        "loss_kw": Floats | None,
+        "first": int,
+        "planner": PART,
+    }
 
     def __init__(
         self,

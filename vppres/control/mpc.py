@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.control.remembered import PART
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 
@@ -35,6 +37,8 @@ class MPCController:
         What moving a battery by its rated power away from the plan before is worth, in kW of line
         losses.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": tuple[int, Dispatch] | None, "planner": PART}
 
     def __init__(
         self,
@@ -70,7 +74,11 @@ class MPCController:
             moved_kw = float(np.abs(now_kw - before.planned_kw[0]).sum())
         self._last = observation.t0, plan
         info = solve_info(solution, self.solver.compilations, relaxed)
-        return Decision(plan, 0, replace(info, moved_kw=moved_kw))
+        worth = np.nan
+        if observation.stored_value is not None:
+            held_kwh = float(plan.soc[-1] @ self.solver.site.batteries.energy_kwh)
+            worth = observation.stored_value.marginal_gbp_per_kwh(held_kwh)
+        return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""
@@ -80,5 +88,5 @@ class MPCController:
         ago = observation.t0 - t0
         if not 0 < ago < plan.n_steps:
             return None
-        n_steps = len(observation.forecast.price_gbp_per_kwh)
+        n_steps = len(observation.window.price_gbp_per_kwh)
         return Moves.of(plan.charge_kw - plan.discharge_kw, ago, n_steps, self.move_weight)

@@ -15,6 +15,7 @@ from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
+from vppres.day.outages import check_outages
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -43,14 +44,27 @@ def make_controller(
         What befalls its solvers.
     grid : TimeGrid, optional
         Steps that there may be, where they are not the scenario's.
+
+    Raises
+    ------
+    InputError
+        If it has no use for what the options say of outages.
     """
     grid = grid or scenario.grid
     options = options.on(scenario)
+    check_outages(str(options.outages), options.controller)
     site = Site.of(scenario)
     make = IsolatedSolver if options.isolate else WindowSolver
 
     def solver_of(part: Site) -> WindowSolver:
-        solver = make(part, options.method, options.solver, options.limits, options.polygon_sides)
+        solver = make(
+            part,
+            options.method,
+            options.solver,
+            options.limits,
+            options.polygon_sides,
+            options.weighted,
+        )
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:

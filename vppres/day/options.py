@@ -17,6 +17,7 @@ from vppres.scenario.option_table import OPTIONS, default_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import SolveLimits
+from vppres.solve.weighted import WeightedChoices
 
 PERFECT = "perfect"
 
@@ -35,6 +36,8 @@ class RunOptions:
     soc_end : float or None
         State of charge that batteries keep at the end of what is known; the scenario's if not
         given, and none where it has none.
+    outages : {"known", "likely", "belief", "none"} or None
+        What is known of outages ahead; None leaves it to the scenario.
     solver, method : str
         Names in the solver table and of the method.
     forecaster : {"paper", "seasonal"}
@@ -47,6 +50,8 @@ class RunOptions:
         Seed of the forecast errors.
     limits : SolveLimits
         Gaps and time limit of a window.
+    weighted : WeightedChoices
+        Unit, tolerance and seed of the method ``weighted``.
     polygon_sides : int
         Sides of an inverter's polygon where the solver needs one.
     centre : {"lossless", "literal", "none"}
@@ -82,6 +87,7 @@ class RunOptions:
     controller: str = default_of("controller")
     horizon_h: float = default_of("horizon_h")
     soc_end: float | None = default_of("soc_end")
+    outages: str | None = None
     solver: str = default_of("solver")
     method: str = default_of("method")
     forecaster: str = default_of("forecaster")
@@ -89,6 +95,7 @@ class RunOptions:
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")
     limits: SolveLimits = field(default_factory=SolveLimits)
+    weighted: WeightedChoices = field(default_factory=WeightedChoices)
     polygon_sides: int = default_of("polygon_sides")
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
@@ -147,6 +154,7 @@ class RunOptions:
             self,
             mode=own.mode if self.mode is None else self.mode,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
+            outages=own.outages if self.outages is None else self.outages,
         )
 
     def as_record(self) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
+from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
 from vppres.io.python_door import check_scenario
 from vppres.physics.powerflow import shared_power_flow
@@ -112,6 +113,8 @@ class Day:
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
+        self.outages = OutageView.create(scenario, self.options.as_record())
+        self.grid_seen = GridSeen()
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
@@ -133,6 +136,9 @@ class Day:
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
         )
+        now = self.scenario.grid.times[t]
+        self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
+        seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         return seen if self.faults is None else self.faults.observe(seen)
 
     def step(self, controller: Decider, t: int) -> None:
@@ -151,7 +157,7 @@ class Day:
         done = self.carry_out(t, decision)
         realised = done.realised
         result = done.ac
-        record = _record(self.scenario, t, decision, self.state, done, str(self.options.mode))
+        record = _record(self.scenario, t, decision, self.state, done, self.options)
         record = replace(record, steps={**record.steps, **basis_of(self.forecaster, t)})
         self.operating_point = (
             None
@@ -188,7 +194,12 @@ class Day:
 
 
 def _record(
-    scenario: Scenario, t: int, decision: Decision, state: BatteryState, done: Settled, mode: str
+    scenario: Scenario,
+    t: int,
+    decision: Decision,
+    state: BatteryState,
+    done: Settled,
+    options: RunOptions,
 ) -> StepRecord:
     """Everything that is known of the step."""
     realised = done.realised
@@ -225,6 +236,7 @@ def _record(
         "p_ac_kw": done.ac.p_from_kw,
         "q_ac_kvar": done.ac.q_from_kvar,
     }
+    mode = str(options.mode)
     held_by_batteries = mode == "physical" and bool(scenario.outage[t])
     steps = {
         **_supply(done, buses, held_by_batteries),
@@ -235,6 +247,8 @@ def _record(
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
     }
+    if options.outages == BELIEF:
+        steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
     return StepRecord(t, steps, customers, pv, batteries, buses, lines)
 
 
@@ -274,6 +288,8 @@ def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
         "gap_abs": info.gap_abs,
         "gap_service": info.gap_service,
         "gap_cost_gbp": info.gap_cost_gbp,
+        "gap_curtailed_kwh": info.gap_curtailed_kwh,
+        "gap_loss_kwh": info.gap_loss_kwh,
         "solver_s": info.solver_s,
         "stages": info.stages,
         "compilations": float(info.compilations),

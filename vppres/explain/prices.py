@@ -54,8 +54,9 @@ class StepPrices:
 
 def day_prices(recorded: Recorded) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all."""
-    ending = recorded.soc_asked is not None and len(recorded.site.batteries) > 0
-    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.scenario.exports, ending)
+    model = ShadowPriceModel(
+        recorded.site, recorded.n_seen, recorded.scenario.exports, recorded.ending
+    )
     return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
 
 

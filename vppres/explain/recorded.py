@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 import pandas as pd
 
 from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.contract.stored_value import Ending
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
+from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
 from vppres.model.linearise import delta_offset, drawn_by
@@ -99,6 +103,15 @@ class Recorded:
         asked: float | None = self.options.get("soc_end")
         return asked
 
+    @property
+    def ending(self) -> Ending:
+        """What the windows' problems said of their ends."""
+        if not len(self.site.batteries):
+            return ""
+        if self.options.get("outages") == BELIEF:
+            return "value"
+        return "" if self.soc_asked is None else "target"
+
     def seen(self, t: int) -> WindowData:
         """The window that the controller saw at step ``t``, from the recorded state.
 
@@ -107,7 +120,9 @@ class Recorded:
         """
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
-        f = self._forecast(t, steps)
+        told = self._told(t, self._forecast(t, steps))
+        f = told.window
+        steps = steps[: len(f.price_gbp_per_kwh)]
         centre: Centre = self.options.get("centre", "lossless")
         network = self.scenario.network
         point = self._operating_point(t - 1)
@@ -125,8 +140,9 @@ class Recorded:
             np.tile(offset, (len(steps), 1)),
             export=f.export,
             terminal=Terminal.of(self.soc_asked, f, ends=steps.stop == self.n_steps)
-            if len(self.site.batteries)
+            if self.ending == "target"
             else None,
+            stored_value=told.stored_value,
             drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
         )
 
@@ -171,6 +187,24 @@ class Recorded:
             now.temperature_c,
             now.export,
         )
+
+    def _told(self, t: int, forecast: Forecast) -> Observation:
+        """What the controller was told: of outages no more than could be known."""
+        seen = Observation(
+            t, forecast, self.soc_start[t], self._eta_charge[t], self._eta_discharge[t]
+        )
+        return self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
+
+    @cached_property
+    def _view(self) -> OutageView:
+        return OutageView.create(self.scenario, self.options)
+
+    @cached_property
+    def _grid_seen(self) -> list[GridSeen]:
+        """What had been seen of the grid at each step."""
+        steps = zip(self.scenario.grid.times, self.scenario.grid_limit_kw, strict=True)
+        found = accumulate(steps, lambda seen, now: seen.after(*now), initial=GridSeen())
+        return list(found)[1:]
 
     def _operating_point(self, t: int) -> OperatingPoint | None:
         """The AC solution of a step, None before the first and after one in the dark."""

@@ -12,6 +12,7 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
+from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
@@ -47,6 +48,11 @@ def _canonical(value: Any) -> Any:
         # So does a run whose batteries may end empty.
         if isinstance(value, ControllerDefaults) and value.soc_end is None:
             left_out = left_out | {"soc_end"}
+        # And folders that say nothing of outages ahead.
+        if isinstance(value, Scenario):
+            left_out = left_out | _unsaid(value)
+        if isinstance(value, ControllerDefaults) and value.outages == ControllerDefaults.outages:
+            left_out = left_out | {"outages"}
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
@@ -56,6 +62,15 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
+
+
+def _unsaid(scenario: Scenario) -> set[str]:
+    """Warnings and statistics of outages where there are none."""
+    said = {
+        "warnings": bool(scenario.warnings),
+        "outage_statistics": scenario.outage_statistics != OutageStatistics(),
+    }
+    return {name for name, told in said.items() if not told}
 
 
 def _canonical_pv(pv: PVSystems) -> dict[str, Any]:

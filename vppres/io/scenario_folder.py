@@ -20,9 +20,11 @@ from vppres.io.messages import in_order
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.source import Source, SourceDeviation
@@ -32,6 +34,7 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "buses": schema.BusRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
+    "warnings": schema.WarningRow,
 }
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
@@ -49,6 +52,7 @@ class _Folder:
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
+    warnings: Table | None
     history_load_kw: Table | None
     history_pv_kw: Table | None
 
@@ -62,6 +66,7 @@ class _Rows:
     customers: dict[int, schema.CustomerRow]
     pv: dict[int, schema.PVRow]
     batteries: dict[int, schema.BatteryRow]
+    warnings: dict[int, OutageWarning]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +135,15 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
+    warnings, warning_problems = read_warnings(content.warnings)
     return (
-        _Rows(lines, buses, customers, pv, batteries),
-        line_problems + bus_problems + customer_problems + pv_problems + battery_problems,
+        _Rows(lines, buses, customers, pv, batteries, warnings),
+        line_problems
+        + bus_problems
+        + customer_problems
+        + pv_problems
+        + battery_problems
+        + warning_problems,
     )
 
 
@@ -329,6 +340,8 @@ def _assemble(
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
+        warnings=tuple(rows.warnings.values()),
+        outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
     )
 
 

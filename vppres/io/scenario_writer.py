@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, Scenario
+from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import UTC, TimeGrid
 
@@ -90,6 +92,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "mode": scenario.controller.mode,
         },
     }
+    if scenario.controller.outages != ControllerDefaults.outages:
+        document["controller"] |= {"outages": scenario.controller.outages}
     if scenario.controller.soc_end is not None:
         document["controller"] |= {"soc_end": float(scenario.controller.soc_end)}
     if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
@@ -100,6 +104,12 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         }
     if scenario.voll_gbp_per_kwh != DEFAULT_VOLL_GBP_PER_KWH:
         document["reliability"] = {"voll_gbp_per_kwh": float(scenario.voll_gbp_per_kwh)}
+    if scenario.outage_statistics != OutageStatistics():
+        document["outage_statistics"] = {
+            name: value
+            for name, value in asdict(scenario.outage_statistics).items()
+            if value is not None
+        }
     if scenario.source:
         document["source"] = _source(scenario.source)
     try:
@@ -168,6 +178,8 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames["buses"] = _bus_frame(network)
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
+    if scenario.warnings:
+        frames["warnings"] = _warning_frame(scenario.warnings)
     if (customers.shed_steps == 1).all():
         frames["customers"] = frames["customers"].drop(columns="shed_steps")
     return frames
@@ -190,6 +202,22 @@ def _bus_frame(network: Network) -> pd.DataFrame:
     frame = pd.DataFrame({"bus": network.buses, **columns})
     draws = (frame[[*BUS_DRAWS]] != 0).any(axis=1)
     return _without(frame[draws], dict.fromkeys(BUS_DRAWS, 0.0))
+
+
+def _warning_frame(warnings: Sequence[OutageWarning]) -> pd.DataFrame:
+    """Messages as they were given, without columns that say nothing."""
+    rows = [
+        {
+            name: iso(value) if isinstance(value, pd.Timestamp) else value
+            for name, value in asdict(warning).items()
+        }
+        for warning in warnings
+    ]
+    frame = pd.DataFrame(rows, columns=list(schema.WarningRow.model_fields))
+    empty = [
+        name for name in frame if frame[name].isin(["", None]).all() or frame[name].isna().all()
+    ]
+    return frame.drop(columns=empty)
 
 
 def _without(frame: pd.DataFrame, neutral: dict[str, float]) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from pydantic_core import PydanticCustomError
 from vppres.core.text import flaw_of_name
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
+from vppres.scenario.outage_warnings import STATISTICS_PRESETS, WARNING_PRESETS
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ObjectiveWeights
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
 from vppres.scenario.timegrid import UTC, is_zone
@@ -33,6 +34,7 @@ PU: Unit = {"unit": "pu"}
 CELSIUS: Unit = {"unit": "°C"}
 PER_C2: Unit = {"unit": "1/°C²"}
 GBP_PER_KWH: Unit = {"unit": "GBP/kWh"}
+HOURS: Unit = {"unit": "h"}
 
 MAX_GRID_DAYS = 366
 MAX_STEPS = MAX_GRID_DAYS * 1440  # steps of a minute
@@ -65,6 +67,9 @@ MIN_THERMAL = 1e-3  # 1 °C/MW, or a gram of steel
 MAX_THERMAL = 1e3  # 1 °C/W, or a thousand tonnes of steel
 MAX_LOSS_PER_C2 = 1.0  # everything is lost 1 °C away from the reference
 MAX_CELL_OHM = 100.0  # a string of small cells has 1 ohm
+MAX_OUTAGE_H = 8784.0  # a leap year
+MAX_SAIFI = 8760.0  # one an hour
+MAX_SIGMA = 5.0  # nine in ten outages differ by a factor of 400,000
 MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
 _FILE_NAME = r"^[^/\\]+\.(csv|parquet)$"
 
@@ -407,6 +412,49 @@ class SystemSeries(Row):
     )
 
 
+class WarningRow(Row):
+    """A message about an outage; of each outage the last one that was issued counts."""
+
+    issued_at: str = Field(description="time of issue, ISO 8601 with time zone")
+    outage: Name = Field(
+        default="", description="which outage it speaks of, where several are expected"
+    )
+    preset: Literal[WARNING_PRESETS] = Field(  # type: ignore[valid-type]
+        default="", description="kind of warning that fills in what is left empty"
+    )
+    onset_earliest: str = Field(default="", description="earliest beginning of the outage")
+    onset_likely: str = Field(default="", description="most likely beginning of the outage")
+    onset_latest: str = Field(default="", description="latest beginning of the outage")
+    probability: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="probability of the outage on this feeder (0: the all-clear; empty: 1, or the "
+        "preset's)",
+    )
+    duration_p10_h: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_OUTAGE_H,
+        description="length of the whole outage that it stays below with a probability of 10 %",
+        json_schema_extra=HOURS,
+    )
+    duration_p50_h: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_OUTAGE_H,
+        description="median length of the whole outage (empty: the preset's or the statistics')",
+        json_schema_extra=HOURS,
+    )
+    duration_p90_h: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_OUTAGE_H,
+        description="length of the whole outage that it stays below with a probability of 90 %",
+        json_schema_extra=HOURS,
+    )
+
+
 class Section(BaseModel):
     """A section of scenario.toml; TOML has types, so nothing is converted."""
 
@@ -585,6 +633,41 @@ class ReliabilitySection(Section):
     )
 
 
+class OutageStatisticsSection(Section):
+    """Outages that nobody announces, for runs that do not know them; None is the preset's."""
+
+    preset: Literal[STATISTICS_PRESETS] = Field(  # type: ignore[valid-type]
+        default="average", description="public figures to begin with"
+    )
+    saifi_per_year: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_SAIFI,
+        description="outages of a customer in a year (no such key: the preset's)",
+        json_schema_extra={"unit": "1/a"},
+    )
+    caidi_h: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_OUTAGE_H,
+        description="mean length of an outage (no such key: the preset's)",
+        json_schema_extra=HOURS,
+    )
+    duration_sigma: float | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_SIGMA,
+        description="standard deviation of the logarithm of the length (no such key: the preset's)",
+    )
+    value_of_lost_load_gbp_per_kwh: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_PRICE,
+        description=f"value of lost load that decides (no such key: {DEFAULT_VOLL_GBP_PER_KWH:g})",
+        json_schema_extra=GBP_PER_KWH,
+    )
+
+
 class DeviationSection(Section):
     """Largest difference of a bus voltage from the AC power flow of the source."""
 
@@ -647,6 +730,9 @@ class FilesSection(Section):
     system: Name = Field(
         default="system.csv", pattern=_FILE_NAME, description="file of the feeder's series"
     )
+    warnings: Name = Field(
+        default="warnings.csv", pattern=_FILE_NAME, description="file of the outage warnings"
+    )
     history_load_kw: Name = Field(
         default="history_load_kw.csv",
         pattern=_FILE_NAME,
@@ -683,6 +769,9 @@ class ScenarioFile(Section):
     reliability: ReliabilitySection = Field(
         default=ReliabilitySection(), description="table [reliability]"
     )
+    outage_statistics: OutageStatisticsSection = Field(
+        default=OutageStatisticsSection(), description="table [outage_statistics]"
+    )
     source: SourceSection = Field(default=SourceSection(), description="table [source]")
     files: FilesSection = Field(default=FilesSection(), description="table [files]")
 
@@ -696,6 +785,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "scenario.toml, [controller]": ControllerSection,
     "scenario.toml, [switching]": SwitchingSection,
     "scenario.toml, [reliability]": ReliabilitySection,
+    "scenario.toml, [outage_statistics]": OutageStatisticsSection,
     "scenario.toml, [source]": SourceSection,
     "scenario.toml, [source.deviation]": DeviationSection,
     "scenario.toml, [files]": FilesSection,
@@ -707,6 +797,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "load_kw.csv": LoadSeries,
     "pv_kw.csv": PVSeries,
     "system.csv": SystemSeries,
+    "warnings.csv": WarningRow,
 }
 
 

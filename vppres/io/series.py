@@ -109,6 +109,20 @@ def _as_float(cell: object) -> float:
         return float("nan")
 
 
+def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
+    """The time that a text says; None where it says none, with what is wrong and the cure.
+
+    >>> time_of("2022-07-19T12:00")[1:]
+    ('has no time zone', 'Add the offset, for example 2022-07-19T12:00Z.')
+    """
+    times = pd.to_datetime(pd.Series([text]), utc=True, format="ISO8601", errors="coerce")
+    if times.isna()[0] or not text[:4].isdigit():
+        return None, "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
+    if _OFFSET.search(text[:_LONGEST_TIME]) is None:
+        return None, "has no time zone", f"Add the offset, for example {text}Z."
+    return times[0], "", ""
+
+
 def read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     """Times in UTC by line of the file."""
     texts = table.texts(TIME) if TIME in table.names else pd.Series([], dtype=object)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,32 +13,30 @@ import pandas as pd
 from vppres.contract.decision import Decider
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
-from vppres.day.forecasting import PAPER, forecasts_of, history_before
+from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
 from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
-from vppres.physics.cold_load import ColdLoad
+from vppres.live.past import Past
+from vppres.live.state import Standing, restored, state_of
 from vppres.plant.plant import BatteryState
-from vppres.scenario.history import History
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
 ENDLESS = 2**40
 """Steps that a controller may be fed with in its life."""
-REMEMBERED_DAYS = 100
-"""Days of measurements that a controller keeps, more than any forecaster looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +62,8 @@ class SetPoints:
     solve : mapping
         How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
-        none was needed) with its ``fallback_reason``; and what was ``estimated``.
+        none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
+        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
     """
@@ -137,18 +135,27 @@ class Controller:
     True
     """
 
-    def __init__(self, scenario: Scenario, options: RunOptions, decider: Decider) -> None:
-        self.scenario = scenario
+    def __init__(
+        self, scenario: Scenario, options: RunOptions, decider: Decider, state: Any = None
+    ) -> None:
+        start = Past.before_the_day(scenario, options)
+        at = Standing(scenario, 0, start)
+        if state is not None:
+            at = restored(state, scenario, decider, options, start)
+        # Measurements are remembered in the past, once.
+        self.scenario = replace(at.known, history=None)
         self.options = options
         self._decider = decider
         # Steps of controllers count on from the very first one; the scenario begins later.
-        self._forgotten = 0
-        self._past = _Past.before_the_day(scenario, options)
-        self._step_before: tuple[Memory, _Past] | None = None
+        self._forgotten = at.forgotten
+        self._past = at.past
+        self._step_before: tuple[Memory, Past] | None = at.before
         self._turn = threading.Lock()
 
     @classmethod
-    def of(cls, scenario: Scenario, options: RunOptions | None = None) -> Controller:
+    def of(
+        cls, scenario: Scenario, options: RunOptions | None = None, *, state: Any = None
+    ) -> Controller:
         """The controller of a scenario's site.
 
         Parameters
@@ -159,11 +166,15 @@ class Controller:
             As for :func:`vppres.day.simulate.run_day`; forecast errors, heating and seed have no
             meaning here. Windows are solved in a process of its own unless the options say
             ``isolate=False`` (``docs/operation.md``).
+        state : dict, optional
+            What :meth:`state` returned, in this process or another: the controller goes on from
+            there. Of the scenario its site counts; the steps that are known are the state's.
 
         Raises
         ------
         InputError
-            If the options name what is not there.
+            If the options name what is not there, or the state is damaged, of another version,
+            another site, or a controller with other options.
         SolverLostError
             If no process to solve in can be started.
         """
@@ -173,7 +184,28 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
-        return cls(scenario, exact, make_controller(scenario, exact, grid=endless))
+        return cls(scenario, exact, make_controller(scenario, exact, grid=endless), state)
+
+    def state(self) -> dict[str, Any]:
+        """All that decides on the steps to come, as a plain value that JSON can hold.
+
+        A controller made with it, in another process or after a restart, decides as this one would
+        to the last bit; its last step may be decided again, too. It holds the steps that are known,
+        the AC operating point, switching duties and cold load, the plan, and what the guard has
+        seen and estimated, beside a layout ``version`` and a ``digest`` of all.
+
+        Examples
+        --------
+        >>> import json, vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> options = vppres.RunOptions(horizon_h=0, isolate=False)
+        >>> saved = json.dumps(Controller.of(day, options).state())
+        >>> Controller.of(day, options, state=json.loads(saved)).times[0].hour
+        0
+        """
+        with self._turn:
+            at = Standing(self.scenario, self._forgotten, self._past, self._step_before)
+            return state_of(at, self._decider, self.options)
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -192,6 +224,37 @@ class Controller:
         """Rows of the scenario that a decision looks at, cut where it ends."""
         stop = self._decider.horizon_steps(row + self._forgotten).stop - self._forgotten
         return range(row, min(stop, self.scenario.grid.n_steps))
+
+    def _ahead(self, row: int, window: range) -> range:
+        """Rows that a belief of outages looks at; without one, those of the window."""
+        if self.options.outages == KNOWN:
+            return window
+        grid = self.scenario.grid
+        stop = max(row + grid.steps_in_horizon(LOOKAHEAD_H), window.stop)
+        return range(row, min(stop, grid.n_steps))
+
+    def warn(self, *warnings: OutageWarning) -> None:
+        """Take up messages about outages, for controllers that are not told of them otherwise.
+
+        Parameters
+        ----------
+        *warnings : OutageWarning
+            Messages, in any order; of each outage the last one that is issued counts.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> import vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> controller = Controller.of(day, vppres.RunOptions(outages="belief"))
+        >>> at = controller.times[0]
+        >>> onset = at + pd.Timedelta(hours=3)
+        >>> controller.warn(OutageWarning(at, onset_likely=onset, preset="rota"))
+        >>> len(controller.scenario.warnings)
+        1
+        """
+        with self._turn:
+            self.scenario = replace(self.scenario, warnings=(*self.scenario.warnings, *warnings))
 
     def extend(
         self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
@@ -280,16 +343,18 @@ class Controller:
         self._step_before = start
         return _set_points(scenario, record)
 
-    def _decided(self, seen: Seen, past: _Past) -> tuple[Scenario, StepRecord, _Past]:
+    def _decided(self, seen: Seen, past: Past) -> tuple[Scenario, StepRecord, Past]:
         """The window as it is believed to be, what was decided, and what to remember of it."""
         t = seen.t + self._forgotten
         switching, cold_load = past.held_until(t)
         window = self._window(seen.t)
         ends = window.stop == self.scenario.grid.n_steps
+        ahead = replace(seen.window(self._ahead(seen.t, window)).scenario, history=past.history)
+        forecasts = forecasts_of(ahead, self.options, ForecastErrors())
+        forecast = forecasts.at(0, range(len(window)))
         seen = seen.window(window)
-        remembered = replace(seen.scenario, history=past.history)
-        forecast = forecasts_of(remembered, self.options, ForecastErrors()).at(
-            0, range(len(window))
+        grid_seen = past.grid_seen.after(
+            seen.scenario.grid.start, float(seen.scenario.grid_limit_kw[0])
         )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
@@ -311,6 +376,8 @@ class Controller:
             served=past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
         )
+        view = OutageView.create(self.scenario, self.options.as_record())
+        measured = view.told(measured, grid_seen, ahead, 0, forecasts)
         decision = self._decider.decide(measured)
         guard = self._decider
         known = (
@@ -327,51 +394,16 @@ class Controller:
         return (
             scenario,
             record,
-            _Past(
+            Past(
                 t,
                 day.operating_point,
                 day.switching,
                 day.plant.cold_load,
                 record.customers["served"],
                 past.with_measured(scenario),
+                grid_seen,
             ),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """What the set-points of the last step should have led to; ``t`` is -1 before the first."""
-
-    t: int
-    operating_point: OperatingPoint | None
-    switching: SwitchingState | None
-    cold_load: ColdLoad
-    served: Flags | None
-    history: History | None
-
-    @classmethod
-    def before_the_day(cls, scenario: Scenario, options: RunOptions) -> _Past:
-        day = Day(scenario, options)
-        history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
-
-    def with_measured(self, now: Scenario) -> History | None:
-        """The history with the first step of a window; None where no forecaster learns from it."""
-        if self.history is None:
-            return None
-        return self.history.followed_by(now.grid.start, now.load_kw[:1], now.pv_kw[:1]).last_days(
-            REMEMBERED_DAYS
-        )
-
-    def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
-        """Switching state and cold load at a step, set-points held over those in between."""
-        switching = self.switching
-        cold_load = copy(self.cold_load)  # a step that fails must not have advanced it
-        if self.served is not None:
-            for _ in range(self.t + 1, t):
-                switching = None if switching is None else switching.advance(self.served)
-                cold_load.advance(self.served)
-        return switching, cold_load
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:
@@ -400,6 +432,8 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
             "estimated",
         )
     }
+    if "stored_value_gbp_per_kwh" in step.steps:
+        solve["stored_value_gbp_per_kwh"] = step.steps["stored_value_gbp_per_kwh"]
     return SetPoints(
         time=scenario.grid.times[step.t],
         customers=_table(

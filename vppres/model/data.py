@@ -10,6 +10,7 @@ from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
@@ -78,6 +79,8 @@ class WindowData:
         What the network itself draws; None where it has no shunt, charging or fixed demand.
     terminal : Terminal, optional
         What batteries are to hold at the end; None, the paper, lets them end empty.
+    stored_value : StoredValue, optional
+        What is left in the batteries at the end is worth; None, the paper, sees nothing behind.
     """
 
     load_kw: Floats
@@ -94,16 +97,19 @@ class WindowData:
     export: Export | None = None
     drawn: Drawn | None = None
     terminal: Terminal | None = None
+    stored_value: StoredValue | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
         """The window that an observation shows, linearised at its last AC point."""
-        forecast = observation.forecast
+        forecast = observation.window
         switching = observation.switching
         n_steps = len(forecast.price_gbp_per_kwh)
         point = observation.operating_point
         offset = delta_offset(site.network, point, centre)
         island = forecast.grid_limit_kw <= 0.0
+        stores = len(site.batteries) > 0
+        valued = observation.stored_value is not None  # and knows what is to be held
         return cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
@@ -117,7 +123,8 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
-            terminal=observation.terminal if len(site.batteries) else None,
+            terminal=None if valued or not stores else observation.terminal,
+            stored_value=observation.stored_value if stores else None,
         )
 
     @property
@@ -152,6 +159,7 @@ class WindowData:
             name: getattr(self, name)[steps]
             for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")
         }
+        to_the_end = steps.indices(self.n_steps)[1] == self.n_steps
         return replace(
             self,
             **cut,
@@ -160,17 +168,68 @@ class WindowData:
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
             drawn=self.drawn and self.drawn.part(steps),
-            terminal=self.terminal if steps.indices(self.n_steps)[1] == self.n_steps else None,
+            terminal=self.terminal if to_the_end else None,
+            stored_value=self.stored_value if to_the_end else None,
         )
 
     @property
-    def ending(self) -> bool:
-        """Whether what batteries hold at the end is part of the window's problem."""
-        return self.terminal is not None
+    def ending(self) -> Ending:
+        """What the window's problem says of its end."""
+        if self.stored_value is not None:
+            return "value"
+        return "" if self.terminal is None else "target"
 
-    def terminal_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
-        """Cost of what batteries lack at the end, (B,); nothing is asked of them in the paper."""
+    def end_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
+        """What the batteries' end, (B,), adds to the cost: what they lack, less what they keep."""
+        if self.stored_value is not None:
+            kept = self.stored_value.at(float(soc_end @ batteries.energy_kwh))
+            return -self.stored_value.gbp_as_cost * kept
         return 0.0 if self.terminal is None else self.terminal.cost_gbp(batteries, soc_end)
+
+    def end_range_gbp(self, site: Site) -> tuple[float, float]:
+        """Least and most that the batteries' end can add to the cost."""
+        if self.stored_value is not None:
+            least, most = self.kept_range(site)
+            return -self.stored_value.gbp_as_cost * most, -self.stored_value.gbp_as_cost * least
+        return 0.0, self.end_gbp(site.batteries, np.zeros(len(site.batteries)))
+
+    def later_service(self, batteries: Batteries, soc_end: Floats) -> float:
+        """Later service that the batteries' end, (B,), buys where that counts as service."""
+        if self.stored_value is None or not self.stored_value.as_service:
+            return 0.0
+        return self.stored_value.at(float(soc_end @ batteries.energy_kwh))
+
+    def require_value(self) -> StoredValue:
+        """The value of a window that must have one.
+
+        Raises
+        ------
+        ModelError
+            If it has none.
+        """
+        if self.stored_value is None:
+            raise ModelError("A problem with a value was filled with a window without.")
+        return self.stored_value
+
+    @property
+    def keeps_service(self) -> bool:
+        """Whether later service is weighed against service: then service is no whole number."""
+        return self.stored_value is not None and self.stored_value.as_service
+
+    def kept_range(self, site: Site) -> tuple[float, float]:
+        """Least and most that the energy at the end can be worth, in weighted customer hours."""
+        if self.stored_value is None:
+            return 0.0, 0.0
+        b = site.batteries
+        charged_kw = float(self.eta_charge @ b.active_max_kw)
+        drawn_kw = float((b.active_max_kw / self.eta_discharge).sum())
+        held_kwh = float(b.energy_kwh @ self.soc)
+        hours = self.n_steps * site.dt_h
+        most_kwh = min(
+            held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh)
+        )
+        least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
+        return self.stored_value.between(least_kwh, most_kwh)
 
     @property
     def loss_kw(self) -> Floats:

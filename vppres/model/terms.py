@@ -16,7 +16,8 @@ from vppres.scenario.scenario import ObjectiveWeights
 class Terms:
     """The terms of the objective (paper, Section 3.3), summed over a window.
 
-    ``f6`` is the price of switching actions in weighted customer hours, which the paper has not.
+    ``f6`` is the price of switching actions, ``f7`` the later service that stored energy is worth,
+    both in weighted customer hours; the paper has neither.
     """
 
     f1: float
@@ -25,6 +26,7 @@ class Terms:
     f4: float
     f5: float
     f6: float = 0.0
+    f7: float = 0.0
 
     def total(self, weights: ObjectiveWeights) -> float:
         """The objective F."""
@@ -32,7 +34,8 @@ class Terms:
 
     def upper_levels(self, weights: ObjectiveWeights) -> float:
         """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
-        return self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3 - self.f6
+        now = self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3 - self.f6
+        return now + self.f7
 
 
 def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
@@ -43,9 +46,10 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
     return Terms(
         f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
         f2=data.cost_gbp(dispatch.p_grid_kw, site.dt_h)
-        + data.terminal_gbp(site.batteries, dispatch.soc[-1]),
+        + data.end_gbp(site.batteries, dispatch.soc[-1]),
         f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
         f4=float((flow2 @ site.network.r_ohm).sum()),
         f5=float(use),
         f6=data.switching.price(dispatch.served) if data.switching else 0.0,
+        f7=data.later_service(site.batteries, dispatch.soc[-1]),
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.moves import Moves
+from vppres.contract.stored_value import Ending
 from vppres.core.arrays import Flags, Floats
 from vppres.model import constraints as families
 from vppres.model import objective as terms
@@ -25,13 +26,13 @@ from vppres.model.data import WindowData
 from vppres.model.forms import (
     NETWORK,
     added_demand,
-    fill_terminal,
+    fill_end,
     in_order,
     stored_at_end,
     with_demand,
     without,
 )
-from vppres.model.numerics import disc_sides, require_dpp
+from vppres.model.numerics import disc_sides, require_dpp, write
 from vppres.model.polygons import Polygon, battery_half_polygon, pv_polygon
 from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
@@ -42,6 +43,9 @@ SHARPER_ENERGY = 1e4
 """Factors on both sides of rows in pu² and in shares of a capacity. An interior-point solver allows
 residuals in proportion to the largest value of the solution, thousands of kW here; what is a
 fraction of one needs smaller units to be met as sharply."""
+
+KEPT_TOLERANCE = 1e-6
+"""Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
 KEPT = (
     "circular_charging",
@@ -99,11 +103,11 @@ class HeldModes:
     def fill(self, site: Site, data: WindowData, charging: Flags) -> None:
         """Write what the modes leave; f2 and f3 are written apart."""
         P_max = site.batteries.p_max_kw
-        self.charging.value = charging.astype(float)
-        self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
-        self.P_min.value = np.where(charging, 0.0, -P_max)
-        self.P_max.value = np.where(charging, P_max, 0.0)
-        self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
+        write(self.charging, charging)
+        write(self.gain, np.where(charging, data.eta_charge, 1.0 / data.eta_discharge))
+        write(self.P_min, np.where(charging, 0.0, -P_max))
+        write(self.P_max, np.where(charging, P_max, 0.0))
+        write(self.Q_pv_max, np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +149,9 @@ class TieBreakerModel:
         Whether batteries are to stay near the previous plan.
     exporting : bool
         Whether export is part of the problem, its direction held step by step.
-    ending : bool
-        Whether what batteries hold at the end is part of the problem.
+    ending : {"", "target", "value"}
+        What the problem says of what batteries hold at the end. Where it has a value, the energy
+        that a dispatch keeps is held, and its value has no part in the cost.
     """
 
     def __init__(
@@ -157,7 +162,7 @@ class TieBreakerModel:
         physical: bool = False,
         moves: bool = False,
         exporting: bool = False,
-        ending: bool = False,
+        ending: Ending = "",
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -169,7 +174,8 @@ class TieBreakerModel:
         self.export: ExportToGrid | None = None
         if exporting:
             self.export = ExportToGrid.create(n_steps, "fixed")
-        self.terminal = HeldAtEnd.create(len(site.batteries)) if ending else None
+        self.terminal = HeldAtEnd.create(len(site.batteries)) if ending == "target" else None
+        self.kept_share = cp.Parameter(name="kept_share") if ending == "value" else None
         self.held = HeldModes.create(site, n_steps)
         self.near: Near | None = None
         if moves and len(site.batteries):
@@ -179,6 +185,11 @@ class TieBreakerModel:
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"tie-breakers of {n_steps} steps")
+
+    @property
+    def _capacity_kwh(self) -> float:
+        """Capacity of all batteries."""
+        return float(self.site.batteries.energy_kwh.sum())
 
     def _variables(self) -> Variables:
         """The paper's variables, expressions where something is held."""
@@ -219,6 +230,9 @@ class TieBreakerModel:
         if self.terminal is not None:
             f2 = f2 + self.terminal.f2_missing
             named |= self.terminal.reached(stored_at_end(self.site, self.v))
+        if self.kept_share is not None:
+            share = cp.sum(stored_at_end(self.site, self.v)) / self._capacity_kwh
+            named |= {"energy_held": SHARPER_ENERGY * share >= SHARPER_ENERGY * self.kept_share}
         return named | {
             "battery_power_min": self.P_batt >= self.held.P_min,
             "battery_power_max": self.P_batt <= self.held.P_max,
@@ -291,7 +305,10 @@ class TieBreakerModel:
         if self.physical is not None:
             self.physical.fill(self.site, data)
         if self.terminal is not None:
-            fill_terminal(self.terminal, self.site, data)
+            fill_end(self.terminal, self.site, data)
+        if self.kept_share is not None:
+            kept = dispatch.soc[-1] @ self.site.batteries.energy_kwh / self._capacity_kwh
+            self.kept_share.value = kept - KEPT_TOLERANCE
         if self.export is not None:
             exporting = exporting_steps(dispatch)
             self.export.fill(self.site, data, exporting)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from math import ceil
+from typing import Any, ClassVar
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.rules import SwitchingRules
 
 
@@ -32,6 +33,8 @@ class ColdLoad:
     [1.5]
     [1.]
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {"served": Flags, "steps_left": Wholes}
 
     def __init__(self, rules: SwitchingRules, dt_h: float, n_customers: int) -> None:
         self.factor = rules.cold_load_factor

@@ -209,7 +209,8 @@ OPTIONS: tuple[Option, ...] = (
         str,
         "decomposed",
         "method of solving a window",
-        words="decomposed or monolithic",
+        words="decomposed or monolithic, which solve term by term, or weighted, which does not",
+        page="see {doc}`decisions/weighted-objective`",
         group=SOLVER,
     ),
     Option(
@@ -301,6 +302,19 @@ OPTIONS: tuple[Option, ...] = (
         file_most=1.0,
     ),
     Option(
+        "outages",
+        "outages",
+        str,
+        "known",
+        "what is known of outages ahead",
+        words="known (their exact times), likely (the most likely one as if it were known), belief "
+        "(probabilities, from warnings and statistics) or none (nothing until they are there)",
+        page="see {doc}`uncertain-outages`",
+        choices=("known", "likely", "belief", "none"),
+        scenario_key="controller.outages",
+        follows_scenario=True,
+    ),
+    Option(
         "seed", "seed", int, 0, "seed of the random forecast errors", range=COUNT, group=FORECAST
     ),
     Option(
@@ -320,6 +334,34 @@ OPTIONS: tuple[Option, ...] = (
         1e-4,
         "relative optimality gap at which a window is done",
         range=POSITIVE,
+        group=SOLVER,
+    ),
+    Option(
+        "unit-kw",
+        "weighted.unit_kw",
+        float,
+        1.0,
+        "unit of power of a weighted solve: 1000 is MW, the base power is per unit",
+        unit="kW",
+        range=POSITIVE,
+        group=SOLVER,
+    ),
+    Option(
+        "tolerance",
+        "weighted.tolerance",
+        float,
+        1e-7,
+        "optimality tolerance of a weighted solve",
+        range=POSITIVE,
+        group=SOLVER,
+    ),
+    Option(
+        "solver-seed",
+        "weighted.seed",
+        int,
+        0,
+        "seed of the solver in a weighted solve",
+        range=COUNT,
         group=SOLVER,
     ),
     Option(
@@ -555,7 +597,7 @@ def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 
     >>> list(section_options("controller"))
-    ['kind', 'horizon_h', 'mode', 'soc_end']
+    ['kind', 'horizon_h', 'mode', 'soc_end', 'outages']
     """
     parted = [(option.scenario_key.partition("."), option) for option in OPTIONS]
     return {key: option for (name, _, key), option in parted if name == section}

@@ -15,6 +15,7 @@ from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
@@ -55,6 +56,7 @@ class ControllerDefaults:
     horizon_h: float = default_of("horizon_h")
     mode: str = default_of("mode")
     soc_end: float | None = default_of("soc_end")
+    outages: str = default_of("outages")
 
 
 def _zero() -> Floats:
@@ -97,6 +99,10 @@ class Scenario:
         Where the feeder comes from; it changes no result.
     voll_gbp_per_kwh : float
         Value of lost load, at which the report prices energy that was not supplied.
+    warnings : tuple of OutageWarning
+        Messages about outages, for runs that do not know them.
+    outage_statistics : OutageStatistics
+        Outages that nobody announces, for the same runs.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     """
@@ -121,6 +127,8 @@ class Scenario:
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
     source: Source = field(default_factory=Source)
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
+    warnings: tuple[OutageWarning, ...] = ()
+    outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
     history: History | None = None
 
     def __post_init__(self) -> None:

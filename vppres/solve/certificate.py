@@ -72,20 +72,20 @@ class CostRange:
         """All import that can ever be useful, in the steps in which it earns or costs money.
 
         Where export does so too, a step has the one or the other. What batteries lack at the end
-        costs most where they hold nothing.
+        costs most where they hold nothing, and what they keep is worth most where it is most.
         """
         price = data.price_gbp_per_kwh
         most_kw = data.grid_p_max_kw(site)
         least = np.minimum(price, 0.0)
         dearest = np.maximum(price, 0.0)
-        missing = data.terminal_gbp(site.batteries, np.zeros(len(site.batteries)))
+        best_end, worst_end = data.end_range_gbp(site)
         if data.export is None:
             spent = float(dearest @ most_kw) * site.dt_h
-            return cls(float(least @ most_kw) * site.dt_h, spent + missing)
+            return cls(float(least @ most_kw) * site.dt_h + best_end, spent + worst_end)
         spent_out = -data.export.price_gbp_per_kwh * data.export_max_kw(site)
         return cls(
-            float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h,
-            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h + missing,
+            float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h + best_end,
+            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h + worst_end,
         )
 
 
@@ -115,6 +115,9 @@ class Certificate:
         What was solved, in order: name, solver and, where it is not optimal, status.
     solver_s : float
         Seconds in solvers.
+    wasteful : bool
+        Whether some set has no dispatch only because its batteries would charge and discharge at
+        once: bounds that allow it are not to be reached.
     """
 
     def __init__(self, limits: SolveLimits, lambda_grid: float, cost: CostRange) -> None:
@@ -127,6 +130,7 @@ class Certificate:
         self.cost_bound_gbp = -np.inf
         self.stages: list[str] = []
         self.solver_s = 0.0
+        self.wasteful = False
         self._nothing: Outcome | None = None
         self._ran_out = False
 

@@ -14,15 +14,17 @@ from dataclasses import dataclass, replace
 import cvxpy as cp
 import numpy as np
 
+from vppres.contract.stored_value import Ending
 from vppres.core.arrays import Floats
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.ends import end_of_window, f2_at_end, f7_at_end
 from vppres.model.beyond_paper.export import ExportToGrid
-from vppres.model.beyond_paper.terminal import HeldAtEnd
+from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.forms import (
     SOLVER_ORDER,
-    fill_terminal,
+    fill_end,
     in_order,
     stored_at_end,
     with_demand,
@@ -75,17 +77,17 @@ class ShadowPriceModel:
         Steps W of the longest window.
     exporting : bool
         Whether export is part of it, in a direction without binaries.
-    ending : bool
-        Whether what batteries hold at the end of a run is part of it.
+    ending : {"", "target", "value"}
+        What it says of what batteries hold at the end.
     """
 
     def __init__(
-        self, site: Site, n_steps: int, exporting: bool = False, ending: bool = False
+        self, site: Site, n_steps: int, exporting: bool = False, ending: Ending = ""
     ) -> None:
         self.site = site
         self.n_steps = n_steps
         self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
-        self.terminal = HeldAtEnd.create(len(site.batteries)) if ending else None
+        self.terminal = end_of_window(ending, len(site.batteries))
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
@@ -137,7 +139,9 @@ class ShadowPriceModel:
         if self.export is not None:
             worth = worth + self.export.f2_revenue
         if self.terminal is not None:
-            worth = worth - self.terminal.f2_missing
+            worth = worth - f2_at_end(self.terminal)
+        if isinstance(self.terminal, ValueAtEnd):
+            worth = worth + f7_at_end(self.terminal)
         return cp.Maximize(worth)
 
     def fill(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
@@ -147,8 +151,12 @@ class ShadowPriceModel:
         padded = _padded(cost, missing)
         self.p.fill(self.site, padded)
         if self.terminal is not None:
-            fill_terminal(self.terminal, self.site, data)
-            self.terminal.price.value = priced.cost * self.terminal.price.value
+            fill_end(self.terminal, self.site, data)
+            if isinstance(self.terminal, ValueAtEnd):
+                self.terminal.gbp.value = priced.cost * self.terminal.gbp.value
+                self.terminal.share.value = priced.service * self.terminal.share.value
+            else:
+                self.terminal.price.value = priced.cost * self.terminal.price.value
         if self.export is not None:
             self.export.fill(self.site, padded)
             self.export.sigma_dt.value = priced.cost * self.export.sigma_dt.value

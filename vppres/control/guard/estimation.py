@@ -8,6 +8,7 @@ replaced (``docs/operation.md``).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from vppres.contract.observation import Observation
 from vppres.control.guard.balance import Commanded, Readings, feeder_off
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
+from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
@@ -58,6 +60,14 @@ class Estimator:
     physical : bool, optional
         Whether batteries hold the islands, and so do not follow their set-points there.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "series": PART,
+        "_soc": SocReckoning,
+        "_last": Observation | None,
+        "_commanded": Commanded | None,
+        "_out_until": Wholes,
+    }
 
     def __init__(self, site: Site, physical: bool = False) -> None:
         self.site = site

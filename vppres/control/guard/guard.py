@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from vppres.control.guard.estimation import Estimator, Known
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
 from vppres.control.planner import solve_info
+from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats
@@ -85,6 +87,13 @@ class GuardedController:
     known : Known or None
         What the last decision took for true.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "inner": PART,
+        "_parts": PARTS,
+        "_estimator": PART,
+        "_plan": tuple[Dispatch, int] | None,
+    }
 
     def __init__(
         self, controller_of: ControllerOf, solver_of: SolverOf, site: Site, options: GuardOptions
@@ -155,13 +164,20 @@ class GuardedController:
         """
         if known.online.all() or isinstance(self.inner, FullHorizonController):
             return self.inner.decide(known.observation)
-        key = known.online.tobytes()
-        if key not in self._parts:
-            self._parts[key] = self._controller_of(site_with(self.site, known.online))
-        decision = self._parts[key].decide(reduced_observation(known.observation, known.online))
+        part = self.part_for(known.online.tobytes())
+        decision = part.decide(
+            reduced_observation(known.observation, known.online, self.site.batteries)
+        )
         return replace(
             decision, dispatch=whole_fleet(decision.dispatch, known.online, known.observation.soc)
         )
+
+    def part_for(self, key: bytes) -> Decider:
+        """The controller of the batteries online, as bytes of flags, (B,)."""
+        if key not in self._parts:
+            online = np.frombuffer(key, dtype=bool)
+            self._parts[key] = self._controller_of(site_with(self.site, online))
+        return self._parts[key]
 
     def _keep(self, decision: Decision, t0: int) -> None:
         """Remember a plan that goes beyond its step, for steps that find no other."""
@@ -171,7 +187,7 @@ class GuardedController:
     def _relaxed(self, known: Known, state: StepState, reason: str) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
-        seen = reduced_observation(known.observation, known.online)
+        seen = reduced_observation(known.observation, known.online, self.site.batteries)
         data = WindowData.of(seen, site, self.options.centre)
         for name, answer in relaxed_answers(site, data, self._solver_of):
             try:
@@ -282,8 +298,10 @@ class GuardedController:
         """The one-step problem with the first tier above everything else; the rule if it fails."""
         try:
             solver = self._critical_solver(known.online)
-            seen = reduced_observation(known.observation, known.online)
-            solution = solver.solve(WindowData.of(seen, solver.site, self.options.centre).first(1))
+            seen = reduced_observation(known.observation, known.online, self.site.batteries)
+            # Nothing is worth keeping beside the first tier.
+            alone = replace(seen, stored_value=None)
+            solution = solver.solve(WindowData.of(alone, solver.site, self.options.centre).first(1))
             decision = Decision(
                 whole_fleet(solution.dispatch, known.online, known.observation.soc),
                 0,

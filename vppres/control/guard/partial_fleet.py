@@ -21,10 +21,11 @@ def site_with(site: Site, online: Flags) -> Site:
     return replace(site, batteries=left)
 
 
-def reduced_observation(seen: Observation, online: Flags) -> Observation:
-    """The observation of the batteries that are online."""
+def reduced_observation(seen: Observation, online: Flags, batteries: Batteries) -> Observation:
+    """The observation of the batteries that are online; the others count as empty."""
     if online.all():
         return seen
+    unusable_kwh = float((batteries.energy_kwh * batteries.soc_min)[~online].sum())
     return replace(
         seen,
         soc=seen.soc[online],
@@ -32,6 +33,7 @@ def reduced_observation(seen: Observation, online: Flags) -> Observation:
         eta_discharge=seen.eta_discharge[online],
         battery_kw=None,
         online=None,
+        stored_value=seen.stored_value and seen.stored_value.beside(unusable_kwh),
     )
 
 

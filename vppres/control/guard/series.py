@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -41,6 +42,8 @@ class SeriesJudge:
     site : Site
         Fixed data.
     """
+
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_before": _Step | None, "_frozen": _Frozen}
 
     def __init__(self, site: Site) -> None:
         self.site = site

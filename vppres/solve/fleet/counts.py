@@ -144,7 +144,8 @@ class Counts:
         self.unlimited: Flags = np.isinf(data.grid_limit_kw)
         self.demand_kw = np.asarray(model.p["load_all"].value)
         self.worst = model.worst()
-        self.least_gbp = model.least_cost_gbp()
+        self.least = model.least_lost(), model.least_cost_gbp()
+        self.whole = model.whole
         self.reach = Reach(model)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
@@ -275,7 +276,7 @@ class Counts:
         program.cost[layout.lost] = 1.0
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
-        whole = integer and not any(cut.weights[layout.lost] for cut in cuts)
+        whole = integer and self.whole and not any(cut.weights[layout.lost] for cut in cuts)
         gap = LOSSY_GAP_SHARE * self.gap
         if whole:
             # Below one unit a whole number is known; a window of many units needs no such proof.
@@ -315,7 +316,7 @@ class Counts:
         upper = np.ones(layout.size)
         lower[: layout.n_steps] = np.where(free, 0.0, self.demand_kw)
         upper[: layout.n_steps] = self.demand_kw
-        lower[layout.spent] = self.least_gbp
+        lower[layout.lost : layout.spent + 1] = self.least
         upper[layout.lost : layout.spent + 1] = self.worst
         upper[layout.counts] = members
         most = np.append(np.full(layout.n_steps, np.inf), np.zeros(len(members)))

@@ -47,9 +47,9 @@ class Reach:
         )
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
         most_lost, dearest_gbp = model.worst()
-        # From any cost there can be, one step leads to the dearest, which is carried for certain.
-        range_gbp = dearest_gbp - model.least_cost_gbp()
-        direction = np.concatenate([np.asarray(model.p["load_all"].value), [most_lost, range_gbp]])
+        # From any loss and cost there can be, one step leads to the worst, carried for certain.
+        ranges = [most_lost - model.least_lost(), dearest_gbp - model.least_cost_gbp()]
+        direction = np.concatenate([np.asarray(model.p["load_all"].value), ranges])
         self.program = program
         self.largest = float(direction.max() + model.fleet_kw())
         rows = sp.csc_array(

@@ -5,7 +5,11 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
+from vppres.contract.stored_value import Ending
 from vppres.core.arrays import Flags, Floats
+from vppres.model.beyond_paper.ends import f7_at_end
+from vppres.model.beyond_paper.stored_value import ValueAtEnd
+from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
@@ -28,8 +32,13 @@ class DemandModel:
     problem : cvxpy.Problem
         Has no objective. Its variables ``load`` (kW, one for each step), ``lost`` (f3 as weighted,
         in units of the weights' grid) and ``spent`` (GBP) are what whoever solves it asks for.
+        Later service that counts as service comes off the loss, which may then be negative.
     customer_units : array, shape (C,)
         Weights in units of the grid.
+    kept : tuple of float
+        Least and most that the energy at the end is worth, in weighted customer hours.
+    whole : bool
+        Whether service is a whole number of units where nothing is lost.
     """
 
     def __init__(self, relaxation: AggregateModel) -> None:
@@ -38,24 +47,29 @@ class DemandModel:
         site = relaxation.site
         v = relaxation.v
         self.load = cp.Variable(W, name="load", nonneg=True)
-        self.lost = cp.Variable(1, name="lost", nonneg=True)
+        valued = isinstance(relaxation.terminal, ValueAtEnd)
+        self.lost = cp.Variable(1, name="lost", nonneg=not valued)
         self.spent = cp.Variable(1, name="spent")
         self.p = {
             name: cp.Parameter(W, name=name, nonneg=True)
             for name in ("load_all", "net_all", "export_all")
         }
+        self.kept = (0.0, 0.0)
+        self.whole = True
         unit = relaxation.grid or 1.0
         weights = site.customers.weight * site.dt_h
         self.customer_units = np.round(weights / unit).astype(np.int64)
         kept = {*CONNECTION, "lumped_curtailment_min", *relaxation.energy}
         shared = [c for name, c in relaxation.constraints.items() if name in kept]
-        lost = site.weights.lambda_curt * site.dt_h / unit
+        lost = site.weights.lambda_curt * site.dt_h / unit * cp.sum(v["P_curt"])
+        if valued:
+            lost = lost - f7_at_end(relaxation.terminal) / unit
         self.problem = cp.Problem(
             cp.Minimize(0.0),
             [
                 *shared,
                 *self._power().values(),
-                self.lost >= lost * cp.sum(v["P_curt"]),
+                self.lost >= lost,
                 self.spent >= relaxation.cost(),
             ],
         )
@@ -88,6 +102,8 @@ class DemandModel:
     def fill(self, data: WindowData) -> None:
         """Write the window's data."""
         self.relaxation.fill(data)
+        self.kept = data.kept_range(self.relaxation.site)
+        self.whole = not data.keeps_service
         p = self.relaxation.p
         # Several PV systems may together exceed their owner's demand.
         own = np.minimum(p["self"].value, data.load_kw)
@@ -108,23 +124,37 @@ class DemandModel:
         if self.relaxation.export is not None:
             earned = self.relaxation.export.most_earned_gbp()
             dearest_gbp = np.maximum(prices * most_kw, -earned).sum()
-        if self.relaxation.terminal is not None:
+        if isinstance(self.relaxation.terminal, HeldAtEnd):
             dearest_gbp = dearest_gbp + self.relaxation.terminal.worst_gbp
-        return float(lost * p["P_pv"].value.sum()), float(dearest_gbp)
+        later, kept_gbp = self._worth(self.kept[0])
+        return float(lost * p["P_pv"].value.sum() - later), float(dearest_gbp - kept_gbp)
+
+    def least_lost(self) -> float:
+        """Loss in units that no dispatch falls below: zero unless later service comes off it."""
+        return -self._worth(self.kept[1])[0]
+
+    def _worth(self, kept: float) -> tuple[float, float]:
+        """Units of later service, and GBP, that an energy's worth counts as."""
+        end = self.relaxation.terminal
+        if not isinstance(end, ValueAtEnd):
+            return 0.0, 0.0
+        unit = self.relaxation.grid or 1.0
+        return float(end.share.value) * kept / unit, float(end.gbp.value) * kept
 
     def least_cost_gbp(self) -> float:
         """Cost that no dispatch falls below: zero unless import or export earns money."""
         prices: Floats = np.minimum(self.relaxation.rho_dt.value, 0.0)
         most_kw = self.relaxation.p["P_grid_max"].value
+        kept_gbp = self._worth(self.kept[1])[1]
         if self.relaxation.export is None:
-            return float(prices @ most_kw)
+            return float(prices @ most_kw) - kept_gbp
         earned = self.relaxation.export.most_earned_gbp()
-        return float(np.minimum(prices * most_kw, -earned).sum())
+        return float(np.minimum(prices * most_kw, -earned).sum()) - kept_gbp
 
     def fleet_kw(self) -> float:
         """Power of all batteries and the export, with what is stored and drawn: none exceeds it.
 
-        Nor does the energy that is missing at the end, in kWh.
+        Nor does the energy that is missing or held at the end, in kWh, or its worth.
         """
         p = self.relaxation.p
         b = self.relaxation.site.batteries
@@ -137,8 +167,10 @@ class DemandModel:
         if self.relaxation.export is not None:
             exported_kw = float(self.relaxation.export.P_out_max.value.max(initial=0.0))
         missing_kwh = 0.0
-        if self.relaxation.terminal is not None:
+        if isinstance(self.relaxation.terminal, HeldAtEnd):
             missing_kwh = float(self.relaxation.terminal.target_kwh.value.sum())
+        elif self.relaxation.terminal is not None:
+            missing_kwh = float(b.energy_kwh.sum()) + max(map(abs, self.kept))
         return float(b.p_max_kw.sum() * factor) + exported_kw + missing_kwh
 
 
@@ -148,7 +180,7 @@ def demand_model(
     lumped: bool,
     physical: bool = False,
     exporting: bool = False,
-    ending: bool = False,
+    ending: Ending = "",
 ) -> DemandModel:
     """What the fleet can carry in windows of a length and mode.
 
@@ -164,8 +196,8 @@ def demand_model(
         Whether losses and headroom are part of it.
     exporting : bool
         Whether export is part of it.
-    ending : bool
-        Whether what batteries hold at the end is part of it.
+    ending : {"", "target", "value"}
+        What it says of what batteries hold at the end.
     """
     relaxation = AggregateModel(
         site,

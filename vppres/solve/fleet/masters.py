@@ -17,7 +17,7 @@ from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.fleet.counts import WHOLE_GAP_SHARE, Counts
+from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.result import Outcome
@@ -104,9 +104,12 @@ class Binaries:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
         open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
+        if self.data.keeps_service:
+            open_units = LOSSY_GAP_SHARE * gap
         outcome = run(self.model.grid_problem, self.spec, open_units, self.deadline.left_s)
-        # The objective is whole, so the bound may be rounded down.
-        outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
+        if not self.data.keeps_service:
+            # The objective is whole, so the bound may be rounded down.
+            outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
         return outcome, self._set(outcome)
 
     def cost(

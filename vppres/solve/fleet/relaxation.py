@@ -16,15 +16,17 @@ from fractions import Fraction
 import cvxpy as cp
 import numpy as np
 
+from vppres.contract.stored_value import Ending
 from vppres.contract.switching import RuleSteps
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.ends import end_of_window, f2_at_end, f7_at_end
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.physical import active_room_kw
+from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
-from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
-from vppres.model.numerics import objective_scale, require_dpp
+from vppres.model.numerics import objective_scale, require_dpp, write
 from vppres.model.site import Site
 
 LEAST_KW = 1e-3
@@ -76,7 +78,7 @@ class AggregateModel:
         switching: RuleSteps | None = None,
         exporting: bool = False,
         one_way: bool = False,
-        ending: bool = False,
+        ending: Ending = "",
     ) -> None:
         self.site = site
         self.n_steps = n_steps
@@ -88,7 +90,7 @@ class AggregateModel:
         self.export: ExportToGrid | None = None
         if exporting:
             self.export = ExportToGrid.create(n_steps, "integer" if one_way else "relaxed")
-        self.terminal = HeldAtEnd.create(self._groups) if ending else None
+        self.terminal = end_of_window(ending, self._groups)
         self.room = self._room_parameters() if physical else {}
         self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
         self.service_min = cp.Parameter(name="service_min")
@@ -171,7 +173,7 @@ class AggregateModel:
         if self.export is not None:
             spent = spent - self.export.f2_revenue
         if self.terminal is not None:
-            spent = spent + self.terminal.f2_missing
+            spent = spent + f2_at_end(self.terminal)
         return spent
 
     def _curtailment(self) -> cp.Expression:
@@ -185,6 +187,8 @@ class AggregateModel:
         service = f1 - self._curtailment()
         if self.switching is not None:
             service = service - self.switching.f6_switching
+        if isinstance(self.terminal, ValueAtEnd):
+            service = service + f7_at_end(self.terminal)
         return service
 
     def _weighted_problem(self) -> cp.Problem:
@@ -213,6 +217,9 @@ class AggregateModel:
         if self.switching is not None:
             # A whole number too, or the problem is not used: see whole_price.
             total = total - self.switching.f6_switching / self.grid
+        if isinstance(self.terminal, ValueAtEnd):
+            # No whole number where it counts as service: see Binaries.service.
+            total = total + f7_at_end(self.terminal) / self.grid
         rounded = penalty >= self._curtailment() / self.grid - 1
         return cp.Problem(cp.Maximize(total), [*self.constraints.values(), rounded])
 
@@ -328,12 +335,14 @@ class AggregateModel:
         if data.drawn is not None:
             values["network_drawn"] = data.drawn.kw.sum(axis=1)
         for name, value in values.items():
-            self.p[name].value = value
+            write(self.p[name], value)
         if self.room:
             self._fill_room(data)
         if self.export is not None:
             self.export.fill(site, data)
-        if self.terminal is not None and data.terminal is not None:
+        if isinstance(self.terminal, ValueAtEnd):
+            self.terminal.fill(data.require_value())
+        elif self.terminal is not None and data.terminal is not None:
             target_kwh = self._fleet(data.terminal.target_kwh(site.batteries))
             self.terminal.fill(target_kwh, data.terminal.price_gbp_per_kwh)
         self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h

@@ -1,0 +1,103 @@
+"""What energy left in the batteries is worth behind a window: a concave function of its sum.
+
+It is made outside the optimisation (:mod:`vppres.outlook.value`) and handed to it with a number of
+pieces that never changes, so that a problem is compiled once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vppres.core.arrays import Floats, freeze_fields
+
+PIECES = 30
+"""Linear pieces of every function: the same number, so that problems keep their shape."""
+
+Ending = Literal["", "target", "value"]
+"""What a window's problem says of its end: nothing, a state of charge to hold, a value."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredValue:
+    """Service that stored energy can be expected to buy later, piecewise linear and concave.
+
+    Parameters
+    ----------
+    energy_kwh : array, shape (K + 1,)
+        Energy of all batteries together, rising.
+    service : array, shape (K + 1,)
+        What it is worth, in weighted customer hours, 0 where the batteries are empty.
+    gbp_per_service : float
+        Value of lost load of a weighted customer hour.
+    as_service : bool
+        Whether it counts as service: in an outage, where energy is all that there is to spend.
+        Otherwise everyone is served, and it counts against the cost of energy.
+
+    Examples
+    --------
+    >>> worth = StoredValue([0.0, 10.0, 20.0], [0.0, 5.0, 6.0], 1000.0, as_service=True)
+    >>> worth.at(5.0), worth.at(15.0)
+    (2.5, 5.5)
+    >>> worth.marginal_gbp_per_kwh(15.0)
+    100.0
+    """
+
+    energy_kwh: Floats
+    service: Floats
+    gbp_per_service: float
+    as_service: bool
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, energy_kwh=float, service=float)
+
+    @property
+    def slope(self) -> Floats:
+        """Weighted customer hours that one more kWh is worth in each piece, (K,)."""
+        return np.asarray(np.diff(self.service) / np.diff(self.energy_kwh))
+
+    @property
+    def offset(self) -> Floats:
+        """What each piece is worth at no energy, (K,): the value is the least of all pieces."""
+        return np.asarray(self.service[:-1] - self.slope * self.energy_kwh[:-1])
+
+    def at(self, energy_kwh: float) -> float:
+        """Weighted customer hours that an energy is worth."""
+        return float(np.min(self.slope * energy_kwh + self.offset))
+
+    def marginal_gbp_per_kwh(self, energy_kwh: float) -> float:
+        """What one more kWh than an energy is worth."""
+        piece = np.searchsorted(self.energy_kwh, energy_kwh, side="right") - 1
+        return float(self.gbp_per_service * self.slope[np.clip(piece, 0, len(self.slope) - 1)])
+
+    def between(self, least_kwh: float, most_kwh: float) -> tuple[float, float]:
+        """The least and the most that any energy of a range is worth."""
+        inside = (self.energy_kwh > least_kwh) & (self.energy_kwh < most_kwh)
+        ends = [self.at(least_kwh), self.at(most_kwh)]
+        return min(ends), max(*ends, *self.service[inside])
+
+    def beside(self, unusable_kwh: float) -> StoredValue:
+        """The same as a function of what is held besides energy that nobody can use.
+
+        >>> StoredValue([10.0, 20.0], [0.0, 1.0], 1.0, True).beside(5.0).at(15.0)
+        1.0
+        """
+        return StoredValue(
+            self.energy_kwh - unusable_kwh, self.service, self.gbp_per_service, self.as_service
+        )
+
+    @classmethod
+    def nothing(cls) -> StoredValue:
+        """Energy that is worth nothing.
+
+        >>> StoredValue.nothing().at(7.0)
+        0.0
+        """
+        return cls(np.arange(PIECES + 1.0), np.zeros(PIECES + 1), 0.0, as_service=False)
+
+    @property
+    def gbp_as_cost(self) -> float:
+        """What a weighted customer hour takes off the cost, 0 where it counts as service."""
+        return 0.0 if self.as_service else self.gbp_per_service

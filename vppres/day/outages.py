@@ -1,0 +1,274 @@
+"""What an observation may hold of the outages ahead: the option ``outages``.
+
+Unless outages are known, nothing but the present step of the true grid limits passes from here.
+The same observation goes to the controller, to the guard around it and to its fallbacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.contract.export import Export
+from vppres.contract.forecast import Forecast
+from vppres.contract.observation import Observation
+from vppres.contract.stored_value import StoredValue
+from vppres.contract.terminal import Terminal
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.day.forecasting import Forecasts
+from vppres.day.options import PERFECT
+from vppres.outlook.belief import OutageBelief
+from vppres.outlook.outlook import OutageOutlook, SeenOutage
+from vppres.outlook.presets import Statistics
+from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.scenario.scenario import Scenario
+
+KNOWN = "known"
+LIKELY = "likely"
+BELIEF = "belief"
+PHYSICAL = "physical"
+
+LOOKAHEAD_H = 48.0
+"""How far a belief looks ahead: energy that is kept for longer is bought again."""
+
+
+@dataclass(frozen=True)
+class GridSeen:
+    """What has been seen of the grid up to the present step.
+
+    Parameters
+    ----------
+    outages : tuple of SeenOutage
+        Outages so far; the last one lasts if the present step is one of it.
+    import_kw : float
+        Largest import when there was grid last; it is taken to stay as it is.
+    """
+
+    outages: tuple[SeenOutage, ...] = ()
+    import_kw: float = np.inf
+
+    @property
+    def out(self) -> bool:
+        """Whether the present step is one of an outage."""
+        return bool(self.outages) and self.outages[-1].end is None
+
+    def after(self, time: pd.Timestamp, limit_kw: float) -> GridSeen:
+        """The same after another step: its beginning, and its largest import.
+
+        >>> noon = pd.Timestamp("2022-07-19T12:00Z")
+        >>> GridSeen().after(noon, 0.0).out
+        True
+        """
+        dark = limit_kw <= 0.0
+        if dark and not self.out:
+            return replace(self, outages=(*self.outages, SeenOutage(time)))
+        if self.out and not dark:
+            over = replace(self.outages[-1], end=time)
+            return GridSeen((*self.outages[:-1], over), limit_kw)
+        return self if dark else replace(self, import_kw=limit_kw)
+
+
+@dataclass(frozen=True, eq=False)
+class OutageView:
+    """What a controller is told of outages.
+
+    Parameters
+    ----------
+    kind : {"known", "likely", "belief", "none"}
+        The option ``outages``.
+    outlook : OutageOutlook
+        Turns warnings and statistics into beliefs.
+    gbp_per_kwh_lost : float
+        Value of lost load.
+    soc_end : float, optional
+        State of charge that batteries keep at the end.
+    headroom : float, optional
+        Share of a grid-forming battery's inverter that an outage leaves free, 0 in the paper's
+        mode.
+    """
+
+    kind: str
+    outlook: OutageOutlook
+    gbp_per_kwh_lost: float
+    soc_end: float | None = None
+    headroom: float = 0.0
+
+    @classmethod
+    def create(cls, scenario: Scenario, options: Mapping[str, Any]) -> OutageView:
+        """By the options of a run, as they are recorded."""
+        statistics = scenario.outage_statistics
+        return cls(
+            kind=str(options.get("outages") or KNOWN),
+            outlook=OutageOutlook(scenario.warnings, statistics, scenario.grid.dt_h),
+            gbp_per_kwh_lost=Statistics.of(statistics).value_of_lost_load_gbp_per_kwh,
+            soc_end=options.get("soc_end"),
+            headroom=float(options.get("headroom", 0.0))
+            if options.get("mode") == PHYSICAL
+            else 0.0,
+        )
+
+    def told(
+        self,
+        seen: Observation,
+        grid: GridSeen,
+        scenario: Scenario,
+        row: int,
+        forecaster: Forecasts,
+    ) -> Observation:
+        """An observation without what nobody can know.
+
+        Parameters
+        ----------
+        seen : Observation
+            With the true limits of its window.
+        grid : GridSeen
+            The grid so far.
+        scenario : Scenario
+            Has the steps.
+        row : int
+            The present one among them.
+        forecaster : Forecaster
+            Forecasts of them.
+        """
+        if self.kind == KNOWN:
+            return seen
+        window = range(row, row + len(seen.forecast.price_gbp_per_kwh))
+        if self.kind == "none":
+            out = np.full(len(window), grid.out)
+            return _told(seen, scenario, window, out, grid)
+        n_ahead = min(
+            max(scenario.grid.steps_in_horizon(LOOKAHEAD_H), len(window)),
+            scenario.grid.n_steps - row,
+        )
+        belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
+        told = _told(seen, scenario, window, belief.likely[: len(window)], grid)
+        if self.kind == LIKELY or belief.certain or not len(scenario.batteries):
+            return told
+        ahead = forecaster.at(row, range(row, row + n_ahead))
+        value = self._value(told, belief, scenario, slice(row, row + n_ahead), ahead, grid)
+        # A value that is no number says nothing: the likely future is left.
+        return replace(told, stored_value=value) if np.isfinite(value.service).all() else told
+
+    def _value(
+        self,
+        seen: Observation,
+        belief: OutageBelief,
+        scenario: Scenario,
+        rows: slice,
+        ahead: Forecast,
+        grid: GridSeen,
+    ) -> StoredValue:
+        """What energy is worth behind the present step."""
+        steps = len(ahead.price_gbp_per_kwh)
+        expected = Ahead(
+            load_kw=ahead.load_kw,
+            pv_kw=ahead.pv_kw.sum(axis=1),
+            price_gbp_per_kwh=ahead.price_gbp_per_kwh,
+            import_kw=grid.import_kw,
+            export=Export.believed(scenario, rows, np.full(steps, np.inf)),
+            weight=scenario.customers.weight,
+            lambda_curt=scenario.objective.lambda_curt,
+            dt_h=scenario.grid.dt_h,
+        )
+        fleet = self._fleet(scenario, seen)
+        end = Terminal.of(self.soc_end, ahead, ends=True)
+
+        def end_gbp(energy_kwh: Floats) -> Floats:
+            """What is held behind the last step: bought at the lowest price, or asked for."""
+            if end is None:
+                lowest = max(float(ahead.price_gbp_per_kwh.min()), 0.0)
+                return lowest / fleet.eta_charge * (energy_kwh - fleet.least_kwh)
+            target_kwh = float(end.target_kwh(scenario.batteries).sum())
+            return end.price_gbp_per_kwh * np.minimum(energy_kwh - target_kwh, 0.0)
+
+        return stored_value(belief, fleet, expected, self.gbp_per_kwh_lost, end_gbp)
+
+    def _fleet(self, scenario: Scenario, seen: Observation) -> Fleet:
+        """All batteries as one, with their present efficiencies; the guard tells who is there."""
+        b = scenario.batteries
+        power_kw = b.active_max_kw
+        share = power_kw / power_kw.sum()
+        rating_kw = np.minimum(self.headroom * b.s_max_kva, power_kw)
+        headroom_kw = np.where(b.formers, rating_kw, 0.0)
+        eta_discharge = float(share @ seen.eta_discharge)
+        reserve_kwh = headroom_kw.sum() * scenario.grid.dt_h / eta_discharge
+        least_kwh = float(b.energy_kwh @ b.soc_min)
+        most_kwh = float(b.energy_kwh @ b.soc_max)
+        return Fleet(
+            least_kwh=min(least_kwh + reserve_kwh, 0.5 * (least_kwh + most_kwh)),
+            most_kwh=most_kwh,
+            p_max_kw=float(power_kw.sum()),
+            p_out_kw=float((power_kw - headroom_kw).sum()),
+            eta_charge=float(share @ seen.eta_charge),
+            eta_discharge=eta_discharge,
+        )
+
+
+def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
+    """Probability that each step is one of an outage, as it was believed at each.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day as it came.
+    options : mapping
+        Of the run, as they are recorded.
+
+    Returns
+    -------
+    array, shape (T, T)
+        By the step at which it was believed, then by the step that it is about; NaN for steps
+        that were over, or too far ahead.
+    """
+    view = OutageView.create(scenario, options)
+    times = scenario.grid.times
+    T = scenario.grid.n_steps
+    most = scenario.grid.steps_in_horizon(LOOKAHEAD_H)
+    found = np.full((T, T), np.nan)
+    seen = GridSeen()
+    for t, now in enumerate(times):
+        seen = seen.after(now, float(scenario.grid_limit_kw[t]))
+        ahead = min(most, T - t)
+        found[t, t : t + ahead] = view.outlook.at(now, ahead, seen.outages).out_probability
+    return found
+
+
+def check_outages(kind: str, controller: str) -> None:
+    """Refuse what a controller has no use for.
+
+    Raises
+    ------
+    InputError
+        For beliefs where no window of one step is solved, and perfect information that is none.
+    """
+    if controller == PERFECT and kind != KNOWN:
+        cure = "Use the controller full-horizon, or known outages."
+    elif controller != "mpc" and kind == BELIEF:
+        cure = "Use the controller mpc, or likely outages."
+    else:
+        return
+    raise InputError(
+        Problem(
+            "options",
+            f"has no meaning for the controller {controller}",
+            cure,
+            field="outages",
+            value=kind,
+        )
+    )
+
+
+def _told(
+    seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen
+) -> Observation:
+    """An observation with believed outages in place of the true limits behind the present step."""
+    limit_kw = np.where(out, 0.0, grid.import_kw)
+    limit_kw[0] = seen.forecast.grid_limit_kw[0]
+    export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
+    forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)
+    return replace(seen, forecast=forecast)

@@ -1,0 +1,116 @@
+"""What the set-points of the last step should have led to, from which the next one goes on."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.switching import SwitchingState
+from vppres.control.remembered import memory_of, put_back
+from vppres.core.arrays import Flags
+from vppres.core.plain import Given, from_plain, to_plain
+from vppres.day.forecasting import PAPER, history_before
+from vppres.day.options import RunOptions
+from vppres.day.outages import GridSeen
+from vppres.day.simulate import Day
+from vppres.physics.cold_load import ColdLoad
+from vppres.scenario.history import History
+from vppres.scenario.scenario import Scenario
+
+REMEMBERED_DAYS = 100
+"""Days of measurements that a controller keeps, more than any forecaster looks at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """The site after a step.
+
+    Parameters
+    ----------
+    t : int
+        The step, counted from the controller's first; -1 before it.
+    operating_point : OperatingPoint or None
+        AC point of its set-points.
+    switching : SwitchingState or None
+        Switching duties; None without rules.
+    cold_load : ColdLoad
+        Who takes more than usual.
+    served : array of bool, shape (C,), or None
+        Who was served.
+    history : History or None
+        What was measured; None where no forecaster learns from it.
+    grid_seen : GridSeen
+        Outages so far.
+    """
+
+    t: int
+    operating_point: OperatingPoint | None
+    switching: SwitchingState | None
+    cold_load: ColdLoad
+    served: Flags | None
+    history: History | None
+    grid_seen: GridSeen = field(default_factory=GridSeen)
+
+    @classmethod
+    def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
+        """Before the first step: everyone has been served for long."""
+        day = Day(scenario, options)
+        history = None if options.forecaster == PAPER else history_before(scenario)
+        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
+
+    def with_measured(self, now: Scenario) -> History | None:
+        """The history with the first step of a window; None where no forecaster learns from it."""
+        if self.history is None:
+            return None
+        return self.history.followed_by(now.grid.start, now.load_kw[:1], now.pv_kw[:1]).last_days(
+            REMEMBERED_DAYS
+        )
+
+    def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
+        """Switching state and cold load at a step, set-points held over those in between."""
+        switching = self.switching
+        cold_load = copy(self.cold_load)  # a step that fails must not have advanced it
+        if self.served is not None:
+            for _ in range(self.t + 1, t):
+                switching = None if switching is None else switching.advance(self.served)
+                cold_load.advance(self.served)
+        return switching, cold_load
+
+    def as_plain(self, given: Given) -> dict[str, Any]:
+        """What JSON can hold of it, but for the history, which a state holds once."""
+        return {
+            "t": self.t,
+            "operating_point": to_plain(self.operating_point, given),
+            "switching": to_plain(self.switching, given),
+            "cold_load": memory_of(self.cold_load, given),
+            "served": to_plain(self.served, given),
+            "grid_seen": to_plain(self.grid_seen, given),
+        }
+
+    def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
+        """Another past of the same site, from what JSON holds of it and its history.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        found = from_plain(dict, plain, where)
+        cold_load = copy(self.cold_load)
+        put_back(cold_load, found.get("cold_load"), given, f"{where}.cold_load")
+        kinds = {
+            "t": int,
+            "operating_point": OperatingPoint | None,
+            "switching": SwitchingState | None,
+            "served": Flags | None,
+        }
+        values = {
+            name: from_plain(kind, found.get(name), f"{where}.{name}", given)
+            for name, kind in kinds.items()
+        }
+        seen = found.get("grid_seen")
+        if seen is not None:  # states from before there were beliefs have none
+            values["grid_seen"] = from_plain(GridSeen, seen, f"{where}.grid_seen", given)
+        return Past(cold_load=cold_load, history=history, **values)

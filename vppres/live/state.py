@@ -1,0 +1,268 @@
+"""The state of a live controller as a plain value: to be saved, shown, and gone on from.
+
+It holds what decides on the steps to come: what is known of them, the operating point, switching
+duties, cold load, the plan, and what the guard has seen. Compiled problems are not in it; they are
+made anew and give the same answers to the last bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.contract.decision import Decider
+from vppres.control.remembered import memory_of, put_back
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError, Problem
+from vppres.core.plain import Given, from_plain, to_plain
+from vppres.day.options import RunOptions
+from vppres.live.memory import Memory
+from vppres.live.past import Past
+from vppres.model.site import Site
+from vppres.scenario.history import History
+from vppres.scenario.outage_warnings import OutageWarning
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+
+KIND = "vppres controller state"
+
+VERSION = 1
+"""Of the state's layout. It changes where an older state can no longer be gone on from."""
+
+WHERE = "state"
+
+SERIES = (
+    "load_kw",
+    "pv_kw",
+    "price_gbp_per_kwh",
+    "temperature_c",
+    "grid_limit_kw",
+    "export_limit_kw",
+    "export_price_gbp_per_kwh",
+)
+
+DECISIVE = ("controller", "mode", "guard", "switching")
+"""Options without which a memory means nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Where a controller stands between two steps.
+
+    Parameters
+    ----------
+    known : Scenario
+        The steps that are known.
+    forgotten : int
+        Steps before them, since the controller's first.
+    past : Past
+        What the last step led to.
+    before : tuple of Memory and Past, or None
+        The same before the last step, which may be decided again.
+    """
+
+    known: Scenario
+    forgotten: int
+    past: Past
+    before: tuple[Memory, Past] | None = None
+
+
+def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
+    """The state as JSON can hold it.
+
+    Parameters
+    ----------
+    standing : Standing
+        Where the controller stands.
+    decider : Decider
+        Who decides; left as it was.
+    options : RunOptions
+        What it was made with.
+    """
+    known = standing.known
+    given = _given(known, options)
+    body = {
+        "kind": KIND,
+        "version": VERSION,
+        "site": Site.of(known).key,
+        "options": _decisive(options),
+        "ids": {name: list(getattr(known, name).id) for name in ("customers", "pv", "batteries")},
+        "known": {
+            "start": known.grid.start.isoformat(),
+            "n_steps": known.grid.n_steps,
+            "forgotten": standing.forgotten,
+            "series": {name: to_plain(getattr(known, name)) for name in SERIES},
+            "warnings": to_plain(known.warnings),
+        },
+        "history": to_plain(standing.past.history),
+        "now": _moment(decider, standing.past, given),
+        "before": _moment_before(decider, standing, given),
+    }
+    return {**body, "digest": _digest(body)}
+
+
+def restored(
+    state: Any, scenario: Scenario, decider: Decider, options: RunOptions, start: Past
+) -> Standing:
+    """Let a new controller stand where another one stood.
+
+    Parameters
+    ----------
+    state : dict
+        What :func:`state_of` made of the other.
+    scenario : Scenario
+        The same site.
+    decider : Decider
+        The new one's; it remembers what the other did.
+    options : RunOptions
+        Of the new one.
+    start : Past
+        Of a controller that has decided nothing.
+
+    Raises
+    ------
+    InputError
+        If the state is damaged, of another version, of another site or of other options.
+    """
+    try:
+        return _restored(state, scenario, decider, options, start)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _refused(
+            f"cannot be read: {type(error).__name__}", "Give what Controller.state() returned."
+        ) from error
+
+
+def _restored(
+    state: Any, scenario: Scenario, decider: Decider, options: RunOptions, start: Past
+) -> Standing:
+    """The same, of a state that may still lack something."""
+    _check(state, scenario, options)
+    known = _known(state["known"], scenario)
+    given = _given(known, options)
+    forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
+    history = _history(state["history"], start)
+    before = None
+    if state["before"] is not None:
+        row = from_plain(int, state["now"]["past"]["t"], f"{WHERE}.now.past.t") - forgotten
+        then = (
+            None
+            if history is None
+            else history.before(
+                known.grid.start + row * pd.Timedelta(minutes=known.grid.step_minutes)
+            )
+        )
+        past = _put_back(decider, state["before"], start, then, given)
+        before = Memory(decider), past
+    now = _put_back(decider, state["now"], start, history, given)
+    return Standing(known, forgotten, now, before)
+
+
+def _moment(decider: Decider, past: Past, given: Given) -> dict[str, Any]:
+    """What the site and the controller are at, between two steps."""
+    return {"past": past.as_plain(given), "memory": memory_of(decider, given)}
+
+
+def _moment_before(decider: Decider, standing: Standing, given: Given) -> dict[str, Any] | None:
+    """The same before the last step."""
+    if standing.before is None:
+        return None
+    memory, past = standing.before
+    latest = Memory(decider)
+    memory.restore()
+    try:
+        return _moment(decider, past, given)
+    finally:
+        latest.restore()
+
+
+def _put_back(
+    decider: Decider, moment: Any, start: Past, history: History | None, given: Given
+) -> Past:
+    """Past of a moment; the controller remembers the rest."""
+    put_back(decider, moment["memory"], given, f"{WHERE}.memory")
+    return start.read(moment["past"], history, given, f"{WHERE}.past")
+
+
+def _history(plain: Any, start: Past) -> History | None:
+    """What was measured, where a forecaster learns from it; the site's own if the state has none.
+
+    The measurements before the last step are those of its beginning: no other copy is kept.
+    """
+    if start.history is None or plain is None:
+        return start.history
+    found: History = from_plain(History, plain, f"{WHERE}.history")
+    return found
+
+
+def _given(known: Scenario, options: RunOptions) -> Given:
+    """What every controller of the site has by itself."""
+    return {Site: Site.of(known), SwitchingRules: options.switching}
+
+
+def _decisive(options: RunOptions) -> dict[str, Any]:
+    return {
+        name: asdict(value) if isinstance(value, SwitchingRules) else value
+        for name, value in ((name, getattr(options, name)) for name in DECISIVE)
+    }
+
+
+def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
+    """Whether a state is whole, of this version, this site and these options."""
+    if not isinstance(state, dict) or state.get("kind") != KIND:
+        raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
+    if state.get("version") != VERSION:
+        raise _refused(
+            f"has another layout than this version's, {VERSION}",
+            "Go on with the version that wrote it, or begin without a state.",
+            "version",
+            state.get("version"),
+        )
+    body = {name: value for name, value in state.items() if name != "digest"}
+    if state.get("digest") != _digest(body):
+        raise _refused("is damaged: it is not as it was written", "Begin from an older one.")
+    if state["site"] != Site.of(scenario).key:
+        raise _refused(
+            "is of another site: network, assets, weights or step differ",
+            "Give the scenario of its site, or begin without a state.",
+        )
+    for name, value in _decisive(options).items():
+        if state["options"].get(name) != value:
+            raise _refused(
+                f"was written with {state['options'].get(name)}",
+                "Give the same option, or begin without a state.",
+                name,
+                value,
+            )
+
+
+def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
+    """The steps that were known."""
+    n_steps = from_plain(int, plain["n_steps"], f"{WHERE}.known.n_steps")
+    series: dict[str, Any] = {
+        name: from_plain(Floats, values, f"{WHERE}.known.series.{name}")
+        if isinstance(values, list)
+        else np.array(from_plain(float, values, f"{WHERE}.known.series.{name}"))
+        for name, values in plain["series"].items()
+    }
+    grid = replace(scenario.grid, start=pd.Timestamp(plain["start"]), n_steps=n_steps)
+    warnings = plain.get("warnings")
+    if warnings is not None:
+        series["warnings"] = from_plain(
+            tuple[OutageWarning, ...], warnings, f"{WHERE}.known.warnings"
+        )
+    return replace(scenario, grid=grid, **series)
+
+
+def _digest(body: dict[str, Any]) -> str:
+    """SHA-256 of a state without its digest."""
+    text = json.dumps(body, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _refused(message: str, cure: str, field: str | None = None, value: object = None) -> InputError:
+    return InputError(Problem(WHERE, message, cure, field=field, value=value))

@@ -1,0 +1,170 @@
+"""What is believed of outages at a step, as a chain of states.
+
+An outage is not there, or has lasted for some steps; the state of the present step is seen. Of the
+steps to come a belief says with which probability each announced outage begins, that of an outage
+which nobody announced, and how long outages of each kind last. Announced outages come in their
+order: once one has come, only later ones are waited for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, freeze_fields
+
+HALF = 0.5
+"""Probability from which an outage is the likely future."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutageBelief:
+    """Belief at a step about it and the ``T - 1`` steps behind it.
+
+    Parameters
+    ----------
+    onset : array, shape (A, T)
+        Probability that each announced outage begins at a step, given all that is seen: nothing
+        at the present one. Its sum is below 1 where it may not come at all.
+    duration : array, shape (A + 1, D)
+        Probability of each length in steps, from 1; row 0 is that of outages nobody announced.
+    hazard : float
+        Probability that such an outage begins at a step.
+    out : bool
+        Whether the present step is one of an outage.
+    kind : int
+        Row of ``duration`` that the present outage has.
+    elapsed : int
+        Steps that it has lasted before the present one.
+
+    Examples
+    --------
+    An outage that begins for certain in two steps and lasts two:
+
+    >>> sure = OutageBelief([[0, 0, 1, 0, 0, 0]], [[1, 0], [0, 1]], hazard=0.0)
+    >>> sure.certain
+    True
+    >>> sure.out_probability
+    array([0., 0., 1., 1., 0., 0.])
+    """
+
+    onset: Floats
+    duration: Floats
+    hazard: float
+    out: bool = False
+    kind: int = 0
+    elapsed: int = 0
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, onset=float, duration=float)
+
+    @property
+    def n_steps(self) -> int:
+        """Steps T."""
+        return int(self.onset.shape[1])
+
+    @property
+    def n_announced(self) -> int:
+        """Announced outages A."""
+        return len(self.onset)
+
+    @cached_property
+    def restored(self) -> Floats:
+        """Probability that an outage of ``k + 1`` steps has no other, (A + 1, D).
+
+        Beyond all lengths that have a probability an outage is over.
+        """
+        longer = self.duration[:, ::-1].cumsum(axis=1)[:, ::-1]
+        over = np.ones_like(self.duration)
+        np.divide(self.duration, longer, where=longer > 1e-12, out=over)
+        return over
+
+    @cached_property
+    def began(self) -> Floats:
+        """Probability that an announced outage begins at a step if it has not before, (A, T)."""
+        waiting = 1.0 - np.hstack([np.zeros((self.n_announced, 1)), self.onset.cumsum(axis=1)])
+        share = np.divide(
+            self.onset,
+            waiting[:, :-1],
+            where=waiting[:, :-1] > 1e-12,
+            out=np.zeros_like(self.onset),
+        )
+        return np.clip(share, 0.0, 1.0)
+
+    def onsets_from(self, come: int, t: int) -> Floats:
+        """Probabilities of what begins at step ``t``, (A + 1,): row 0 is what nobody announced.
+
+        ``come`` is the number of announced outages that have come, or been passed over.
+        """
+        found = np.zeros(self.n_announced + 1)
+        quiet = 1.0
+        for kind in range(come, self.n_announced):
+            found[kind + 1] = quiet * self.began[kind, t]
+            quiet *= 1.0 - self.began[kind, t]
+        found[0] = quiet * self.hazard
+        return found
+
+    @cached_property
+    def certain(self) -> bool:
+        """Whether nothing is left to chance: every probability is zero or one."""
+        begins = self.hazard == 0.0 and np.isin(self.onset, (0.0, 1.0)).all()
+        announced = self.duration[1:][self.onset.any(axis=1)]
+        ends = self.restored[self.kind, self.elapsed :] if self.out else np.zeros(0)
+        return bool(
+            begins and np.isin(announced, (0.0, 1.0)).all() and np.isin(ends, (0.0, 1.0)).all()
+        )
+
+    @cached_property
+    def out_probability(self) -> Floats:
+        """Probability that each step is one of an outage, (T,)."""
+        A = self.n_announced
+        D = self.duration.shape[1]
+        waiting = np.zeros(A + 1)
+        lasting = np.zeros((A + 1, D))
+        if self.out:
+            lasting[self.kind, min(self.elapsed, D - 1)] = 1.0
+        else:
+            waiting[0] = 1.0
+        found = [float(self.out)]
+        for t in range(1, self.n_steps):
+            over = lasting * self.restored
+            on = lasting - over
+            lasting = np.zeros((A + 1, D))
+            lasting[:, 1:] = on[:, :-1]
+            lasting[:, -1] += on[:, -1]
+            # What was not announced leaves all that was announced to wait for.
+            arrived = waiting.copy()
+            waiting = over.sum(axis=1)
+            for come in range(A + 1):
+                begins = self.onsets_from(come, t)
+                lasting[:, 0] += arrived[come] * begins
+                waiting[come] += arrived[come] * (1.0 - begins.sum())
+            found.append(float(lasting.sum()))
+        return np.array(found)
+
+    @cached_property
+    def likely(self) -> Flags:
+        """The most likely future, (T,): whether each step is one of an outage.
+
+        The present outage ends at the median of what is left of it. An announced one comes at its
+        most likely time, where it comes with a probability of one half or more, and lasts as long
+        as its median says. Where everything is certain this is what comes.
+        """
+        out = np.zeros(self.n_steps, dtype=bool)
+        if self.out:
+            out[: self._median(self.kind, self.elapsed) - self.elapsed] = True
+        for kind, onset in enumerate(self.onset, start=1):
+            if onset.sum() >= HALF:
+                begin = int(np.argmax(onset))
+                out[begin : begin + self._median(kind, 0)] = True
+        return out
+
+    def _median(self, kind: int, elapsed: int) -> int:
+        """Steps that half of all outages of a kind that have lasted so long do not exceed."""
+        longer = self.duration[kind, elapsed:]
+        if longer.sum() <= 1e-12:
+            return elapsed + 1
+        half = np.searchsorted(longer.cumsum(), HALF * longer.sum() * (1.0 - 1e-9))
+        return elapsed + int(half) + 1

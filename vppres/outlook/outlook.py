@@ -1,0 +1,240 @@
+"""From warnings, statistics and what has been seen to the belief at a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.outlook import durations
+from vppres.outlook.belief import OutageBelief
+from vppres.outlook.presets import Statistics, completed
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+
+HOUR = pd.Timedelta(hours=1)
+
+LONGEST_STEPS = 3000
+"""Lengths that are told apart; longer ones are as long."""
+
+
+@dataclass(frozen=True)
+class SeenOutage:
+    """An outage that was seen: its first step, and the first step after it, None while it lasts."""
+
+    start: pd.Timestamp
+    end: pd.Timestamp | None = None
+
+
+@dataclass(frozen=True)
+class _Announced:
+    """An announced outage as its messages so far leave it: the last one, and its onset."""
+
+    message: OutageWarning
+    first_issued: pd.Timestamp
+    earliest: pd.Timestamp
+    likely: pd.Timestamp
+    latest: pd.Timestamp
+
+    def explains(self, seen: SeenOutage, step: pd.Timedelta) -> bool:
+        """Whether an outage that was seen is this one.
+
+        It began in the announced time, or off by its width, an hour at least; and not before
+        anybody knew of it.
+        """
+        off = max(self.latest - self.earliest, HOUR, step)
+        return self.earliest - off <= seen.start <= self.latest + off and (
+            seen.end is None or seen.end > self.first_issued
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OutageOutlook:
+    """Beliefs of outages at the steps of a time grid.
+
+    Of every announced outage the last message issued by the step counts: the warning is the
+    belief, and no filter stands behind it. What was seen is certain: an outage that came is no
+    longer waited for, and its length is longer than it has lasted.
+
+    Parameters
+    ----------
+    warnings : sequence of OutageWarning
+        All messages, in any order; those that are not issued yet change nothing.
+    statistics : OutageStatistics
+        Outages that nobody announces.
+    step_h : float
+        Length of a step in h.
+
+    Examples
+    --------
+    >>> noon = pd.Timestamp("2022-07-19T12:00Z")
+    >>> lasts = {"probability": 0.7, "duration_p50_h": 2.0}
+    >>> warned = OutageWarning(noon - 6 * HOUR, onset_likely=noon, **lasts)
+    >>> outlook = OutageOutlook([warned], OutageStatistics(saifi_per_year=0.0), 1.0)
+    >>> outlook.at(noon - 2 * HOUR, 5, []).out_probability.round(3)
+    array([0. , 0. , 0.7, 0.7, 0. ])
+    """
+
+    warnings: Sequence[OutageWarning]
+    statistics: OutageStatistics
+    step_h: float
+
+    def at(self, now: pd.Timestamp, n_steps: int, seen: Sequence[SeenOutage]) -> OutageBelief:
+        """The belief at a step.
+
+        Parameters
+        ----------
+        now : pandas.Timestamp
+            Beginning of the present step.
+        n_steps : int
+            Steps T to look ahead, the present one included.
+        seen : sequence of SeenOutage
+            Outages so far, in their order; the last one lasts if the present step is one of it.
+        """
+        step = pd.Timedelta(hours=self.step_h)
+        lasting = seen[-1] if seen and seen[-1].end is None else None
+        elapsed = 0 if lasting is None else round((now - lasting.start) / step)
+        announced = self._announced(now, lasting)
+        # The present outage may be longer than all that lies ahead.
+        length = min(elapsed + n_steps + 1, LONGEST_STEPS)
+        unannounced = self._unannounced(length)
+        present = None
+        waited_for = []
+        for one in announced:
+            if lasting is not None and present is None and one.explains(lasting, step):
+                present = one
+            elif not any(one.explains(past, step) for past in seen if past.end is not None):
+                waited_for.append(one)
+        onset = [self._onset(one, now, n_steps) for one in waited_for]
+        kinds = [self._length(one.message, length) for one in waited_for]
+        kind = 0
+        if present is not None:
+            # The present one comes first: those behind it are still waited for.
+            kind = 1
+            onset.insert(0, np.zeros(n_steps))
+            kinds.insert(0, self._length(present.message, length))
+        kinds.insert(0, unannounced)
+        elapsed = min(elapsed, length - 1)
+        if lasting is not None and kinds[kind][elapsed:].sum() <= 1e-9:
+            # Longer than anybody said: all that is left to go by are the statistics.
+            kinds[kind] = self._unannounced(length)
+        return OutageBelief(
+            np.array(onset).reshape(len(onset), n_steps),
+            np.array(kinds),
+            hazard=float(-np.expm1(-self._rates.hazard_per_h * self.step_h)),
+            out=lasting is not None,
+            kind=kind,
+            elapsed=elapsed,
+        )
+
+    @property
+    def _rates(self) -> Statistics:
+        return Statistics.of(self.statistics)
+
+    def _unannounced(self, length: int) -> Floats:
+        rates = self._rates
+        return durations.lognormal(rates.median_h, rates.sigma, self.step_h, length)
+
+    def _announced(self, now: pd.Timestamp, lasting: SeenOutage | None) -> list[_Announced]:
+        """Outages that are announced by now, by their likely onset."""
+        messages: dict[str, list[OutageWarning]] = {}
+        for warning in sorted(self.warnings, key=lambda w: w.issued_at):
+            if warning.issued_at <= now:
+                messages.setdefault(warning.outage, []).append(completed(warning))
+        found = [one for group in messages.values() if (one := _of_messages(group, lasting))]
+        return sorted(found, key=lambda one: one.likely)
+
+    def _onset(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+        """Probability that it begins at each step, given that it has not so far."""
+        hours = [(time - now) / HOUR for time in (one.earliest, one.likely, one.latest)]
+        # Step k is the one that begins nearest; what should have begun by now has not.
+        edges = np.asarray((np.arange(n_steps + 1) - 0.5) * self.step_h, dtype=float)
+        begun = _triangular(edges, *hours)
+        p = 1.0 if one.message.probability is None else one.message.probability
+        left = 1.0 - p * begun[1]
+        onset = np.zeros(n_steps)
+        if left > 1e-12:
+            onset[1:] = p * np.diff(begun)[1:] / left
+        return onset
+
+    def _length(self, message: OutageWarning, length: int) -> Floats:
+        """Lengths that a message says, those of the statistics where it says nothing."""
+        median_h = message.duration_p50_h
+        if median_h is None:
+            return self._unannounced(length)
+        low_h = message.duration_p10_h
+        high_h = message.duration_p90_h
+        if low_h is None and high_h is None:
+            return durations.known(median_h, self.step_h, length)
+        low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
+        high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
+        assert low_h is not None
+        assert high_h is not None
+        sigma = durations.spread(low_h, high_h)
+        return durations.lognormal(median_h, sigma, self.step_h, length)
+
+
+def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:
+    """Outages among the steps so far, of which the last is the present one.
+
+    >>> hours = pd.date_range("2022-07-19T12:00Z", periods=3, freq="h")
+    >>> [one.end is None for one in seen_outages(hours, [True, False, True])]
+    [False, True]
+    """
+    found: list[SeenOutage] = []
+    for time, dark in zip(times, out, strict=False):
+        lasts = bool(found) and found[-1].end is None
+        if dark and not lasts:
+            found.append(SeenOutage(time))
+        elif lasts and not dark:
+            found[-1] = replace(found[-1], end=time)
+    return found
+
+
+def _of_messages(
+    messages: Sequence[OutageWarning], lasting: SeenOutage | None
+) -> _Announced | None:
+    """The outage that messages speak of, in their order; None after the all-clear.
+
+    What the last message leaves out stands as the one before said it. A message without any onset
+    that comes during an outage speaks of that one.
+    """
+    last = messages[-1]
+    if last.all_clear:
+        return None
+    since = max((i for i, m in enumerate(messages) if m.all_clear), default=-1) + 1
+    timed = [m for m in messages[since:] if m.onset_likely is not None]
+    lengths = [m for m in messages[since:] if m.duration_p50_h is not None]
+    if last.duration_p50_h is None and lengths:
+        said = lengths[-1]
+        last = replace(
+            last,
+            duration_p10_h=said.duration_p10_h,
+            duration_p50_h=said.duration_p50_h,
+            duration_p90_h=said.duration_p90_h,
+        )
+    first_issued = messages[since].issued_at
+    if not timed:
+        if lasting is None:
+            return None
+        return _Announced(last, first_issued, lasting.start, lasting.start, lasting.start)
+    onset = timed[-1]
+    likely = onset.onset_likely
+    assert likely is not None
+    return _Announced(
+        last, first_issued, onset.onset_earliest or likely, likely, onset.onset_latest or likely
+    )
+
+
+def _triangular(hours: Floats, earliest: float, likely: float, latest: float) -> Floats:
+    """Probability that a triangular time comes before some hours; a jump where it is known."""
+    if latest <= earliest:
+        return np.asarray((hours >= likely).astype(float))
+    wide = latest - earliest
+    rises = np.clip(hours, earliest, likely) - earliest
+    falls = latest - np.clip(hours, likely, latest)
+    below = rises**2 / (wide * (likely - earliest)) if likely > earliest else 0.0
+    above = falls**2 / (wide * (latest - likely)) if latest > likely else 0.0
+    return np.where(hours < likely, below, np.where(hours < latest, 1.0 - above, 1.0))

@@ -1,0 +1,161 @@
+"""What is said of outages that nobody knows exactly: warnings, and statistics for all others.
+
+Checked values; what follows from them is computed in :mod:`vppres.outlook`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import InputError, Problem
+
+STATISTICS_PRESETS = ("average", "with-major-events", "equipment", "none")
+WARNING_PRESETS = ("", "announced", "rota", "psps", "wind", "heat")
+"""Names of the figures of :mod:`vppres.outlook.presets`."""
+
+
+@dataclass(frozen=True)
+class OutageWarning:
+    """One message about an outage: that it may come, how long it lasts, or the all-clear.
+
+    Parameters
+    ----------
+    issued_at : pandas.Timestamp
+        When it was issued, with time zone; nobody knows of it before.
+    outage : str
+        Which outage it speaks of, where several are expected; the last message about each counts.
+    preset : str
+        Name of a kind of warning (:mod:`vppres.outlook.presets`) that fills in what is not given.
+    onset_earliest, onset_likely, onset_latest : pandas.Timestamp, optional
+        When the outage begins. Only the likely one: then for certain.
+    probability : float, optional
+        Probability that it comes to *this* feeder; 0 is the all-clear.
+    duration_p10_h, duration_p50_h, duration_p90_h : float, optional
+        Length of the whole outage in h that it stays below with a probability of 10, 50 and 90 %.
+        Only the median: then for certain.
+
+    Examples
+    --------
+    >>> noon = pd.Timestamp("2022-07-19T12:00Z")
+    >>> OutageWarning(noon - pd.Timedelta(hours=6), onset_likely=noon, probability=0.7).all_clear
+    False
+    """
+
+    issued_at: pd.Timestamp
+    outage: str = ""
+    preset: str = ""
+    onset_earliest: pd.Timestamp | None = None
+    onset_likely: pd.Timestamp | None = None
+    onset_latest: pd.Timestamp | None = None
+    probability: float | None = None
+    duration_p10_h: float | None = None
+    duration_p50_h: float | None = None
+    duration_p90_h: float | None = None
+
+    def __post_init__(self) -> None:
+        problems = [
+            Problem("outage warning", message, cure, field=field, value=getattr(self, field))
+            for field, message, cure in self.contradictions()
+        ]
+        if problems:
+            raise InputError(problems)
+
+    @property
+    def all_clear(self) -> bool:
+        """Whether it says that the outage does not come."""
+        return self.probability == 0.0
+
+    def contradictions(self) -> list[tuple[str, str, str]]:
+        """What does not fit together: field, message, cure."""
+        found = self._wrong_numbers()
+        onsets = ("onset_earliest", "onset_likely", "onset_latest")
+        durations = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
+        for names in (onsets, durations):
+            given = [(name, getattr(self, name)) for name in names if _known(getattr(self, name))]
+            for (low, less), (high, more) in pairwise(given):
+                if more < less:
+                    found.append((high, f"comes before {low}", "Put them in their order."))
+            middle = names[1]
+            if given and middle not in dict(given):
+                found.append((middle, "is missing", f"Give it, or leave out {given[0][0]} too."))
+        return found
+
+    def _wrong_numbers(self) -> list[tuple[str, str, str]]:
+        """Times without zone, and numbers out of their range."""
+        found = []
+        for name in ("issued_at", "onset_earliest", "onset_likely", "onset_latest"):
+            time = getattr(self, name)
+            if time is not None and time.tzinfo is None:
+                cure = "Write it with an offset, for example 2022-07-19T05:00Z."
+                found.append((name, "has no time zone", cure))
+        if self.probability is not None and not 0.0 <= self.probability <= 1.0:
+            cure = "Give a share, for example 0.7; 0 is the all-clear."
+            found.append(("probability", "must lie between 0 and 1", cure))
+        for name in ("duration_p10_h", "duration_p50_h", "duration_p90_h"):
+            hours = getattr(self, name)
+            if hours is not None and not (np.isfinite(hours) and hours > 0.0):
+                found.append((name, "must be above 0", "Give hours, for example 4."))
+        return found
+
+
+@dataclass(frozen=True)
+class OutageStatistics:
+    """How often and how long a feeder is out without anybody's warning.
+
+    What is None is that of the preset (:mod:`vppres.outlook.presets`).
+
+    Parameters
+    ----------
+    preset : str
+        Public figures to begin with.
+    saifi_per_year : float, optional
+        Outages of a customer in a year; 0 for none that is not announced.
+    caidi_h : float, optional
+        Mean length of an outage in h.
+    duration_sigma : float, optional
+        Spread of the length: standard deviation of its logarithm.
+    value_of_lost_load_gbp_per_kwh : float, optional
+        What a kWh that is not supplied is worth beside one that is bought.
+
+    Examples
+    --------
+    >>> OutageStatistics(saifi_per_year=0.0) == OutageStatistics()
+    False
+    """
+
+    preset: str = "average"
+    saifi_per_year: float | None = None
+    caidi_h: float | None = None
+    duration_sigma: float | None = None
+    value_of_lost_load_gbp_per_kwh: float | None = None
+
+    def __post_init__(self) -> None:
+        positive = {"caidi_h", "value_of_lost_load_gbp_per_kwh"}
+        problems = []
+        for name in (f.name for f in fields(self) if f.name != "preset"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            least = value > 0.0 if name in positive else value >= 0.0
+            if not (np.isfinite(value) and least):
+                word = "above 0" if name in positive else "zero or positive"
+                problems.append(
+                    Problem(
+                        "outage statistics",
+                        f"must be {word}",
+                        "Give a number, or leave it out for the preset's.",
+                        field=name,
+                        value=value,
+                    )
+                )
+        if problems:
+            raise InputError(problems)
+
+
+def _known(value: object) -> bool:
+    """Whether something was given."""
+    return value is not None
