@@ -1,0 +1,115 @@
+"""The service over HTTP: the same decisions, kept, taken up again, and refused where they must be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import vppres
+from tests.support.asgi import Caller
+from tests.support.long_days import repeated
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
+from vppres.service.serve import opened
+
+HERE = RunOptions(horizon_h=2.0, isolate=False)
+NOON = pd.Timestamp("2026-11-21T12:00Z")
+
+
+def site(tiny: Scenario) -> Scenario:
+    """A day of hours from local midnight, without outage."""
+    day = repeated(tiny, 24)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
+    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+
+
+@contextmanager
+def client(
+    service: Service, folder: Path, clock: SetClock | None = None, access: Access | None = None
+) -> Iterator[Caller]:
+    """A service that is asked without a network in between."""
+    with opened(service, folder, clock) as runner:
+        yield Caller(make_app(runner, access or Access()))
+
+
+def readings(time: pd.Timestamp, quantity: str, values: dict[str, float | None]) -> list[Any]:
+    """One reading of each asset, for an hour."""
+    return [
+        {
+            "source": "scada",
+            "asset": asset,
+            "quantity": quantity,
+            "start": written(time),
+            "resolution": "PT1H",
+            "values": [value],
+        }
+        for asset, value in values.items()
+    ]
+
+
+def heard(time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
+    """Telemetry of both batteries."""
+    return {"series": readings(time, "soc", {"big": soc, "small": soc})}
+
+
+def said(plan: dict[str, Any], kind: str) -> dict[str, Any]:
+    """Set-points of a kind by asset."""
+    return {one["asset"]: one for one in plan["setpoints"] if one["kind"] == kind}
+
+
+def told(run: vppres.Trajectory, t: int) -> dict[str, Any]:
+    """What a SCADA system would send before a step of a run."""
+    time = run.scenario.grid.times[t]
+    b = run.batteries[run.batteries["time"] == time]
+    series = readings(time, "soc", dict(zip(b["id"], b["soc_start"], strict=True)))
+    series += readings(
+        time, "load_kw", dict(zip(run.scenario.customers.id, run.scenario.load_kw[t], strict=True))
+    )
+    series += readings(
+        time, "pv_kw", dict(zip(run.scenario.pv.id, run.scenario.pv_kw[t], strict=True))
+    )
+    if t > 0:
+        begun = run.scenario.grid.times[t - 1]
+        before = run.batteries[run.batteries["time"] == begun]
+        power = before["charge_kw"] - before["discharge_kw"]
+        series += readings(begun, "battery_kw", dict(zip(before["id"], power, strict=True)))
+        series += readings(begun, "import_kw", {"grid": float(run.steps["p_grid_kw"][t - 1])})
+    return {"series": series}
+
+
+def test_the_packaged_day_over_http_is_the_run(tmp_path: Path) -> None:
+    """To the last bit; the service is ended and begun again before the outage."""
+    day = vppres.load_scenario("uk-heatwave-2022")
+    options = RunOptions(horizon_h=3.0, isolate=False)
+    run = vppres.run_day(day, options)
+    plans: list[dict[str, Any]] = []
+    for part in (range(12), range(12, 24)):
+        with client(Service(day, options, rehearsal=True), tmp_path) as http:
+            for t in part:
+                assert http.post("/v1/telemetry", told(run, t)).status == 200
+                answer = http.post("/v1/steps", {"time": written(day.grid.times[t])})
+                plans.append(answer.json())
+    for t, plan in enumerate(plans):
+        time = day.grid.times[t]
+        customers = run.customers[run.customers["time"] == time]
+        batteries = run.batteries[run.batteries["time"] == time]
+        assert plan["status"] == "ok" and not plan["estimated"] and not plan["late"], t
+        on = said(plan, "customers")
+        assert [on[c]["served"] for c in customers["id"]] == customers["served"].tolist()
+        net_kw = (batteries["charge_kw"] - batteries["discharge_kw"]).tolist()
+        points = said(plan, "batteries")
+        assert [points[b]["p_kw"] for b in batteries["id"]] == net_kw
+        assert [points[b]["q_kvar"] for b in batteries["id"]] == batteries["q_kvar"].tolist()
+        assert plan["expected"]["import_kw"] == run.steps["p_grid_kw"][t]
+        assert plan["solve"]["bound"] == run.steps["bound"][t]
