@@ -18,13 +18,15 @@ from vppres.service import payloads
 from vppres.service.access import LOOPBACK, Access, Denied
 from vppres.service.clock import written
 from vppres.service.knowledge import check_forecast, last_heard, readings_of
-from vppres.service.limits import BodyLimit
 from vppres.service.metrics import Figures
 from vppres.service.plans import at, etag
 from vppres.service.runner import Runner
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50
+MOST_BYTES = 8_000_000
+"""Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
+
 TITLES = {
     400: "The request cannot be read",
     401: "Nobody knows who asks",
@@ -58,8 +60,8 @@ def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) ->
         description="A controller of a virtual power plant that runs day and night.",
         docs_url=None,
         redoc_url=None,
+        max_body_size=MOST_BYTES,
     )
-    app.add_middleware(BodyLimit)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
     _answer_errors(app)
     _health(app, runner)

@@ -77,7 +77,7 @@ class Runner:
         self._controller = self._restored()
         # One thread decides all steps, so that there is one process that solves.
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
-        if isinstance(clock, SetClock) and self.last is not None:
+        if service.rehearsal and isinstance(clock, SetClock) and self.last is not None:
             clock.set(pd.Timestamp(self.last["start"]))
 
     def close(self) -> None:
@@ -133,7 +133,7 @@ class Runner:
         if stored is not None:
             return stored
         self._check(time, now)
-        if isinstance(self.clock, SetClock):
+        if self.rehearsal and isinstance(self.clock, SetClock):
             self.clock.set(time)
         begin = machine.monotonic()
         self._write_missed(time)
