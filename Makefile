@@ -80,14 +80,18 @@ reproduce: $(STAMP)  ## run all experiments of the paper and write results/repor
 SMALL ?=
 COUNT = $(if $(SMALL),$(1))
 
-studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 beside the baselines, 200 islands: results/studies
+studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 beside the baselines, 240 uncertain outages, 200 islands: results/studies
 	$(BIN)/python -m experiments.campaign --results results/studies $(call COUNT,--days 4)
 	$(BIN)/python -m experiments.quiet_days --results results/studies $(call COUNT,--days 4)
 	$(BIN)/python -m experiments.alarms --results results/studies $(call COUNT,--days 3)
 	$(BIN)/python -m experiments.garbage --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.threads --results results/studies $(call COUNT,--days 1)
 	$(BIN)/python -m experiments.baselines --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.uncertain --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.islands --out results/studies/islands $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.precision --results results/studies $(call COUNT,--quick)
 	$(BIN)/python -m experiments.mutations --out results/studies $(call COUNT,--folders 200 --runs 2)
 	$(BIN)/python -m experiments.kills --out results/studies $(call COUNT,--kills 5)
 

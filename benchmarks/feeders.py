@@ -31,6 +31,8 @@ FEEDERS = {
     273: ("69", 4),
     545: ("69", 8),
     1021: ("69", 15),
+    2993: ("69", 44),
+    9997: ("69", 147),
 }
 """Feeder and number of its copies, joined at the slack bus, by number of buses."""
 SIZE_SCATTER = 0.3

@@ -42,6 +42,7 @@ RUNGS = {
     "full_outer": "whole problem",
     "relaxed": "whole problem, relaxed",
     "network_service": "in the network",
+    "modes": "modes of all batteries",
     "aggregate": "all terms at once",
     "binary_service": "binaries",
     "service": "counts",

@@ -14,7 +14,8 @@ from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.core.errors import InputError
 from vppres.forecasts.interface import LoadAndPV, middle, quantiles
 from vppres.forecasts.paper import PaperErrors
-from vppres.forecasts.seasonal import LastErrors, Seasonal, not_negative
+from vppres.forecasts.seasonal import Seasonal
+from vppres.forecasts.window import LastErrors, not_negative
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
@@ -118,6 +119,7 @@ def test_last_errors_die_out_by_hand() -> None:
     load = np.full((n, 1), 10.0)
     load[-2:] = 14.0
     history = History(MONDAY, 60.0, load, np.zeros((n, 0)))
+    # Nothing of the kind was seen on the days before: what is supposed holds in full.
     point, _ = Seasonal().fit(history).forecast(history.end, 3).point()
     day_error = 4.0 * 2 / 24
     expected = [
@@ -134,7 +136,7 @@ def test_a_clear_sky_is_followed_and_a_cloud_goes_on() -> None:
     noon = 59 * 24 + 12
     history = History(MONDAY, 60.0, np.ones((len(pv), 1)), pv)
     _, found = (
-        Seasonal(pv_errors=LastErrors(day_share=0.0))
+        Seasonal(pv_errors=LastErrors(2.0, 0.8, 0.0, 1.0))
         .fit(history)
         .forecast(history.times[noon], 3)
         .point()

@@ -26,7 +26,7 @@ from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.site import Site
 from vppres.scenario.scenario import ControllerDefaults, Scenario
-from vppres.solve.ladder import METHODS, WindowSolver
+from vppres.solve.ladder import LEVELLED, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 
@@ -44,7 +44,7 @@ def stored(energy_kwh: float, soc: float, limits_kw: list[float], load_kw: float
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 @pytest.mark.parametrize(("soc", "expected"), [(None, 0.15), (0.5, 0.5), (1.0, 0.85)])
 def test_energy_is_bought_for_the_end_by_hand(
     method: str, soc: float | None, expected: float
@@ -58,7 +58,7 @@ def test_energy_is_bought_for_the_end_by_hand(
     assert bought == pytest.approx(change / 0.95 if change > 0 else change * 0.95, abs=1e-2)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_a_price_too_low_buys_nothing(method: str) -> None:
     day = stored(100.0, 0.3, [OPEN, OPEN], 10.0)
     cheap = 0.5 * float(day.price_gbp_per_kwh.min())
@@ -69,7 +69,7 @@ def test_a_price_too_low_buys_nothing(method: str) -> None:
     assert answer.terms.f2 == pytest.approx(imported + 35.0 * cheap, abs=1e-4)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_no_service_is_given_up_for_the_end(method: str) -> None:
     """An outage until the end: the customer is served although the battery ends empty."""
     day = stored(100.0, 0.5, [DARK, DARK], 15.0)

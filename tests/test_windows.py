@@ -27,10 +27,10 @@ from tests.support.small_windows import (
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp
+from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import METHODS, WindowSolver
+from vppres.solve.ladder import LEVELLED, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
 
@@ -64,7 +64,7 @@ def packaged() -> Scenario:
 # Hand-solved cases.
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     # 70 kWh between the SoC limits give 66.5 kWh at the terminals: one customer of 66 kW.
     day = replace(
@@ -78,7 +78,7 @@ def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     assert answer.dispatch.soc[1, 0] == pytest.approx(0.85 - 66.0 / 0.95 / 100.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_energy_that_falls_short_by_a_hair_serves_nobody(method: str) -> None:
     day = replace(
         two_buses([[66.6]], [1.0], [DARK]),
@@ -96,7 +96,7 @@ def test_many_low_customers_outweigh_a_larger_one() -> None:
     assert solve(day).dispatch.served.tolist() == [[False, True, True]]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_arbitrage_earns_what_the_efficiencies_leave(method: str) -> None:
     # 50 kWh bought at 0.1 come back as 45.125 kWh that need not be bought at 0.5.
     day = replace(
@@ -155,13 +155,13 @@ def test_pv_above_the_inverters_rating_is_curtailed_even_with_a_grid() -> None:
     assert answer.terms.f3 == pytest.approx(5.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_owner_whose_self_consumption_exceeds_the_inverter_cannot_be_served(method: str) -> None:
     day = with_pv(two_buses([[40.0, 50.0]], [1.0, 0.1], [OPEN]), [30.0], s_max_kva=25.0)
     assert solve(day, method).dispatch.served.tolist() == [[False, True]]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_a_battery_never_charges_another(method: str) -> None:
     # Free energy now, dear energy later: still only import can fill a battery, and there is none.
     day = two_buses([[0.0], [50.0]], [1.0], [DARK, DARK])
@@ -176,7 +176,7 @@ def test_a_battery_never_charges_another(method: str) -> None:
 VOLTAGE_LIMIT_KW = (1.0 - 0.947**2) * 1000.0 * 11.0**2 / (2 * 10.0)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_voltage_limit_forces_shedding(method: str) -> None:
     day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
     assert solve(day, method).dispatch.served.tolist() == [[False, True]]
@@ -271,7 +271,8 @@ def test_unknown_method_is_named() -> None:
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(day), method="magic")
     assert str(error.value) == (
-        "options, method = magic: is not a known method. Use one of: decomposed, monolithic."
+        "options, method = magic: is not a known method. "
+        "Use one of: decomposed, monolithic, weighted."
     )
 
 
@@ -296,7 +297,7 @@ def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 @pytest.mark.parametrize("solver", ["highs", "scip"])
 def test_infeasible_window_says_so(method: str, solver: str) -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
@@ -345,7 +346,7 @@ def solve_without_any_grace(method: str, monkeypatch: pytest.MonkeyPatch) -> Win
     return solve(day, method, limits=SolveLimits(time_s=1e-6))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", LEVELLED)
 def test_running_out_of_time_is_not_called_infeasible(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -366,6 +367,16 @@ def test_problem_that_is_not_dpp_is_refused() -> None:
         "enters non-affinely. Move the product into the parameter's value."
     )
     require_dpp(cp.Problem(cp.Minimize(x), [x >= a + b]), "sum of parameters")
+
+
+def test_a_parameter_takes_only_what_it_is_declared_for() -> None:
+    load = cp.Parameter((1, 2), name="P_load", nonneg=True)
+    write(load, np.array([[1, -1e-9]]))
+    assert load.value.tolist() == [[1.0, -1e-9]]
+    with pytest.raises(ModelError, match=r"P_load has the shape \(1, 2\), not \(2,\)\."):
+        write(load, [1.0, 2.0])
+    with pytest.raises(ModelError, match=r"P_load is never negative, but -0\.5 was given\."):
+        write(load, [[1.0, -0.5]])
 
 
 # Methods and solvers against each other, and against the checker.
@@ -470,7 +481,7 @@ def test_search_goes_on_to_the_gap_of_what_can_be_served() -> None:
 def test_bounds_hold_where_prices_are_below_zero(seed: int, stressed: bool) -> None:
     case = random_window(seed, stressed)
     data = replace(case.data, price_gbp_per_kwh=case.data.price_gbp_per_kwh - 0.35)
-    answers = [WindowSolver(Site.of(case.scenario), method).solve(data) for method in METHODS]
+    answers = [WindowSolver(Site.of(case.scenario), method).solve(data) for method in LEVELLED]
     assert_agree(case.scenario, data, answers)
     for answer in answers:
         assert answer.cost_gap_gbp >= 0.0

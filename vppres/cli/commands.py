@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 
+from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import new_options as cli_new
 from vppres.cli import sweep_options as cli_sweep
 from vppres.cli.options import DayCommand, Debug, Json, Quiet, RunFolder, ScenarioName, run_options
@@ -503,6 +504,45 @@ def serve(
             return
         address = service.Address(host, port, behind_proxy, tuple(name or ()))
         service.serve(served, folder, address, typer.echo)
+
+
+@app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")
+def backtest(
+    history: cli_backtest.HistoryName,
+    out: cli_backtest.Out = RESULTS / "backtest",
+    horizon: cli_backtest.Horizon = 48.0,
+    every: cli_backtest.Every = 7.0,
+    first: cli_backtest.First = None,
+    last: cli_backtest.Last = None,
+    zone: cli_backtest.Zone = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Score forecasts of load and PV power against what came: tables and a page."""
+    with _plain_errors(debug):
+        from vppres.io.atomic import check_target
+        from vppres.studies.backtest import Plan, measured_in
+        from vppres.studies.backtest import backtest as run_backtest
+        from vppres.studies.backtest_page import backtest_findings, write_backtest
+
+        measured = measured_in(history, zone)
+        plan = Plan(horizon, every, cli_backtest.moment(first), cli_backtest.moment(last))
+        check_target(out)  # before the work, not after it
+        with progress_bar(quiet) as bar:
+            task = bar.add_task("forecasts", total=None)
+            result = run_backtest(
+                measured,
+                plan,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        summary = write_backtest(result, out, Path(history).name)
+        if as_json:
+            _print_json({"folder": str(out), "summary": summary})
+            return
+        for words in backtest_findings(result):
+            typer.echo(f"- {words}")
+        typer.echo(f"Written to {out}")
 
 
 @app.command(epilog="Example: vppres schema > my-feeder/scenario.schema.json")

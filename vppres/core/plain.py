@@ -105,6 +105,8 @@ def _read(kind: Any, plain: Any, where: str, given: Given) -> Any:
     if origin is tuple:
         inner = get_args(kind)
         items = _of(list, plain, where)
+        if inner[-1] is Ellipsis:
+            inner = (inner[0],) * len(items)
         if len(items) != len(inner):
             raise _unreadable(where, f"has {len(items)} entries in place of {len(inner)}")
         return tuple(_read(k, item, where, given) for k, item in zip(inner, items, strict=True))

@@ -57,7 +57,14 @@ def make_controller(
     make = IsolatedSolver if options.isolate else WindowSolver
 
     def solver_of(part: Site) -> WindowSolver:
-        solver = make(part, options.method, options.solver, options.limits, options.polygon_sides)
+        solver = make(
+            part,
+            options.method,
+            options.solver,
+            options.limits,
+            options.polygon_sides,
+            options.weighted,
+        )
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:

@@ -288,6 +288,8 @@ def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
         "gap_abs": info.gap_abs,
         "gap_service": info.gap_service,
         "gap_cost_gbp": info.gap_cost_gbp,
+        "gap_curtailed_kwh": info.gap_curtailed_kwh,
+        "gap_loss_kwh": info.gap_loss_kwh,
         "solver_s": info.solver_s,
         "stages": info.stages,
         "compilations": float(info.compilations),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from vppres.contract.operating_point import OperatingPoint
@@ -13,6 +13,7 @@ from vppres.core.arrays import Complexes, Flags
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
+from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
@@ -42,6 +43,8 @@ class Past:
         What was measured; None where no forecaster learns from it.
     voltages : dict of int to array of complex, shape (N,)
         Solutions by the position of the source's bus, from which the next power flow starts.
+    grid_seen : GridSeen
+        Outages so far.
     """
 
     t: int
@@ -51,6 +54,7 @@ class Past:
     served: Flags | None
     history: History | None
     voltages: dict[int, Complexes]
+    grid_seen: GridSeen = field(default_factory=GridSeen)
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -86,6 +90,7 @@ class Past:
             "cold_load": memory_of(self.cold_load, given),
             "served": to_plain(self.served, given),
             "voltages": to_plain(self.voltages, given),
+            "grid_seen": to_plain(self.grid_seen, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -110,4 +115,7 @@ class Past:
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)
             for name, kind in kinds.items()
         }
+        seen = found.get("grid_seen")
+        if seen is not None:  # states from before there were beliefs have none
+            values["grid_seen"] = from_plain(GridSeen, seen, f"{where}.grid_seen", given)
         return Past(cold_load=cold_load, history=history, **values)

@@ -27,7 +27,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.stored_value import Ending
+from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import RuleSteps
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -51,9 +51,10 @@ from vppres.model.numerics import cost_scale, objective_scale, require_dpp
 from vppres.model.polygons import Polygon, battery_polygon, pv_polygon
 from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
+from vppres.model.squares import Squares, Tangents
 from vppres.model.variables import Mode, Parameters, Variables
 
-Level = Literal["service", "cost"]
+Level = Literal["service", "cost", "weighted"]
 
 DEVICES = (
     "battery_charge_mode",
@@ -89,8 +90,9 @@ class Form:
 
     Parameters
     ----------
-    level : {"service", "cost"}
-        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
+    level : {"service", "cost", "weighted"}
+        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted;
+        ``weighted`` maximises F with all of its terms, as printed.
     service : {"integer", "relaxed", "fixed"}
         What the binaries x_served are.
     exclusivity : {"integer", "relaxed"}
@@ -110,6 +112,8 @@ class Form:
         Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
     ending : {"", "target", "value"}
         What the problem says of what batteries hold at the end.
+    squares : {"none", "tangents", "exact"}
+        What stands for f4 and f5 at the level ``weighted``; the other levels have neither.
     """
 
     level: Level = "service"
@@ -122,6 +126,7 @@ class Form:
     switching: RuleSteps | None = None
     exporting: bool = False
     ending: Ending = ""
+    squares: Squares = "none"
 
     @property
     def polygon(self) -> Polygon | None:
@@ -166,6 +171,7 @@ class WindowModel:
         if form.exporting:
             self.export = ExportToGrid.create(n_steps, form.exclusivity)
         self.terminal = end_of_window(form.ending, len(site.batteries))
+        self.tangents = Tangents.create(site, n_steps) if form.squares == "tangents" else None
         self.constraints = self._constraints()
         self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
@@ -197,7 +203,7 @@ class WindowModel:
         return named
 
     def _objective(self) -> cp.Maximize | cp.Minimize:
-        """The level's part of F, scaled to numbers that solvers like.
+        """The level's part of F, scaled to numbers that solvers like; F as it is at ``weighted``.
 
         f4 and f5 are too small to be solved with the rest: the tie-breakers have them.
         """
@@ -217,11 +223,28 @@ class WindowModel:
         service = terms.f1_service(*args)
         if self.switching is not None:
             service = service - self.switching.f6_switching
+        if self.form.level == "weighted":
+            return cp.Maximize(service - cost / gbp - self._squares())
         return cp.Maximize(objective_scale(self.site) * (service - cost / gbp))
+
+    def _squares(self) -> cp.Expression:
+        """f4 and f5 as weighted, by what the form has for them."""
+        w = self.site.weights
+        if self.form.squares == "none":
+            return cp.Constant(0.0)
+        if self.tangents is not None:
+            f4 = self.tangents.f4(self.site, self.v)
+            f5 = self.tangents.f5(self.site, self.v)
+        else:
+            f4 = terms.f4_flows(self.site, self.v, self.p)
+            f5 = terms.f5_reactive(self.site, self.v, self.p)
+        return w.lambda_l * f4 + w.lambda_q * f5
 
     def fill(self, data: WindowData, served: Flags | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
+        if self.tangents is not None:
+            self.tangents.fill(self.site, data)
         if self.physical is not None:
             self.physical.fill(self.site, data)
         if self.switching is not None:
@@ -253,9 +276,9 @@ def stored_at_end(site: Site, v: Variables) -> cp.Expression:
 
 
 def fill_end(held: AtEnd, site: Site, data: WindowData) -> None:
-    """Write a value, or what each battery is to hold: nothing where the window does not end."""
+    """Write a value, or what each battery is to hold; nothing for a window that says neither."""
     if isinstance(held, ValueAtEnd):
-        held.fill(data.require_value())
+        held.fill(data.stored_value or StoredValue.nothing())
         return
     terminal = data.terminal or Terminal(0.0, 0.0)
     target_kwh = terminal.target_kwh(site.batteries)

@@ -64,6 +64,11 @@ class History:
         return len(self.load_kw)
 
     @property
+    def n_days(self) -> float:
+        """Days of 24 h."""
+        return self.n_steps * self.dt_h / 24.0
+
+    @property
     def step(self) -> pd.Timedelta:
         """Step length."""
         return pd.Timedelta(minutes=self.step_minutes)

@@ -241,12 +241,14 @@ class Network:
     @cached_property
     def downstream(self) -> sp.csr_array:
         """Shape (L, N): 1 where a bus is fed through a line; lossless flow = downstream @ load."""
-        dense = np.zeros((self.n_lines, self.n_buses))
-        for line in range(self.n_lines - 1, -1, -1):
-            dense[line, line + 1] = 1.0
-            if self.parent[line] > 0:
-                dense[self.parent[line] - 1] += dense[line]
-        return sp.csr_array(dense)
+        # Buses come after the bus that feeds them, so the way to each goes on from that one's.
+        ways: list[Wholes] = [np.empty(0, dtype=np.int32)]
+        for line, above in enumerate(self.parent):
+            ways.append(np.append(ways[above], np.int32(line)))
+        ends = np.cumsum([0, *map(len, ways)], dtype=np.int32)
+        lines = np.concatenate(ways)
+        shape = (self.n_lines, self.n_buses)
+        return sp.csr_array(sp.csc_array((np.ones(len(lines)), lines, ends), shape=shape))
 
     @property
     def has_ratios(self) -> bool:

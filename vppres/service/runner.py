@@ -12,6 +12,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
 from vppres.live.profile import Profile
 from vppres.scenario.scenario import Scenario
@@ -233,6 +234,8 @@ class Runner:
         o = self.options
         hours = {"mpc": o.horizon_h, "reserve": o.reserve.notice_h, "idle": 0.0}
         horizon_h = hours.get(o.controller, FULL_HORIZON_H)
+        if o.outages != KNOWN:
+            horizon_h = max(horizon_h, LOOKAHEAD_H)
         return self.scenario.grid.steps_in_horizon(horizon_h) + 1
 
     @property

@@ -115,6 +115,9 @@ class Certificate:
         What was solved, in order: name, solver and, where it is not optimal, status.
     solver_s : float
         Seconds in solvers.
+    wasteful : bool
+        Whether some set has no dispatch only because its batteries would charge and discharge at
+        once: bounds that allow it are not to be reached.
     """
 
     def __init__(self, limits: SolveLimits, lambda_grid: float, cost: CostRange) -> None:
@@ -127,6 +130,7 @@ class Certificate:
         self.cost_bound_gbp = -np.inf
         self.stages: list[str] = []
         self.solver_s = 0.0
+        self.wasteful = False
         self._nothing: Outcome | None = None
         self._ran_out = False
 

@@ -6,6 +6,7 @@ precision with the terms above it held (``docs/method.md``, *Levels*).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
 from vppres.model.formulas import cell_kw, soc_after
-from vppres.model.numerics import disc_sides
+from vppres.model.numerics import cost_scale, disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
@@ -25,6 +26,7 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
+from vppres.solve.programs import ProgramSolution, compiled
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
 from vppres.solve.task import WindowTask
@@ -34,6 +36,10 @@ POLYGON_SIDES = 16
 
 COST_GAP_GBP = 1e-4
 """Gap of a dispatch's cost: far below any price difference that a dispatch could exploit."""
+
+CURTAILED_GAP_SHARE = 0.2
+"""Share of the window's gap that the search for modes may leave open where PV power is curtailed: a
+kW of it is worth 100,000 GBP, so that the gap of cost would ask for the last microwatt."""
 
 HELD_REL = 1e-6
 HELD_ABS = 1e-5
@@ -46,6 +52,11 @@ CURTAILMENT_HELD_REL = 1e-7
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
 
+EASED_KWH = 4e-6
+"""Energy by which every battery may miss what a set needs: twice what the masters accept in a step
+of an hour. A plan that lives on exactly the energy it has charged misses it by rounding one step
+later, and a set that lacks so little is served."""
+
 NETWORK_SHARE = 1.0 / 3.0
 """Share of the time left for the cheapest dispatch in the network. A large network may need long to
 find that there is none, so it may not take all of it."""
@@ -55,12 +66,15 @@ find that there is none, so it may not take all of it."""
 class Attempt:
     """A solve for a dispatch: its outcome, and the dispatch if there is one.
 
-    ``both_kw``, (W,), is what was imported and exported at the same time before it was netted.
+    ``both_kw``, (W,), is what was imported and exported at the same time before it was netted;
+    ``wasteful`` says that there is no dispatch only because batteries would charge and discharge at
+    once, to lose energy that is curtailed otherwise.
     """
 
     outcome: Outcome
     dispatch: Dispatch | None
     both_kw: Floats = field(default_factory=lambda: np.zeros(1))
+    wasteful: bool = False
 
 
 # From a served set to a candidate.
@@ -70,9 +84,11 @@ def keep_dispatch(task: WindowTask, served: Flags) -> None:
     """Keep the cheapest dispatch of a served set if it is the best so far; without the network.
 
     A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
+    Where batteries would waste energy, their modes are left to who decides them with the service.
     """
     if task.obeys_rules(served):
-        task.certificate.keep(cheapest(task, "cost", served, cost_form(0, network=False)))
+        form = cost_form(0, network=False)
+        task.certificate.keep(cheapest(task, "cost", served, form, modes_later=True))
 
 
 def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:
@@ -94,13 +110,17 @@ def in_network(task: WindowTask, served: Flags) -> Candidate | None:
     return found and (with_tie_breakers(task, found) or found)
 
 
-def cheapest(task: WindowTask, name: str, served: Flags, form: Form) -> Candidate | None:
+def cheapest(
+    task: WindowTask, name: str, served: Flags, form: Form, modes_later: bool = False
+) -> Candidate | None:
     """Cheapest dispatch of a served set in a form of the cost level."""
     deadline = task.answer_by(NETWORK_SHARE if form.network else 1.0)
     # What a restoration adds to the demand is known with the service.
     data = task.data.for_service(served)
-    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline)
+    gap_gbp = CURTAILED_GAP_SHARE * task.gap_to_best * cost_scale(task.site)
+    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later)
     task.certificate.note(name, attempt.outcome)
+    task.certificate.wasteful |= attempt.wasteful
     if attempt.dispatch is None:
         return None
     slack_gbp = abs(attempt.outcome.value - attempt.outcome.bound)
@@ -133,25 +153,44 @@ def solve_cost(
     spec: SolverSpec,
     form: Form,
     deadline: Deadline,
+    curtailed_gap_gbp: float,
+    modes_later: bool = False,
 ) -> Attempt:
     """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
     ``form`` says whether the network is part of it, and how its discs are stated for binaries;
-    without binaries they are cones, or polygons in large windows.
+    without binaries they are cones, or polygons in large windows. ``curtailed_gap_gbp`` is what
+    the search with binaries may leave open where PV power is curtailed; with ``modes_later`` there
+    is none where batteries waste energy.
     """
     sides = disc_sides(cache.site, data.n_steps) if form.network else 0
     relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
-    attempt = _solve_cost(cache, data, served, spec, relaxed, deadline)
+    asked = data
+    attempt = _solve_cost(cache, asked, served, spec, relaxed, deadline)
+    if attempt.outcome.status == Status.INFEASIBLE and not form.network:
+        asked = eased(cache.site, data)
+        attempt = _solve_cost(cache, asked, served, spec, relaxed, deadline)
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
     if fits and net_exchange(data, netted, attempt.both_kw, cache.site.dt_h):
         return replace(attempt, dispatch=netted)
+    curtailing = float(netted.pv_curtailed_kw.sum()) * cache.site.dt_h > HELD_ABS
+    if curtailing and not fits and modes_later:
+        return replace(attempt, dispatch=None, wasteful=True)
     first_s = attempt.outcome.solve_s
     integer = replace(form, exclusivity="integer")
-    exclusive = _solve_cost(cache, data, served, spec, integer, deadline)
+    gap_gbp = max(COST_GAP_GBP, curtailed_gap_gbp) if curtailing else COST_GAP_GBP
+    exclusive = _solve_cost(cache, asked, served, spec, integer, deadline, gap_gbp)
     both_s = first_s + exclusive.outcome.solve_s
     return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
+
+
+def eased(site: Site, data: WindowData) -> WindowData:
+    """The window with as much energy more as rounding may have taken, at most ``SOC_OVER``."""
+    b = site.batteries
+    more = np.minimum(EASED_KWH / b.energy_kwh, SOC_OVER)
+    return replace(data, soc=np.maximum(data.soc, np.minimum(data.soc + more, b.soc_max)))
 
 
 def _solve_cost(
@@ -161,8 +200,9 @@ def _solve_cost(
     spec: SolverSpec,
     form: Form,
     deadline: Deadline,
+    gap_gbp: float = COST_GAP_GBP,
 ) -> Attempt:
-    """One solve of a form of the cost level."""
+    """One solve of a form of the cost level; the gap is that of a search for modes."""
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     model = window_model(cache, data, form)
@@ -171,10 +211,34 @@ def _solve_cost(
     if conic:
         outcome = run_conic(model.problem, deadline.left_s)
     else:
-        outcome = run(model.problem, spec, COST_GAP_GBP, deadline.left_s)
+        outcome = run(model.problem, spec, gap_gbp, deadline.left_s)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
     return Attempt(outcome, model.dispatch(served), model.both_kw())
+
+
+def with_modes(
+    cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
+) -> Attempt:
+    """Cheapest dispatch without the network of a served set with binaries held, by their names."""
+    watch = Stopwatch()
+    model = window_model(cache, data, cost_form(0, network=False))
+    model.fill(data, served)
+    program, first = compiled(model.problem)
+    held = replace(program, x_lower=program.x_lower.copy(), x_upper=program.x_upper.copy())
+    for name, values in modes.items():
+        columns = first[name] + np.arange(values.size)
+        held.x_lower[columns] = values.ravel(order="F")
+        held.x_upper[columns] = values.ravel(order="F")
+    found = ProgramSolution.of(held.loaded(), end)
+    outcome = found.outcome(watch.spent_s)
+    if found.status != Status.OPTIMAL:
+        return Attempt(outcome, None)
+    for variable in model.problem.variables():
+        if variable.name() in first:
+            columns = first[variable.name()] + np.arange(variable.size)
+            variable.value = found.x[columns].reshape(variable.shape, order="F")
+    return Attempt(outcome, model.dispatch(served))
 
 
 def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:

@@ -8,27 +8,49 @@ last one.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.apart import falls_apart, solve_apart
+from vppres.solve.apart import (
+    LEAST_S,
+    better,
+    falls_apart,
+    hardly_joined,
+    solve_apart,
+    solve_in_turn,
+    without_energy_limits,
+)
 from vppres.solve.cache import shared_cache
+from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
-from vppres.solve.fleet.rungs import all_terms, everyone_served, service_then_cost
+from vppres.solve.fleet.rungs import (
+    all_terms,
+    everyone_served,
+    service_then_cost,
+    with_modes_of_batteries,
+)
 from vppres.solve.network.decide import enter_network
-from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
+from vppres.solve.weighted import ANY_GAP, WeightedChoices, require_choices, solve_weighted
 from vppres.solve.whole import with_binaries, without_binaries
 
-METHODS = ("decomposed", "monolithic")
+LEVELLED = ("decomposed", "monolithic")
+"""Methods that solve term by term, each to its own precision."""
+
+METHODS = (*LEVELLED, "weighted")
+
+IN_TURN_SHARE = 0.5
+"""Share of the time for steps in turn: where watts count after all, the rest is for the window."""
 
 
 class WindowSolver:
@@ -38,8 +60,9 @@ class WindowSolver:
     ----------
     site : Site
         Fixed data.
-    method : {"decomposed", "monolithic"}
-        How the served set is found; ``docs/method.md`` proves the certificates.
+    method : {"decomposed", "monolithic", "weighted"}
+        How the served set is found; ``docs/method.md`` proves the certificates. ``weighted`` is one
+        solve of all terms as weighted, without levels.
     solver : str
         Name in the table of solvers. Counts, the stages in the network and continuous problems with
         cones do not follow it; the stages of a solution name the solver of each.
@@ -47,6 +70,8 @@ class WindowSolver:
         Gaps and time limit of a window.
     polygon_sides : int, optional
         Sides of an inverter's polygon for solvers that take no cones with binaries.
+    weighted : WeightedChoices, optional
+        Unit, tolerance and seed of the method ``weighted``.
 
     Raises
     ------
@@ -61,6 +86,7 @@ class WindowSolver:
         solver: str = "highs",
         limits: SolveLimits | None = None,
         polygon_sides: int = POLYGON_SIDES,
+        weighted: WeightedChoices | None = None,
     ) -> None:
         if method not in METHODS:
             raise InputError(
@@ -75,6 +101,10 @@ class WindowSolver:
         self.method = method
         self.limits = limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)
+        self.weighted = weighted or WeightedChoices()
+        if method == "weighted":
+            require_choices(solver)
+            self.limits = replace(self.limits, gap_abs=ANY_GAP)
         self.sides = 0 if self.spec.mip_cones else polygon_sides
         self.cache = shared_cache(site)
 
@@ -109,11 +139,28 @@ class WindowSolver:
         """
         if self.method == "decomposed" and falls_apart(self.site, data):
             return solve_apart(data, self.limits, self._solve)
+        if self.method == "decomposed" and hardly_joined(self.site, data):
+            deadline = Deadline(self.limits.time_s)
+            turns = self.limits.within(IN_TURN_SHARE)
+            found = solve_in_turn(self.site, data, turns, self._solve, self._endless._solve)
+            if found.status == Status.OPTIMAL or deadline.passed:
+                return found
+            left = replace(self.limits, time_s=max(deadline.left_s, LEAST_S))
+            return better(self._solve(data, left), found, self.limits)
         return self._solve(data, self.limits)
+
+    @property
+    def _endless(self) -> WindowSolver:
+        """Solves windows of the site with batteries that are never full and never empty."""
+        site = without_energy_limits(self.site)
+        sides = self.sides or POLYGON_SIDES
+        return WindowSolver(site, self.method, self.spec.name, self.limits, sides)
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
+        if self.method == "weighted":
+            return solve_weighted(task, self.weighted)
         known = task.certificate
         if self.method == "decomposed":
             climb(task)
@@ -154,8 +201,10 @@ def climb(task: WindowTask) -> None:
     if worth_everyone(task):
         everyone_served(task)
     for rung in rungs(task):
-        if task.goes_on and not task.search.passed:
+        if task.goes_on and not task.search.passed and not task.certificate.wasteful:
             rung(task)
+    if task.certificate.wasteful and task.goes_on:
+        with_modes_of_batteries(task)
     enter_network(task)
 
 
@@ -168,7 +217,14 @@ def worth_everyone(task: WindowTask) -> bool:
 
 
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
-    """Relaxations without the network, in the order in which they are tried."""
+    """Relaxations without the network, in the order in which they are tried.
+
+    A dark step without batteries has to match the sun with whole customers, and every kW that it
+    misses is lost: service cannot be told from curtailment there.
+    """
+    data = task.data
+    if data.n_steps == 1 and len(task.site.batteries) == 0 and (data.grid_limit_kw <= 0.0).all():
+        return [all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
 
@@ -184,7 +240,9 @@ def worth_the_whole(task: WindowTask) -> bool:
     """Whether the whole problem is worth its time: not in a large window known in the network.
 
     There its relaxation says no more than ``network_service``, and its search never ends.
+    Nor where the network carries what the search for batteries' modes found: with the network that
+    takes longer.
     """
     known = task.certificate
-    decided = known.answered and known.ran("network_service")
-    return task.goes_on and not (decided and task.is_large)
+    decided = known.ran("network_service") and task.is_large
+    return task.goes_on and not (known.answered and (decided or known.ran("modes")))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
@@ -125,6 +125,10 @@ class SolveLimits:
         if problems:
             raise InputError(problems)
 
+    def within(self, share: float) -> SolveLimits:
+        """The same gaps in a share of the time."""
+        return replace(self, time_s=share * self.time_s)
+
     def absolute(self, scale: float) -> float:
         """The absolute gap that meets both, for an objective of size ``scale``."""
         return min(self.gap_abs, self.gap_rel * scale)
@@ -173,6 +177,9 @@ class WindowSolution:
     passes : int
         Linearisations that the dispatch took; with more than one, objective, bound and gaps are
         those of the window as it was linearised when the served set was decided.
+    curtailment_gap_kwh, loss_gap_kwh : float
+        How much less PV energy could at most be curtailed and how much less lost in the lines, all
+        other terms held; of weighted solves alone, since the others have levels for them.
     loss_kw : array, shape (W,), optional
         Losses that the dispatch pays for; None in the paper's mode, which has none.
     """
@@ -188,6 +195,8 @@ class WindowSolution:
     solver_s: float
     stages: tuple[str, ...] = ()
     passes: int = 1
+    curtailment_gap_kwh: float = np.nan
+    loss_gap_kwh: float = np.nan
     loss_kw: Floats | None = None
 
     @property

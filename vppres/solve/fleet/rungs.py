@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
-from vppres.solve.certificate import cost_gap_gbp
-from vppres.solve.dispatch import keep_dispatch
+from vppres.solve.certificate import Candidate, cost_gap_gbp
+from vppres.solve.dispatch import keep_dispatch, window_model, with_modes
 from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
 from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
@@ -20,6 +21,9 @@ NOTHING_LOST = 1e-6
 ALL_TERMS_GAP_SHARE = 0.8
 """Share of the window's gap that the search with all terms at once may leave open: the levels after
 it need little."""
+
+MODES_GAP_SHARE = 0.5
+"""The same of the search with the modes of all batteries, which also leaves cost to its gap."""
 
 ADMITTED_UNITS = 0.5
 """Units below the best service down to which cheaper sets are looked for: between two whole
@@ -119,3 +123,32 @@ def all_terms(task: WindowTask) -> None:
         keep_dispatch(task, np.asarray(model.x.value) > 0.5)
     else:
         known.prove(outcome)
+
+
+def with_modes_of_batteries(task: WindowTask) -> None:
+    """Served set, modes of all batteries and bound of the whole problem without the network.
+
+    Where PV power must be curtailed, a relaxation charges and discharges at once to lose it. Real
+    batteries do so in turns, and how much they lose takes their binaries to know.
+    """
+    known = task.certificate
+    form = Form("service", "integer", "integer", network=False)
+    model = window_model(task.cache, task.data, form)
+    model.fill(task.data)
+    gap = MODES_GAP_SHARE * task.gap_to_best
+    outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
+    known.note("modes", outcome)
+    if not outcome.status.has_answer:
+        known.prove(outcome)
+        return
+    known.bound_by(outcome.bound)
+    served = np.asarray(model.v.x_served.value) > 0.5
+    data = task.data.for_service(served)
+    binaries = [v for v in model.problem.variables() if v.attributes["boolean"]]
+    modes = {v.name(): np.round(v.value) for v in binaries if v.name() != "x_served"}
+    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
+    known.note("cost", attempt.outcome)
+    if attempt.dispatch is not None:
+        slack_gbp = np.inf
+        found = Candidate.of(task.site, data, attempt.dispatch, slack_gbp, in_network=False)
+        known.keep(found)

@@ -7,6 +7,7 @@ and few inverter discs bind, so their rows are made where a solution violates th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,7 +15,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.model.formulas import lossless_flows
+from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 
@@ -61,18 +62,55 @@ class Rows:
         )
 
 
+MOST_TABLED = 1500
+"""Buses up to which voltages are tables of all injections, 60 MB. Beyond it they follow from the
+flows, and a row of the tables is made where it is asked for."""
+
+
 class Reactance:
-    """Squared voltage of every bus per kW and kvar injected at every bus of a site, (N, N) each."""
+    """How the squared voltages of a site depend on what is injected at its buses."""
 
     def __init__(self, site: Site) -> None:
         net = site.network
-        fed = site.network.downstream.toarray()
-        self.per_kw: Floats = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
-        self.per_kvar: Floats = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
-        self.fed: Floats = fed
+        self.network = net
+        self.tables: tuple[Floats, Floats, Floats] | None = None
+        if net.n_buses <= MOST_TABLED:
+            fed = net.downstream.toarray()
+            per_kw = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
+            per_kvar = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
+            self.tables = per_kw, per_kvar, fed
         self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
         self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
         self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
+
+    def row(self, bus: int) -> tuple[Floats, Floats]:
+        """Squared voltage of a bus per kW and kvar injected at every bus, (N,) each."""
+        if self.tables is not None:
+            per_kw, per_kvar, _ = self.tables
+            return per_kw[bus], per_kvar[bus]
+        net = self.network
+        path = self._paths[:, [bus]].toarray()[:, 0]
+        r, x = (2.0 * path * each for each in (net.r_pu2_per_kw, net.x_pu2_per_kvar))
+        return np.asarray(r @ self._paths), np.asarray(x @ self._paths)
+
+    @cached_property
+    def _paths(self) -> sp.csc_array:
+        """Lines on the way to each bus, (L, N)."""
+        return sp.csc_array(self.network.downstream)
+
+    def raised(self, u_pu2: Floats | float, p_kw: Floats, q_kvar: Floats) -> Floats:
+        """Squared voltages with what injections (W, N) add to them, (W, N)."""
+        if self.tables is not None:
+            per_kw, per_kvar, _ = self.tables
+            return np.asarray(u_pu2 + p_kw @ per_kw + q_kvar @ per_kvar)
+        net = self.network
+        flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
+        return np.asarray(u_pu2 - self.along(voltage_drop_pu2(net, *flows)))
+
+    def along(self, rise_pu2: Floats) -> Floats:
+        """Sum of what lines (W, L) add on the way to each bus, (W, N)."""
+        fed = self._paths if self.tables is None else self.tables[2]
+        return np.asarray(rise_pu2 @ fed)
 
 
 class Injections:
@@ -157,6 +195,18 @@ class Injections:
             lower[self.at[name]] = low
             upper[self.at[name]] = high
         return lower, upper
+
+    @cached_property
+    def parts(self) -> sp.csc_array:
+        """Columns as sums of columns that are not negative: reactive power given less taken.
+
+        The columns themselves come first, shape (size, size of the parts).
+        """
+        signed = np.concatenate([self.at["Q_batt"].ravel(), self.at["Q_pv"].ravel()])
+        taken = self.size + np.arange(len(signed))
+        values = np.append(np.ones(self.size), -np.ones(len(signed)))
+        places = np.append(np.arange(self.size), signed), np.append(np.arange(self.size), taken)
+        return sp.csc_array((values, places), shape=(self.size, self.size + len(signed)))
 
     def rows(self) -> Rows:
         """Balances, circular charging, PV systems and batteries."""
@@ -251,7 +301,7 @@ class Injections:
     def u_pu2(self, x: Floats) -> Floats:
         """Squared referred voltages of a solution, (W, N)."""
         p, q = self._injected(x)
-        return self._empty_u() + p @ self.reactance.per_kw + q @ self.reactance.per_kvar
+        return self.reactance.raised(self._empty_u, p, q)
 
     def _injected(self, x: Floats) -> tuple[Floats, Floats]:
         """Active and reactive injections of a solution, the grid's left out, (W, N) each."""
@@ -270,14 +320,13 @@ class Injections:
             np.add.at(power, (steps, bus[None, :]), kw)
         return p, q
 
+    @cached_property
     def _empty_u(self) -> Floats:
         """Squared voltages without any device, (W, N)."""
-        reach = self.reactance
-        empty = self.site.network.v_slack_pu**2 + self.data.delta_pu2 @ reach.fed
+        empty = self.site.network.v_slack_pu**2 + self.reactance.along(self.data.delta_pu2)
         if self.data.drawn is None:
             return np.asarray(empty)
-        drop = self.drawn.kw @ reach.per_kw + self.drawn.kvar @ reach.per_kvar
-        return np.asarray(empty - drop)
+        return np.asarray(empty - self.reactance.raised(0.0, self.drawn.kw, self.drawn.kvar))
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
@@ -288,8 +337,7 @@ class Injections:
             beyond[:, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
             around[:, 1:] = beyond[:, net.parent]
-            for line, bus in enumerate(net.parent):
-                around[:, bus] = np.maximum(around[:, bus], beyond[:, line + 1])
+            np.maximum.at(around.T, net.parent, beyond[:, 1:].T)
             worst = (beyond > tolerance_pu2) & (beyond >= around)
             found += [
                 self._voltage_row(int(t), int(bus), sign)
@@ -302,8 +350,7 @@ class Injections:
         at = self.at
         reach = self.reactance
         net = self.site.network
-        r = reach.per_kw[bus]
-        x = reach.per_kvar[bus]
+        r, x = reach.row(bus)
         columns = np.concatenate(
             [at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
         )
@@ -323,7 +370,7 @@ class Injections:
         return Rows.of(
             columns[used][None, :],
             scale * values[used],
-            scale * (limit - self._empty_u()[t, bus]),
+            scale * (limit - self._empty_u[t, bus]),
             np.inf,
             self.size,
         )

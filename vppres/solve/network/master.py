@@ -38,6 +38,9 @@ INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
 solutions leave them, the second is for sets that need all of the inverters."""
 
+LARGE_INSIDE = (DISC, *INSIDE)
+"""The same in large windows: the further inside, the fewer tangents."""
+
 SMALL = 2000
 """Binaries up to which the search has the network in it: beyond it, it does not end in minutes."""
 
@@ -47,9 +50,16 @@ ROUNDS = 3
 BOTH_WAYS_KW = 1e-4
 """Import and export of the same step above which a dispatch is made anew, one way in each step."""
 
-PATIENCE_S = 20.0
-"""Seconds without a better set or bound after which the search ends early: the longest wait for an
-improvement that came was 12 s on the benchmark's windows."""
+PATIENCE_NODES = 500
+"""Nodes without a better set or bound after which the search ends early: some 10 to 20 s on 33
+buses, where the longest wait for an improvement that came was 12 s."""
+
+COST_NODES = 100
+"""Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
+the proof that there is nothing cheaper never ends where it does not end soon."""
+
+ROUND_NODES = 25
+"""Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -58,9 +68,6 @@ must stay below one unit, or the best set would no longer be told from the next.
 TOLERANCE = 1e-6
 """Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
-MOST_BUSES = 3000
-"""Buses up to which voltages are kept as functions of all injections: 200 MB."""
-
 
 def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
@@ -68,11 +75,7 @@ def applies(site: Site, data: WindowData) -> bool:
     Service is counted in whole units here, so none of it may be later service.
     """
     plain = not data.physical and data.switching is None and not data.keeps_service
-    return (
-        plain
-        and site.network.n_buses <= MOST_BUSES
-        and weight_grid(site.customers.weight * site.dt_h) > 0.0
-    )
+    return plain and weight_grid(site.customers.weight * site.dt_h) > 0.0
 
 
 class NetworkMaster:
@@ -101,9 +104,10 @@ class NetworkMaster:
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
         self.found: list[Rows] = []
+        self.is_large = self.units.size > SMALL
         lower, upper = self.model.bounds()
         rows = self.model.rows()
-        self.program = Program(
+        program = Program(
             np.zeros(self.model.size),
             lower,
             upper,
@@ -112,6 +116,38 @@ class NetworkMaster:
             rows.upper,
             np.arange(0),
         )
+        self.program = self._in_parts(program) if self.is_large else program
+
+    def _in_parts(self, program: Program) -> Program:
+        """The program with reactive power given and taken apart.
+
+        A simplex method begins with columns at their limits. As one column, the reactive power of
+        an inverter that need not have any begins at all of it, and its disc is violated for
+        nothing: that takes three times as many tangents.
+        """
+        parts = self.model.parts
+        signed = len(program.cost) + np.arange(parts.shape[1] - len(program.cost))
+        taken = parts[:, signed].tocoo().row
+        lower = np.append(program.x_lower, np.zeros(len(taken)))
+        lower[taken] = 0.0
+        return replace(
+            program,
+            cost=np.append(program.cost, np.zeros(len(taken))),
+            x_lower=lower,
+            x_upper=np.append(program.x_upper, -program.x_lower[taken]),
+            rows=sp.csc_array(program.rows @ parts),
+        )
+
+    def _limits(self, found: list[Rows]) -> Rows:
+        """Rows on the model's columns as rows on the program's."""
+        rows = Rows.joined(found)
+        if not self.is_large:
+            return rows
+        return replace(rows, matrix=sp.csr_array(rows.matrix @ self.model.parts))
+
+    def _columns(self, answer: ProgramSolution) -> Floats:
+        """The model's columns of a solution."""
+        return np.asarray(self.model.parts @ answer.x) if self.is_large else answer.x
 
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
@@ -140,7 +176,7 @@ class NetworkMaster:
         cuts = _ServiceCuts(self.units)
         most = self._cut(root, cuts)
         known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
-        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_S))
+        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
         if known.closed(self.units):
             status = Status.OPTIMAL
         else:
@@ -170,7 +206,7 @@ class NetworkMaster:
             if whole:
                 found = self._searched(few, patience)
             else:
-                found = cuts.most(linear.x[x], enough + 1.0, Deadline(patience.left_s))
+                found = cuts.most(linear.x[x], enough + 1.0, patience.end)
             known.take(found, enough)
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
             linear = self._until_carried(solver, self.deadline, worth=enough)
@@ -178,7 +214,8 @@ class NetworkMaster:
                 return
             self._cut(linear, cuts)
             known.improve(self._in_full(linear), self.units)
-            patience.saw(best=float(self.units @ known.best), bound=known.bound)
+            nodes = patience.nodes + ROUND_NODES
+            patience.saw(float(self.units @ known.best), known.bound, nodes)
             few += self.found[before:] if whole else []
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
@@ -225,7 +262,7 @@ class NetworkMaster:
         while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
             limited = _limited(program, self.found)
-            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp), deadline)
+            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp, COST_NODES), deadline)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:
@@ -241,7 +278,8 @@ class NetworkMaster:
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""
         x = self.model.at["x"].reshape(1, -1)
-        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, self.model.size)
+        size = len(self.program.cost)
+        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, size)
         return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
 
     def _of_set(self, served: Floats | Flags) -> Program:
@@ -260,17 +298,35 @@ class NetworkMaster:
         watch = Stopwatch()
         known = self.found
         program = self._of_set(served)
-        for inside in INSIDE:
+        for inside in LARGE_INSIDE if self.is_large else INSIDE:
             self.found = list(known)
-            answer = self._until_carried(self._loaded(program), deadline, EXACT_DISC, inside)
+            solver = self._started(self._loaded(program))
+            answer = self._until_carried(solver, deadline, EXACT_DISC, inside)
+            stricter = len(self.found) > len(known)
             self.found = known  # tangents within the discs hold for no other problem
-            if answer.status == Status.OPTIMAL:
+            if answer.status == Status.OPTIMAL or not stricter:
                 break
         if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
             answer = self._one_way(program, answer, deadline, inside)
         done = answer.status == Status.OPTIMAL
-        dispatch = self.model.dispatch(answer.x, served) if done else None
+        dispatch = self.model.dispatch(self._columns(answer), served) if done else None
         return answer.outcome(watch.spent_s), dispatch
+
+    def _started(self, solver: highspy.Highs) -> highspy.Highs:
+        """A solver of a set's cost; where nothing costs anything, it starts from the service.
+
+        There any dispatch is the cheapest. Where import has its price, the service's is far from
+        it, and the way back takes longer than one from nothing.
+        """
+        prices = self.price[1] * self.program.x_upper[self.price[0]]
+        if not self.is_large or prices.any():
+            return solver
+        basis = self.root[0].getBasis()
+        added = solver.getNumRow() - len(basis.row_status)
+        basis.row_status = [*basis.row_status, *[highspy.HighsBasisStatus.kBasic] * added]
+        if basis.valid:
+            solver.setBasis(basis)
+        return solver
 
     def _both_ways(self, answer: ProgramSolution) -> Flags:
         """Steps in which a solution imports and exports, (W,)."""
@@ -315,7 +371,7 @@ class NetworkMaster:
 
     def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""
-        cost = np.zeros(self.model.size)
+        cost = np.zeros(len(self.program.cost))
         cost[columns] = values
         return replace(
             self.program,
@@ -345,15 +401,16 @@ class NetworkMaster:
             answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
+            x = self._columns(answer)
             found = [
-                *self.model.voltage_rows(answer.x, VOLTAGE_PU2),
-                *self.model.disc_rows(answer.x, over, inside),
+                *self.model.voltage_rows(x, VOLTAGE_PU2),
+                *self.model.disc_rows(x, over, inside),
             ]
             if not found:
                 return answer
             if deadline.passed:
                 return replace(answer, status=Status.NO_ANSWER)
-            rows = Rows.joined(found)
+            rows = self._limits(found)
             self.found.append(rows)
             _add(solver, rows)
 

@@ -1,0 +1,277 @@
+"""Days with outages that are foreseen, missed or called in vain, drawn from a seed.
+
+What is announced is the posterior of someone who sees noisy signs of the truth. Time of onset and
+logarithm of the duration are normal with normal signs, and the probability follows a likelihood
+ratio, so that beliefs are calibrated by construction: of the outages announced with 70 % seven in
+ten come, and nine in ten restorations come before ``duration_p90_h``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.random import Generator
+
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.scenario import Scenario
+
+Z90 = 1.2815515655446004
+"""Standard deviations from the median to the 90 % quantile of a normal distribution."""
+
+HOURS_A_DAY = 24.0
+HOURS_A_YEAR = 8760.0
+
+HALF_WIDTH = 6.0**0.5
+"""Half the base of a symmetric triangle, in its standard deviations."""
+
+
+@dataclass(frozen=True)
+class OutageClimate:
+    """How outages and their warnings come.
+
+    Parameters
+    ----------
+    unannounced : float
+        Share of days with an outage that nobody foresees.
+    comes : float
+        Share of first warnings after which an outage comes.
+    onset_h, onset_std_h : float
+        Mean and standard deviation of the onset in hours after midnight.
+    duration_median_h, duration_sigma : float
+        Median, and standard deviation of the logarithm, of the duration.
+    lead_h : tuple of int
+        Least and largest lead time of the first warning.
+    onset_sign_std_h : float
+        Error of a sign of the onset for each hour ahead.
+    duration_sign : float
+        Error of a sign of the duration's logarithm before the outage.
+    restoration_sign : float
+        The same once the outage is there.
+    sign_of_coming : float
+        Distance, in standard deviations, between signs of an outage that comes and of a false
+        alarm.
+    longest_h : float
+        Outages last no longer.
+    surprise_h : tuple of float
+        When unannounced outages begin, in hours after midnight.
+    """
+
+    unannounced: float = 0.10
+    comes: float = 0.74
+    onset_h: float = 12.0
+    onset_std_h: float = 1.5
+    duration_median_h: float = 4.0
+    duration_sigma: float = 0.5
+    lead_h: tuple[int, int] = (2, 7)
+    onset_sign_std_h: float = 0.5
+    duration_sign: float = 1.5
+    restoration_sign: float = 1.0
+    sign_of_coming: float = 0.5
+    longest_h: float = 10.0
+    surprise_h: tuple[float, float] = (6.0, 20.0)
+
+    @property
+    def statistics(self) -> OutageStatistics:
+        """What an operator who knows the climate says of outages without a warning."""
+        hazard_per_h = -np.log1p(-self.unannounced) / HOURS_A_DAY
+        return OutageStatistics(
+            saifi_per_year=float(hazard_per_h * HOURS_A_YEAR),
+            caidi_h=float(self.duration_median_h * np.exp(self.duration_sigma**2 / 2)),
+            duration_sigma=self.duration_sigma,
+        )
+
+
+@dataclass(frozen=True)
+class OutageDay:
+    """The truth of a day, and what was said of it.
+
+    Parameters
+    ----------
+    kind : {"announced", "false alarm", "unannounced"}
+        What kind of day it is.
+    onset_h, duration_h : float
+        The outage in hours after midnight, or what a false alarm was about.
+    warnings : tuple of OutageWarning
+        In the order of their times.
+    """
+
+    kind: str
+    onset_h: float
+    duration_h: float
+    warnings: tuple[OutageWarning, ...]
+
+    @property
+    def comes(self) -> bool:
+        """Whether there is an outage."""
+        return self.kind != "false alarm"
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A belief in a number, which signs of it sharpen."""
+
+    mean: float
+    std: float
+
+    def seen(self, sign: float, error: float) -> Normal:
+        """The belief after an unbiased sign with a normal error."""
+        precision = self.std**-2 + error**-2
+        mean = (self.mean * self.std**-2 + sign * error**-2) / precision
+        return Normal(mean, precision**-0.5)
+
+
+def draw_outage_day(
+    seed: int, midnight: pd.Timestamp, climate: OutageClimate | None = None
+) -> OutageDay:
+    """The outage of a seed and its warnings, on the day that begins at ``midnight``.
+
+    Examples
+    --------
+    >>> day = draw_outage_day(3, pd.Timestamp("2022-07-19", tz="UTC"))
+    >>> day.kind, len(day.warnings) > 0
+    ('announced', True)
+    """
+    climate = climate or OutageClimate()
+    rng = np.random.default_rng([seed, 1503])
+    surprise = bool(rng.random() < climate.unannounced)
+    comes = surprise or bool(rng.random() < climate.comes)
+    onset_h = climate.onset_h + climate.onset_std_h * float(rng.standard_normal())
+    if surprise:
+        onset_h = float(rng.uniform(*climate.surprise_h))
+    duration_h = climate.duration_median_h * float(
+        np.exp(climate.duration_sigma * rng.standard_normal())
+    )
+    duration_h = min(duration_h, climate.longest_h)
+    writer = _Writer(climate, midnight, onset_h, duration_h, rng)
+    messages = [] if surprise else writer.before(comes)
+    messages += writer.during() if comes else [writer.all_clear()]
+    kind = "unannounced" if surprise else "announced" if comes else "false alarm"
+    return OutageDay(kind, onset_h, duration_h, tuple(messages))
+
+
+class _Writer:
+    """Writes the messages of a day from its truth; what it believes sharpens with every sign."""
+
+    def __init__(
+        self,
+        climate: OutageClimate,
+        midnight: pd.Timestamp,
+        onset_h: float,
+        duration_h: float,
+        rng: Generator,
+    ) -> None:
+        self.climate = climate
+        self.midnight = midnight
+        self.onset_h = onset_h
+        self.duration_h = duration_h
+        self.rng = rng
+        self.onset = Normal(climate.onset_h, climate.onset_std_h)
+        self.log_duration = Normal(float(np.log(climate.duration_median_h)), climate.duration_sigma)
+        self.log_odds = float(np.log(climate.comes / (1.0 - climate.comes)))
+
+    def before(self, comes: bool) -> list[OutageWarning]:
+        """Warnings each hour from the first one to the last before the onset."""
+        least, most = self.climate.lead_h
+        lead_h = int(self.rng.integers(least, most + 1))
+        begin = round(self.onset_h)
+        return [self._warning(hour, comes) for hour in range(max(begin - lead_h, 0), begin)]
+
+    def _warning(self, hour: int, comes: bool) -> OutageWarning:
+        error_h = self.climate.onset_sign_std_h * (self.onset_h - hour)
+        self.onset = self.onset.seen(self.onset_h + error_h * self._noise(), error_h)
+        self._see_duration(self.climate.duration_sign)
+        distance = self.climate.sign_of_coming
+        sign = distance * ((0.5 if comes else -0.5) * distance + self._noise())
+        self.log_odds += sign
+        reach_h = HALF_WIDTH * self.onset.std
+        likely_h = max(self.onset.mean, hour + 0.5)
+        return OutageWarning(
+            issued_at=self._at(hour),
+            onset_earliest=self._at(max(self.onset.mean - reach_h, hour)),
+            onset_likely=self._at(likely_h),
+            onset_latest=self._at(max(self.onset.mean + reach_h, likely_h + 0.5)),
+            probability=1.0 / (1.0 + float(np.exp(-self.log_odds))),
+            **self._durations(),
+        )
+
+    def during(self) -> list[OutageWarning]:
+        """Estimates of the restoration, each hour of the outage."""
+        begin = round(self.onset_h)
+        hours = range(begin, begin + steps_of(self.duration_h, 1.0))
+        return [self._estimate(hour, begin) for hour in hours]
+
+    def _estimate(self, hour: int, begin: int) -> OutageWarning:
+        self._see_duration(self.climate.restoration_sign)
+        return OutageWarning(
+            issued_at=self._at(hour),
+            onset_likely=self._at(begin),
+            probability=1.0,
+            **self._durations(),
+        )
+
+    def all_clear(self) -> OutageWarning:
+        """The end of a false alarm, one to three hours after the onset that did not come."""
+        hour = int(np.ceil(self.onset_h)) + int(self.rng.integers(0, 3))
+        return OutageWarning(self._at(hour), probability=0.0)
+
+    def _see_duration(self, error: float) -> None:
+        truth = float(np.log(self.duration_h))
+        self.log_duration = self.log_duration.seen(truth + error * self._noise(), error)
+
+    def _durations(self) -> dict[str, Any]:
+        belief = self.log_duration
+        return {
+            f"duration_p{share}_h": float(np.exp(belief.mean + z * belief.std))
+            for share, z in ((10, -Z90), (50, 0.0), (90, Z90))
+        }
+
+    def _noise(self) -> float:
+        return float(self.rng.standard_normal())
+
+    def _at(self, hour: float) -> pd.Timestamp:
+        return (self.midnight + pd.Timedelta(hours=hour)).round("min")
+
+
+def steps_of(duration_h: float, dt_h: float) -> int:
+    """Steps that an outage takes: the nearest number, and one at least."""
+    return max(round(duration_h / dt_h), 1)
+
+
+def with_outage_day(
+    scenario: Scenario, day: OutageDay, climate: OutageClimate | None = None
+) -> Scenario:
+    """A scenario whose only outage is that of a day, with its warnings."""
+    nothing = scenario.grid.start
+    calm = scenario.with_outage(nothing, nothing)
+    statistics = (climate or OutageClimate()).statistics
+    warned = replace(calm, warnings=day.warnings, outage_statistics=statistics)
+    if not day.comes:
+        return warned
+    dt_h = scenario.grid.dt_h
+    begin = nothing + pd.Timedelta(hours=dt_h * round(day.onset_h / dt_h))
+    end = begin + pd.Timedelta(hours=dt_h * steps_of(day.duration_h, dt_h))
+    return warned.with_outage(begin, end)
+
+
+def biased(
+    warnings: Sequence[OutageWarning], shift_h: float = 0.0, factor: float = 1.0
+) -> tuple[OutageWarning, ...]:
+    """The warnings of someone who is wrong about durations: longer by hours or by a factor."""
+    return tuple(_wrong(warning, shift_h, factor) for warning in warnings)
+
+
+def _wrong(warning: OutageWarning, shift_h: float, factor: float) -> OutageWarning:
+    names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
+    believed = {name: getattr(warning, name) for name in names}
+    return replace(
+        warning,
+        **{
+            name: max(factor * hours + shift_h, 0.5)
+            for name, hours in believed.items()
+            if hours is not None
+        },
+    )

@@ -1,0 +1,155 @@
+"""Days of the kinds that hurt, and what was mended for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.hard_days import KINDS, hard_day
+from experiments.random_feeders import random_window
+from tests.support.agreement import assert_agree, both_methods
+from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import (
+    CHECKER_TOLERANCE,
+    DARK,
+    OPEN,
+    battery,
+    two_buses,
+    window,
+    with_pv,
+)
+from vppres.control.converged import in_the_dark
+from vppres.io.python_door import check_scenario
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, Status, WindowSolution
+
+# The days.
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_days_are_sound_and_come_again_from_their_seed(kind: str) -> None:
+    for seed in range(3):
+        day = hard_day(kind, seed)
+        again = hard_day(kind, seed)
+        assert kind in day.traits
+        assert 10 <= day.scenario.network.n_buses <= 120
+        assert np.array_equal(day.scenario.load_kw, again.scenario.load_kw)
+        assert Site.of(day.scenario).key == Site.of(again.scenario).key
+        check_scenario(day.scenario)
+
+
+def test_the_traits_are_there() -> None:
+    assert len(hard_day("no_batteries", 0).scenario.batteries) == 0
+    assert hard_day("no_power", 0).scenario.batteries.p_max_kw.max() == 1e-3
+    assert len(set(hard_day("five_tiers", 0).scenario.tiers)) == 5
+    limit = hard_day("varying_limit", 0).scenario.grid_limit_kw
+    assert np.isfinite(limit).all()
+    assert len(np.unique(limit)) > 12
+    assert hard_day("quarters", 0).scenario.grid.n_steps == 192
+    assert hard_day("export", 0).scenario.exports
+    assert hard_day("low_voltage", 0).scenario.network.base_kv == 0.4
+    assert hard_day("tight", 0).scenario.network.v_min_pu == 0.97
+    peaks = np.sort(hard_day("giant", 0).scenario.load_kw.max(axis=0))
+    assert peaks[-1] > peaks[:-1].sum()
+    assert hard_day("small_former", 0).scenario.controller.mode == "physical"
+    assert hard_day("small_former", 0).scenario.batteries.formers.sum() == 1
+    assert hard_day("rules", 1).rules.active
+
+
+# Sets that live on exactly the energy there is.
+
+
+def solve(day: Scenario) -> WindowSolution:
+    return WindowSolver(Site.of(day)).solve(window(day))
+
+
+def exactly(missing_kwh: float) -> Scenario:
+    """Two customers of 33.25 kW in the dark; 70 kWh between the limits give 66.5 kWh for them."""
+    return replace(
+        two_buses([[33.25, 33.25]], [1.0, 1.0], [DARK]),
+        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85 - missing_kwh / 0.95 / 100.0),
+    )
+
+
+@pytest.mark.parametrize("missing_kwh", [0.0, 5e-7, 1.5e-6])
+def test_rounding_costs_nobody_the_service(missing_kwh: float) -> None:
+    day = exactly(missing_kwh)
+    answer = solve(day)
+    assert answer.dispatch.served.all()
+    assert answer.status == Status.OPTIMAL
+    assert check_dispatch(day, window(day), answer.dispatch).worst[1] < CHECKER_TOLERANCE
+
+
+def test_energy_that_is_missing_is_missing() -> None:
+    answer = solve(exactly(1e-3))
+    assert answer.dispatch.served.sum() == 1
+    assert answer.status == Status.OPTIMAL
+
+
+# Sun that nobody can use.
+
+
+def test_one_full_battery_cannot_lose_what_is_curtailed() -> None:
+    """100 kW of sun, 20 kW of demand, a full battery: at once it would lose, in turns it cannot.
+
+    Charging and discharging at once would lose power in a relaxation. In one step a full battery
+    can do neither: it may not be charged, and what it discharged would be curtailed instead.
+    """
+    day = with_pv(
+        replace(
+            two_buses([[20.0]], [1.0], [DARK]),
+            batteries=battery(p_max_kw=50.0, s_max_kva=50.0, soc=0.85),
+        ),
+        [100.0],
+    )
+    answer = solve(day)
+    assert answer.status == Status.OPTIMAL
+    assert answer.terms.f3 == pytest.approx(80.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [12, 22, 30, 42, 53])
+def test_batteries_lose_in_turns_what_they_can(seed: int) -> None:
+    """Their modes decide how much is curtailed: as the whole problem says."""
+    case = random_window(seed, stressed=True)
+    data = replace(case.data, pv_kw=1.5 * case.data.pv_kw)
+    answers = both_methods(Site.of(case.scenario), data)
+    assert any(stage.startswith("modes") for stage in answers[0].stages)
+    assert_agree(case.scenario, data, answers)
+
+
+# What is called optimal.
+
+
+def test_what_the_dark_loses_makes_the_gap_a_larger_share() -> None:
+    """Two of three customer hours are lost in the dark: 2e-4 of 3 are 6e-4 of what is left."""
+    day = two_buses([[10.0], [10.0], [10.0]], [1.0], [DARK, DARK, OPEN])
+    site = Site.of(day)
+    lit = replace(window(day), grid_limit_kw=np.full(3, OPEN))
+    found = WindowSolver(site).solve(lit)
+    found = replace(found, bound=found.objective + 2e-4)
+    dark = np.array([True, True, False])
+    assert found.status == Status.OPTIMAL
+    assert found.gap == pytest.approx(2e-4 / 3.0, rel=1e-3)
+    left = in_the_dark(site, window(day), dark, found, SolveLimits())
+    assert left.objective == pytest.approx(1.0, abs=1e-3)
+    assert left.gap == pytest.approx(2e-4, rel=1e-3)
+    assert left.status == Status.GAP_OPEN
+    assert in_the_dark(site, window(day), ~dark & dark, found, SolveLimits()) is found
+
+
+# Batteries of no power.
+
+
+@pytest.mark.parametrize("seed", [3, 28])
+def test_batteries_of_no_power_are_as_good_as_the_whole_problem(seed: int) -> None:
+    case = random_window(seed)
+    b = case.scenario.batteries
+    idle = np.full(len(b), 1e-3)
+    small = replace(b, p_max_kw=idle, s_max_kva=idle, energy_kwh=1.5 * idle)
+    scenario = replace(case.scenario, batteries=small)
+    data = replace(case.data, grid_limit_kw=np.zeros(case.data.n_steps))
+    assert_agree(scenario, data, both_methods(Site.of(scenario), data))

@@ -1,0 +1,78 @@
+"""Arguments and options of `vppres backtest`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vppres.core.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HistoryName = Annotated[
+    str,
+    typer.Argument(
+        metavar="HISTORY",
+        help="A folder with load_kw and pv_kw as CSV or Parquet, a file of demand alone, or a "
+        "scenario with a history or several days.",
+    ),
+]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Where to write page and tables.")]
+Horizon = Annotated[
+    float, typer.Option(metavar="HOURS", min=1.0, max=336.0, help="Length of a forecast.")
+]
+Every = Annotated[
+    float,
+    typer.Option(
+        metavar="HOURS",
+        min=0.25,
+        help="Time between two forecasts; one that is no part of a day sees every lead at every "
+        "hour.",
+    ),
+]
+First = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="TIME",
+        help="First issue, ISO 8601; as soon as there is enough history if not given.",
+    ),
+]
+Last = Annotated[
+    str | None, typer.Option("--to", metavar="TIME", help="Last issue; as late as possible.")
+]
+Zone = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ZONE",
+        help="Time zone that people live by, for example Europe/London; the scenario's, or UTC, if "
+        "not given.",
+    ),
+]
+
+
+def moment(text: str | None) -> pd.Timestamp | None:
+    """A time of the command line; UTC where it says nothing else.
+
+    >>> moment("2017-04-01").isoformat()
+    '2017-04-01T00:00:00+00:00'
+    """
+    import pandas as pd
+
+    if text is None:
+        return None
+    time = pd.to_datetime(text, utc=True, errors="coerce")
+    if pd.isna(time):
+        raise InputError(
+            Problem(
+                "options",
+                "is not a time",
+                "Write it like 2017-04-01 or 2017-04-01T12:00Z.",
+                field="from or to",
+                value=text,
+            )
+        )
+    return time

@@ -1,0 +1,78 @@
+"""Forecasts that others have to beat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from vppres.forecasts.interface import Fitted, LoadAndPV
+from vppres.forecasts.window import Known, like_days_before
+from vppres.scenario.history import History
+
+
+@dataclass(frozen=True)
+class Climatology:
+    """What was at the same time of day on each of the last days: the honest reference.
+
+    Parameters
+    ----------
+    days : int
+        Number of days, each a path.
+    """
+
+    days: int = 42
+
+    def fit(self, history: History) -> Fitted:
+        """Take a history."""
+        return _FittedClimatology(self, history)
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedClimatology:
+    model: Climatology
+    history: History
+
+    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        known = Known.at(self.history, issued_at, steps, self.model.days)
+        days = known.past_days(self.model.days)
+        return known.of_past_days(days) if len(days) else known.of_the_mean()
+
+
+@dataclass(frozen=True)
+class WeeklyNaive:
+    """What was a week before, with the errors of that rule: the weak reference that many quote.
+
+    Parameters
+    ----------
+    residual_days : int
+        Past days whose errors are looked at.
+    """
+
+    residual_days: int = 42
+
+    def fit(self, history: History) -> Fitted:
+        """Take a history."""
+        return _FittedWeeklyNaive(self, history)
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedWeeklyNaive:
+    model: WeeklyNaive
+    history: History
+
+    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        known = Known.at(self.history, issued_at, steps, self.model.residual_days + 9)
+        days = known.days_with_errors(self.model.residual_days, rule_days=7)
+        if not len(days):
+            return Climatology().fit(self.history).forecast(issued_at, steps)
+        load_kw, pv_kw = (
+            like_days_before(known.window(table, days), a_week_before)
+            for table in (known.load, known.sun)
+        )
+        return known.forecast(load_kw, pv_kw, "model")
+
+
+def a_week_before(early: int) -> list[int]:
+    """The days before a step that a rule of whole weeks looks at, known that many days early."""
+    return [7 * (early // 7 + 1)]

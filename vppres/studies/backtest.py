@@ -1,0 +1,440 @@
+"""A forecaster against what came: every few hours of a history a forecast, scored by lead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.day.forecasting import history_before
+from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.references import Climatology, WeeklyNaive
+from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
+from vppres.forecasts.seasonal import Seasonal
+from vppres.io.find import load_scenario, packaged_scenarios
+from vppres.io.history import read_history
+from vppres.io.settings import SCENARIO_FILE
+from vppres.scenario.history import History
+from vppres.scenario.timegrid import UTC, is_zone
+
+QUANTITIES = ("load", "pv", "net")
+SHARES = (0.5, 0.8, 0.9)
+"""What central intervals are to hold."""
+ENERGY_H = (6, 12, 24)
+RECENT_DAYS = 30
+FORECAST = "forecast"
+REFERENCES: dict[str, Forecaster] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
+LEAD_RANGES = ((0, 6), (6, 24), (24, 48))
+"""Leads in h that tables hold together: after the first, up to the last."""
+DAYLIGHT = 0.02
+"""Share of the largest power from which on an hour counts as day: at night PV is known."""
+LEARNING_DAYS = 78
+"""Days of history that the first forecast has before it, where there is enough."""
+FEWEST_DAYS = 14
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which forecasts are made.
+
+    Parameters
+    ----------
+    horizon_h : float
+        Length of a forecast.
+    every_h : float
+        Time between two issues; one that is no part of a day has every lead at every hour.
+    first, last : pandas.Timestamp, optional
+        Of the issues; all that have enough history before them and enough of it behind.
+    """
+
+    horizon_h: float = 48.0
+    every_h: float = 7.0
+    first: pd.Timestamp | None = None
+    last: pd.Timestamp | None = None
+
+    def issues(self, history: History) -> pd.DatetimeIndex:
+        """Times at which forecasts are issued.
+
+        Raises
+        ------
+        InputError
+            If the history has none.
+        """
+        learning = pd.Timedelta(days=min(LEARNING_DAYS, FEWEST_DAYS + history.n_days / 4.0))
+        horizon = pd.Timedelta(hours=self.horizon_h)
+        earliest = (history.start + learning).ceil(history.step)
+        first = max(earliest, self.first) if self.first is not None else earliest
+        last = history.end - horizon
+        last = min(last, self.last) if self.last is not None else last
+        row = history.row_of(first)
+        every = max(round(self.every_h / history.dt_h), 1)
+        rows = range(row, history.row_of(last) + 1, every)
+        if not len(rows):
+            raise InputError(
+                Problem(
+                    "backtest",
+                    f"there is no issue of a forecast between {first.isoformat()} and "
+                    f"{last.isoformat()}",
+                    f"Give at least {FEWEST_DAYS} days of history before the first issue and "
+                    f"{self.horizon_h:g} h behind the last.",
+                    field="history",
+                    value=f"{history.start.isoformat()} to {history.end.isoformat()}",
+                )
+            )
+        return history.times[rows.start : rows.stop : rows.step]
+
+
+@dataclass(frozen=True, eq=False)
+class Backtest:
+    """Scores of all forecasts: N issues, W steps.
+
+    Parameters
+    ----------
+    history : History
+        What came.
+    plan : Plan
+        Which forecasts were made.
+    forecaster : str
+        Name of what was tested.
+    issues : DatetimeIndex
+        When forecasts were issued, N.
+    scores : mapping of (name, quantity) to array
+        ``crps``, ``climatology`` and ``weekly`` (the references' CRPS), ``each`` (mean CRPS of the
+        single items), ``pit``, ``width 0.8`` and ``held 0.8`` of each interval, (N, W); ``energy
+        6 0.8``, whether the interval of the energy of the first hours held, and ``paths``, the
+        energy scores of forecast and climatology, (N,) and (N, 2). NaN where something is not
+        known, or PV at night.
+    bases : list of str
+        What each forecast rested on.
+    last : tuple of LoadAndPV and arrays
+        The last forecast, and what came of load and PV power.
+    """
+
+    history: History
+    plan: Plan
+    forecaster: str
+    issues: pd.DatetimeIndex
+    scores: dict[tuple[str, str], Floats]
+    bases: list[str]
+    last: LoadAndPV
+
+    @cached_property
+    def leads_h(self) -> Floats:
+        """Hours from the issue to the end of each step, (W,)."""
+        steps = round(self.plan.horizon_h / self.history.dt_h)
+        return np.asarray(np.arange(1, steps + 1) * self.history.dt_h, dtype=float)
+
+    @property
+    def quantities(self) -> list[str]:
+        """What was forecast: a history without PV power has no more than load."""
+        return list(QUANTITIES if self.history.pv_kw.shape[1] else QUANTITIES[:1])
+
+    @property
+    def recent(self) -> Flags:
+        """Which issues are of the last days, (N,)."""
+        return np.asarray(self.issues > self.issues[-1] - pd.Timedelta(days=RECENT_DAYS))
+
+    def mean(self, name: str, quantity: str, where: Any = slice(None)) -> Floats:
+        """Mean of a score over the issues, by lead or not; NaN where there is nothing."""
+        return _mean(self.scores[name, quantity][where])
+
+    def by_lead(self) -> pd.DataFrame:
+        """All scores by lead, one row for each quantity and lead; powers in kW."""
+        rows = []
+        for quantity in self.quantities:
+            rows.append(
+                pd.DataFrame(
+                    {
+                        "quantity": quantity,
+                        "lead_h": self.leads_h,
+                        "crps_kw": self.mean("crps", quantity),
+                        "crps_climatology_kw": self.mean("climatology", quantity),
+                        "crps_weekly_kw": self.mean("weekly", quantity),
+                        **{
+                            f"held_{share:.0%}": self.mean(f"held {share}", quantity)
+                            for share in SHARES
+                        },
+                        **{
+                            f"width_{share:.0%}_kw": self.mean(f"width {share}", quantity)
+                            for share in SHARES
+                        },
+                    }
+                )
+            )
+        return pd.concat(rows, ignore_index=True)
+
+    def ranges(self) -> pd.DataFrame:
+        """CRPS over ranges of leads: in kW, and relative to the references."""
+        rows = []
+        for quantity in self.quantities:
+            for after, until in LEAD_RANGES:
+                leads = (self.leads_h > after) & (self.leads_h <= until)
+                if not leads.any():
+                    continue
+                own, climatology, weekly = (
+                    float(np.nanmean(self.mean(name, quantity)[leads]))
+                    for name in ("crps", "climatology", "weekly")
+                )
+                rows.append(
+                    {
+                        "quantity": quantity,
+                        "after_h": after,
+                        "until_h": until,
+                        "crps_kw": own,
+                        "to_climatology": own / climatology - 1.0,
+                        "to_weekly": own / weekly - 1.0,
+                    }
+                )
+        return pd.DataFrame(rows)
+
+    def energy(self) -> pd.DataFrame:
+        """How often intervals of the energy of the first hours held."""
+        rows = [
+            {
+                "quantity": quantity,
+                "hours": hours,
+                **{
+                    f"held_{share:.0%}": float(self.mean(f"energy {hours} {share}", quantity))
+                    for share in SHARES
+                },
+            }
+            for quantity in self.quantities
+            for hours in ENERGY_H
+            if hours <= self.plan.horizon_h
+        ]
+        return pd.DataFrame(rows)
+
+    def drift(self) -> pd.DataFrame:
+        """The last days beside all: CRPS to climatology, and what the 80 % interval held."""
+        rows = []
+        for quantity in self.quantities:
+            row: dict[str, Any] = {"quantity": quantity}
+            for words, where in (("all", slice(None)), ("recent", self.recent)):
+                own, climatology = (
+                    float(np.nanmean(self.mean(name, quantity, where)))
+                    for name in ("crps", "climatology")
+                )
+                row[f"to_climatology_{words}"] = own / climatology - 1.0
+                row[f"held_80%_{words}"] = float(np.nanmean(self.mean("held 0.8", quantity, where)))
+            rows.append(row)
+        return pd.DataFrame(rows)
+
+    def by_month(self) -> pd.DataFrame:
+        """What the 80 % interval held in each month, one column for each quantity."""
+        month = self.issues.strftime("%Y-%m")
+        columns = {
+            quantity: [
+                float(np.nanmean(self.mean("held 0.8", quantity, month == name)))
+                for name in dict.fromkeys(month)
+            ]
+            for quantity in self.quantities
+        }
+        return pd.DataFrame(columns, index=pd.Index(list(dict.fromkeys(month)), name="month"))
+
+    def summary(self) -> dict[str, Any]:
+        """All tables as JSON can hold them."""
+        return {
+            "forecaster": self.forecaster,
+            "issues": len(self.issues),
+            "first_issue": self.issues[0].isoformat(),
+            "last_issue": self.issues[-1].isoformat(),
+            "horizon_h": self.plan.horizon_h,
+            "every_h": self.plan.every_h,
+            "basis": pd.Series(self.bases).value_counts().to_dict(),
+            "mean_kw": {
+                "load": float(np.nansum(np.nanmean(self.history.load_kw, axis=0))),
+                "pv": float(np.nansum(np.nanmean(self.history.pv_kw, axis=0)))
+                if self.history.pv_kw.shape[1]
+                else 0.0,
+            },
+            "crps": _records(self.ranges()),
+            "energy": _records(self.energy()),
+            "drift": _records(self.drift()),
+            "each_to_total": {
+                quantity: float(
+                    np.nanmean(self.mean("each", quantity))
+                    / np.nanmean(self.mean("crps", quantity))
+                )
+                for quantity in self.quantities
+                if quantity != "net"
+            },
+            "energy_score_to_climatology": {
+                quantity: float(np.divide(*self.mean("paths", quantity)) - 1.0)
+                for quantity in self.quantities
+            },
+        }
+
+
+def backtest(
+    history: History,
+    plan: Plan | None = None,
+    forecaster: Forecaster | None = None,
+    name: str = "seasonal",
+    progress: Progress | None = None,
+) -> Backtest:
+    """Score a forecaster on a history.
+
+    Parameters
+    ----------
+    history : History
+        What came.
+    plan : Plan, optional
+        Which forecasts are made.
+    forecaster : Forecaster, optional
+        The seasonal one if not given.
+    name : str
+        Its name.
+    progress : callable, optional
+        Called as ``progress(forecasts done, forecasts in all)``.
+
+    Raises
+    ------
+    InputError
+        If the history is too short.
+    """
+    plan = plan or Plan()
+    issues = plan.issues(history)
+    steps = round(plan.horizon_h / history.dt_h)
+    fitted = {
+        FORECAST: (forecaster or Seasonal()).fit(history),
+        **{words: other.fit(history) for words, other in REFERENCES.items()},
+    }
+    collected: list[dict[tuple[str, str], Any]] = []
+    bases = []
+    for done, issued_at in enumerate(issues, start=1):
+        found = {words: one.forecast(issued_at, steps) for words, one in fitted.items()}
+        collected.append(_scored(history, found, history.row_of(issued_at)))
+        bases.append(str(found[FORECAST].basis))
+        if progress is not None:
+            progress(done, len(issues))
+    scores = {key: np.array([one[key] for one in collected]) for key in collected[0]}
+    return Backtest(history, plan, name, issues, scores, bases, found[FORECAST])
+
+
+def measured_in(name_or_path: str, zone: str | None = None) -> History:
+    """The history of a scenario with its own days, or of a folder or file of series.
+
+    Parameters
+    ----------
+    name_or_path : str
+        Packaged name, scenario folder, or what :func:`vppres.io.history.read_history` takes.
+    zone : str, optional
+        Time zone of the clocks; the scenario's, or UTC.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or with every problem of its files.
+    """
+    if zone is not None and not is_zone(zone):
+        raise InputError(
+            Problem(
+                "options",
+                "is not the name of a time zone",
+                "Give one such as Europe/London.",
+                field="zone",
+                value=zone,
+            )
+        )
+    path = Path(name_or_path)
+    if name_or_path not in packaged_scenarios() and not (path / SCENARIO_FILE).is_file():
+        return read_history(path, zone=zone or UTC)
+    day = load_scenario(name_or_path)
+    history = history_before(day).followed_by(day.grid.start, day.load_kw, day.pv_kw)
+    return history if zone is None else replace(history, zone=zone)
+
+
+def _scored(history: History, found: dict[str, LoadAndPV], row: int) -> dict[tuple[str, str], Any]:
+    """All scores of one issue."""
+    own = found[FORECAST]
+    steps = own.load_kw.shape[1]
+    load = history.load_kw[row : row + steps]
+    pv = history.pv_kw[row : row + steps]
+    came = {"load": load.sum(axis=1), "pv": pv.sum(axis=1)}
+    came["net"] = came["load"] - came["pv"]
+    totals = {words: _totals(one) for words, one in found.items()}
+    counted = dict.fromkeys(QUANTITIES, np.ones(steps, dtype=bool))
+    counted["pv"] = _daylight(found["climatology"].pv_kw, history.pv_kw[:row])
+    scores: dict[tuple[str, str], Any] = {}
+    for quantity in QUANTITIES:
+        paths = totals[FORECAST][quantity]
+        true = came[quantity]
+        scores["crps", quantity] = crps(paths, true)
+        for words in REFERENCES:
+            scores[words, quantity] = crps(totals[words][quantity], true)
+        there = counted[quantity] & ~np.isnan(true)
+        scores["pit", quantity] = _where(there, pit(paths, true))
+        for share in SHARES:
+            ends = interval(paths, share)
+            scores[f"held {share}", quantity] = _where(there, holds(ends, true))
+            scores[f"width {share}", quantity] = _where(there, ends[1] - ends[0])
+        for hours, share in _energies(history.dt_h, steps):
+            n = round(hours / history.dt_h)
+            energy = true[:n].sum()
+            held = holds(interval(paths[:, :n].sum(axis=1), share), energy)
+            known = bool(counted[quantity][:n].any()) and not np.isnan(energy)
+            scores[f"energy {hours} {share}", quantity] = float(held) if known else np.nan
+        scores["paths", quantity] = [
+            energy_score(totals[words][quantity], true) for words in (FORECAST, "climatology")
+        ]
+    scores["each", "load"] = crps(own.load_kw, load).sum(axis=1)
+    scores["each", "pv"] = crps(own.pv_kw, pv).sum(axis=1)
+    return scores
+
+
+def _totals(forecast: LoadAndPV) -> dict[str, Floats]:
+    """Paths of the feeder's totals, (M, W)."""
+    return {
+        "load": forecast.load_kw.sum(axis=2),
+        "pv": forecast.pv_kw.sum(axis=2),
+        "net": forecast.net_kw,
+    }
+
+
+def _daylight(past_days: Floats, before: Floats) -> Flags:
+    """Whether there was sun at the time of a step on any of the last days, (W,)."""
+    if not past_days.size:
+        return np.zeros(past_days.shape[1], dtype=bool)
+    total = np.nansum(past_days, axis=2).max(axis=0)
+    return np.asarray(total > DAYLIGHT * np.nansum(before, axis=1).max())
+
+
+def _energies(dt_h: float, steps: int) -> Iterable[tuple[int, float]]:
+    """Hours and shares of the energies that a forecast is long enough for."""
+    return [(hours, share) for hours in ENERGY_H if hours <= steps * dt_h for share in SHARES]
+
+
+def _where(there: Flags, values: Any) -> Floats:
+    """Numbers, NaN elsewhere."""
+    return np.where(there, np.asarray(values, dtype=float), np.nan)
+
+
+def _mean(values: Floats) -> Floats:
+    """Means of what is known along the first axis."""
+    known = ~np.isnan(values)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    count = known.sum(axis=0)
+    return np.asarray(
+        np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+    )
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table; what is not known is None."""
+    rows = table.to_dict("records")
+    return [
+        {
+            str(name): None if isinstance(value, float) and np.isnan(value) else value
+            for name, value in row.items()
+        }
+        for row in rows
+    ]
