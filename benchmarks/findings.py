@@ -8,6 +8,8 @@ import pandas as pd
 from benchmarks import profiles
 from benchmarks.day import day_table, stage_table, step_table
 from benchmarks.deadlines import ALLOWED_S, NAMED, by_turn, deadline_table
+from benchmarks.race import draw_certified
+from benchmarks.race import summary as race_summary
 from benchmarks.report import Bar, Section
 from benchmarks.scaling import draw_scaling, exponents
 from benchmarks.store import Row
@@ -17,6 +19,7 @@ from benchmarks.worker import worker_table
 
 MIN_RATIO = 25.0
 STRESSED_SHARE = 0.95
+HARD_SHARE = 0.97
 BINDING = 30
 DAY_S = 2.5
 STEP_P95_S = 0.25
@@ -137,6 +140,42 @@ def _ratio_bar(table: pd.DataFrame, method: str, least: float, where: str) -> Ba
 
 def _licensed(method: str) -> bool:
     return any(f"/{solver}/" in method for solver in LICENSED)
+
+
+def race_section(rows: pd.DataFrame) -> Section:
+    """The windows of both tables against the better monolith."""
+    text = (
+        "Processor time of one process. A monolith runs beside a window that takes t seconds for "
+        "(t - 0.5) / 2 seconds at most: where it is certified by then, the window is slower. Then "
+        "the windows that are not certified in 10 s, and those that are slower."
+    )
+    columns = ["window", "kind", "buses", "steps", "seconds", "monolith_s", "gap", "status"]
+    odd = rows[~rows["certified"] | rows["slower"]]
+    return Section(
+        "Windows that users bring",
+        text,
+        (race_summary(rows), odd[columns]),
+        {"certified": draw_certified(rows)},
+    )
+
+
+def race_bars(rows: pd.DataFrame) -> list[Bar]:
+    """What must be shown of the windows of both tables."""
+    found = []
+    for least, groups in ((1.0, ["ordinary"]), (HARD_SHARE, ["stressed", "hard"])):
+        part = rows[rows["group"].isin(groups)]
+        share = float(part["certified"].mean())
+        found.append(
+            Bar(
+                f"{' and '.join(groups)} instances certified in 10 s of a processor: {least:.0%}",
+                f"{share:.1%} of {len(part)}",
+                share >= least if len(part) else None,
+            )
+        )
+    slower = int(rows["slower"].sum())
+    claim = "slower than twice the better of HiGHS and SCIP and 0.5 s: none"
+    found.append(Bar(claim, f"{slower} of {len(rows)}", slower == 0))
+    return found
 
 
 def day_section(tables: dict[str, pd.DataFrame]) -> Section:

@@ -317,7 +317,7 @@ def test_unknown_part_is_an_error(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert result.stderr.strip() == (
         "benchmarks, only = weather: is not known. Use one of: "
-        "windows, day, scaling, throughput, worker, deadlines."
+        "windows, race, day, scaling, throughput, worker, deadlines."
     )
 
 
