@@ -201,7 +201,8 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
             f"Means over {len(resilience)} days with 95 % intervals (bootstrap over the days): "
             f"{HOURS} h of the held-out months each, with an outage of {LENGTHS_H[0]} to "
             f"{LENGTHS_H[1] - 1} h that is known from midnight on, MPC of {HORIZON_H:g} h in "
-            "the paper's mode on the full network. Every forecaster sees the same days, and none a step that is to come. "
+            "the paper's mode on the full network. Every forecaster sees the same days, and none "
+            "a step that is to come. "
             f"Steps with a fallback: {sum(run.fallbacks for run in runs)}. Wall time "
             f"{wall_s / 60:.1f} min, {machine()}.",
         ]
