@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import benchmarks.__main__ as command
-from benchmarks import make_instances, profiles
+from benchmarks import deadlines, make_instances, profiles
 from benchmarks.day import error_settings
 from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
@@ -399,6 +399,15 @@ def test_deadlines_by_hand() -> None:
     assert (large.measured, large.met) == ("2 of 2, latest 2.00 s, 0.10 s of processor", True)
     assert (named.measured, named.met) == ("NumericalError", False)
     assert len(deadline_table(rows)) == 4
+
+
+def test_deadlines_are_shown_by_limit_and_turn(capsys: pytest.CaptureFixture[str]) -> None:
+    """The windows had been measured for minutes when the table lacked their names."""
+    deadlines.main(every=len(read_instances()), large=0, limit=[1.0, 10.0])
+    head, *lines = filter(str.strip, capsys.readouterr().out.splitlines())
+    assert head.split()[:2] == ["buses", "limit"]
+    shown = [tuple(line.split()[2:4]) for line in lines]
+    assert shown == [("1.0", "again"), ("1.0", "first"), ("10.0", "again"), ("10.0", "first")]
 
 
 def test_windows_are_measured_in_both_turns() -> None:

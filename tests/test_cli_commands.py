@@ -92,10 +92,12 @@ def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plain_figures:
 def test_valid_scenario(tiny_folder: Path) -> None:
     result = call("validate", tiny_folder)
     assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout == (
+    first, gap = result.stdout.splitlines()
+    assert first == (
         "tiny is valid: 4 buses, 3 customers, 2 PV systems, 2 batteries, "
-        "6 steps of 60 min, 2 of them without grid; imports only; islands in paper mode.\n"
+        "6 steps of 60 min, 2 of them without grid; imports only; islands in paper mode."
     )
+    assert gap.startswith("- --method weighted would leave 0.000672 weighted customer hours")
 
 
 def test_valid_scenario_as_json(tiny_folder: Path) -> None:
@@ -123,7 +125,9 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
         },
         "remarks": [],
+        "weighted_gap": record["content"]["weighted_gap"],
     }
+    assert "line losses" in record["content"]["weighted_gap"]
 
 
 def spoil(folder: Path) -> None:

@@ -64,33 +64,31 @@ def test_parts_of_a_deadline(now: list[float]) -> None:
 
 
 def test_patience_ends_as_long_after_an_improvement_as_it_took(now: list[float]) -> None:
-    patience = Patience(Deadline(100.0), least_s=10.0)
-    now[0] += 9.0
-    patience.saw(best=1.0, bound=9.0)
-    assert patience.left_s == 10.0
-    now[0] += 9.0
-    patience.saw(best=1.0, bound=8.0)
-    assert patience.left_s == 18.0
-    now[0] += 17.0
-    patience.saw(best=0.5, bound=8.0)  # neither is better than what was seen
-    assert patience.left_s == 1.0
-    now[0] += 1.0
+    patience = Patience(Deadline(100.0), least=10)
+    patience.saw(best=1.0, bound=9.0, nodes=9)
+    now[0] += 90.0  # however slow the machine is
+    patience.saw(best=1.0, bound=9.0, nodes=19)
+    assert not patience.passed
+    patience.saw(best=1.0, bound=8.0, nodes=19)
+    patience.saw(best=0.5, bound=8.0, nodes=38)  # neither is better than what was seen
+    assert not patience.passed
+    patience.saw(best=0.5, bound=8.0, nodes=39)
     assert patience.passed
     assert not patience.end.passed
 
 
 def test_patience_ends_with_the_time(now: list[float]) -> None:
-    patience = Patience(Deadline(15.0), least_s=10.0)
-    now[0] += 9.0
-    patience.saw(best=1.0, bound=9.0)
-    assert patience.left_s == 6.0
+    patience = Patience(Deadline(15.0), least=10)
+    patience.saw(best=1.0, bound=9.0, nodes=1)
+    now[0] += 16.0
+    assert patience.passed
 
 
 # Stages.
 
 
 def test_search_in_the_network_ends_where_nothing_improves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_S", 0.0)
+    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_NODES", 0)
     site = Site.of(packaged())
     data = window_data(instance(NEVER_CLOSED))
     master = NetworkMaster(site, Reactance(site), data, Deadline(600.0))

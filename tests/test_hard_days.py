@@ -14,16 +14,18 @@ from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,
     DARK,
+    OPEN,
     battery,
     two_buses,
     window,
     with_pv,
 )
+from vppres.control.converged import in_the_dark
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import Status, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 # The days.
 
@@ -117,3 +119,37 @@ def test_batteries_lose_in_turns_what_they_can(seed: int) -> None:
     answers = both_methods(Site.of(case.scenario), data)
     assert any(stage.startswith("modes") for stage in answers[0].stages)
     assert_agree(case.scenario, data, answers)
+
+
+# What is called optimal.
+
+
+def test_what_the_dark_loses_makes_the_gap_a_larger_share() -> None:
+    """Two of three customer hours are lost in the dark: 2e-4 of 3 are 6e-4 of what is left."""
+    day = two_buses([[10.0], [10.0], [10.0]], [1.0], [DARK, DARK, OPEN])
+    site = Site.of(day)
+    lit = replace(window(day), grid_limit_kw=np.full(3, OPEN))
+    found = WindowSolver(site).solve(lit)
+    found = replace(found, bound=found.objective + 2e-4)
+    dark = np.array([True, True, False])
+    assert found.status == Status.OPTIMAL
+    assert found.gap == pytest.approx(2e-4 / 3.0, rel=1e-3)
+    left = in_the_dark(site, window(day), dark, found, SolveLimits())
+    assert left.objective == pytest.approx(1.0, abs=1e-3)
+    assert left.gap == pytest.approx(2e-4, rel=1e-3)
+    assert left.status == Status.GAP_OPEN
+    assert in_the_dark(site, window(day), ~dark & dark, found, SolveLimits()) is found
+
+
+# Batteries of no power.
+
+
+@pytest.mark.parametrize("seed", [3, 28])
+def test_batteries_of_no_power_are_as_good_as_the_whole_problem(seed: int) -> None:
+    case = random_window(seed)
+    b = case.scenario.batteries
+    idle = np.full(len(b), 1e-3)
+    small = replace(b, p_max_kw=idle, s_max_kva=idle, energy_kwh=1.5 * idle)
+    scenario = replace(case.scenario, batteries=small)
+    data = replace(case.data, grid_limit_kw=np.zeros(case.data.n_steps))
+    assert_agree(scenario, data, both_methods(Site.of(scenario), data))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
@@ -29,7 +30,7 @@ from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections, Reactance
 from vppres.solve.network.master import NetworkMaster
-from vppres.solve.programs import compiled
+from vppres.solve.programs import compiled, stacked
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
 
@@ -316,3 +317,17 @@ def test_counts_choose_customers_who_use_the_sun(packaged: Scenario) -> None:
     run = run_day(packaged, RunOptions(horizon_h=5.0, errors=errors, seed=1))
     assert run.steps["stages"].str.startswith("service").sum() >= 6
     assert not run.steps["stages"].str.contains("binary").any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_stacked_rows_are_scipy_s(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    count = int(draw.integers(1, 9))
+    above, below = (
+        sp.random_array((int(draw.integers(0, 7)), count), density=0.4, format="csc", rng=draw)
+        for _ in range(2)
+    )
+    ours = stacked(above, below)
+    theirs = sp.csc_array(sp.vstack([above, below]))
+    for part in ("indptr", "indices", "data"):
+        np.testing.assert_array_equal(getattr(ours, part), getattr(theirs, part))

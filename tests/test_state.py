@@ -28,6 +28,7 @@ from vppres.live.feed import Feed
 from vppres.live.measurement import Measurement
 from vppres.live.memory import Memory
 from vppres.scenario.history import History
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -83,8 +84,9 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
         RunOptions(horizon_h=1.0, forecaster="seasonal"),
         RunOptions("full-horizon", mode="physical"),
         RunOptions("reserve"),
+        RunOptions(outages="belief"),
     ],
-    ids=["rules", "physical", "seasonal", "full", "reserve"],
+    ids=["rules", "physical", "seasonal", "full", "reserve", "belief"],
 )
 def test_a_relay_of_controllers_decides_as_one(tiny: Scenario, options: RunOptions) -> None:
     """Every step by a controller that knows of the ones before only what a file held."""
@@ -93,6 +95,10 @@ def test_a_relay_of_controllers_decides_as_one(tiny: Scenario, options: RunOptio
         before = repeated(stormy(tiny), 72, "2025-06-28T18:00Z")
         history = History(before.grid.start, 60.0, before.load_kw, before.pv_kw)
         day = replace(day.between(0, 9), history=history)
+    if options.outages == "belief":
+        often = OutageStatistics(saifi_per_year=300.0)
+        told = OutageWarning(day.grid.start, onset_likely=day.grid.times[6], duration_p50_h=9.0)
+        day = replace(day, outage_statistics=often, warnings=(told,))
     here = replace(options, isolate=False)
     for one, other in zip(played(day, here, False), played(day, here, True), strict=True):
         assert same(one, other), one.time

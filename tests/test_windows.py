@@ -27,7 +27,7 @@ from tests.support.small_windows import (
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp
+from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import LEVELLED, WindowSolver
@@ -367,6 +367,16 @@ def test_problem_that_is_not_dpp_is_refused() -> None:
         "enters non-affinely. Move the product into the parameter's value."
     )
     require_dpp(cp.Problem(cp.Minimize(x), [x >= a + b]), "sum of parameters")
+
+
+def test_a_parameter_takes_only_what_it_is_declared_for() -> None:
+    load = cp.Parameter((1, 2), name="P_load", nonneg=True)
+    write(load, np.array([[1, -1e-9]]))
+    assert load.value.tolist() == [[1.0, -1e-9]]
+    with pytest.raises(ModelError, match=r"P_load has the shape \(1, 2\), not \(2,\)\."):
+        write(load, [1.0, 2.0])
+    with pytest.raises(ModelError, match=r"P_load is never negative, but -0\.5 was given\."):
+        write(load, [[1.0, -0.5]])
 
 
 # Methods and solvers against each other, and against the checker.

@@ -20,6 +20,8 @@ _HOME_OF = {
     "Feed": "vppres.live.feed",
     "Measurement": "vppres.live.measurement",
     "NewScenarioOptions": "vppres.feeders.new_options",
+    "OutageStatistics": "vppres.scenario.outage_warnings",
+    "OutageWarning": "vppres.scenario.outage_warnings",
     "RunOptions": "vppres.day.options",
     "Scenario": "vppres.scenario.scenario",
     "SetPoints": "vppres.live.controller",

@@ -40,6 +40,7 @@ FIGURES = (
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
     from vppres.scenario.remarks import export_words, remarks
+    from vppres.scenario.weighted_gap import gap_remark
 
     return {
         "name": day.name,
@@ -56,6 +57,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "mode": day.controller.mode,
         "source": asdict(day.source),
         "remarks": remarks(day),
+        "weighted_gap": gap_remark(day),
     }
 
 
@@ -92,7 +94,8 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
         "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
         "them without grid; {export}; islands in {mode} mode.".format_map(content)
     )
-    return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
+    told = [*content["remarks"], *filter(None, [content["weighted_gap"]])]
+    return "\n".join([holds, *(f"- {remark}" for remark in told)])
 
 
 def remarks_text(day: Scenario, mode: str) -> str:

@@ -31,7 +31,7 @@ from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.scenario.network import Network
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 VOLTAGE_TOLERANCE_PU = 1e-4
 LOSS_TOLERANCE_KW = 1.0
@@ -102,11 +102,17 @@ class ConvergedPlanner:
         dark = dark_steps(site, whole)
         start = self._at_rest(lossless(without_power(whole, dark), physics))
         if self.passes == 0:
-            return in_the_dark(site, whole, dark, self.solver.solve(start))
+            return self._in_the_dark(whole, dark, self.solver.solve(start))
         data, solution = self._decide(self._guessed(t0, start), start)
         reached, solution = self._converge(data, solution)
         self._remember(t0, reached)
-        return in_the_dark(site, whole, dark, solution)
+        return self._in_the_dark(whole, dark, solution)
+
+    def _in_the_dark(
+        self, whole: WindowData, dark: Flags, solution: WindowSolution
+    ) -> WindowSolution:
+        """The solution with what the dark steps lose, called optimal if it is then still."""
+        return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
 
     def _decide(self, data: WindowData, start: WindowData) -> tuple[WindowData, WindowSolution]:
         """Served set and first candidate; the stages say where it took a second attempt.
@@ -340,9 +346,12 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
 
 
 def in_the_dark(
-    site: Site, whole: WindowData, dark: Flags, solution: WindowSolution
+    site: Site, whole: WindowData, dark: Flags, solution: WindowSolution, limits: SolveLimits
 ) -> WindowSolution:
-    """The solution with nobody served and all PV power curtailed in the dark steps."""
+    """The solution with nobody served and all PV power curtailed in the dark steps.
+
+    The objective is nearer to zero then, and the same gap a larger share of it.
+    """
     if not dark.any():
         return solution
     plan = solution.dispatch
@@ -355,10 +364,14 @@ def in_the_dark(
     lost = (
         plan.served[dark] @ site.customers.weight
     ).sum() * site.dt_h + site.weights.lambda_curt * curtailed_kwh
+    objective = solution.objective - lost
+    bound = solution.bound - lost
+    open_now = solution.status == Status.OPTIMAL and not limits.met(bound, objective)
     return replace(
         solution,
         dispatch=dispatch,
         terms=evaluate(site, whole, dispatch),
-        objective=solution.objective - lost,
-        bound=solution.bound - lost,
+        objective=objective,
+        bound=bound,
+        status=Status.GAP_OPEN if open_now else solution.status,
     )

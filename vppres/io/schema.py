@@ -415,7 +415,7 @@ class SystemSeries(Row):
 class WarningRow(Row):
     """A message about an outage; of each outage the last one that was issued counts."""
 
-    issued_at: str = Field(description="when it was issued, ISO 8601 with time zone")
+    issued_at: str = Field(description="time of issue, ISO 8601 with time zone")
     outage: Name = Field(
         default="", description="which outage it speaks of, where several are expected"
     )

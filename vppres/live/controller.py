@@ -21,6 +21,7 @@ from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
 from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
 from vppres.feeders.actuate import Feeding
@@ -30,6 +31,7 @@ from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.live.state import Standing, restored, state_of
 from vppres.plant.plant import BatteryState
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
@@ -60,7 +62,8 @@ class SetPoints:
     solve : mapping
         How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
-        none was needed) with its ``fallback_reason``; and what was ``estimated``.
+        none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
+        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
     """
@@ -222,6 +225,37 @@ class Controller:
         stop = self._decider.horizon_steps(row + self._forgotten).stop - self._forgotten
         return range(row, min(stop, self.scenario.grid.n_steps))
 
+    def _ahead(self, row: int, window: range) -> range:
+        """Rows that a belief of outages looks at; without one, those of the window."""
+        if self.options.outages == KNOWN:
+            return window
+        grid = self.scenario.grid
+        stop = max(row + grid.steps_in_horizon(LOOKAHEAD_H), window.stop)
+        return range(row, min(stop, grid.n_steps))
+
+    def warn(self, *warnings: OutageWarning) -> None:
+        """Take up messages about outages, for controllers that are not told of them otherwise.
+
+        Parameters
+        ----------
+        *warnings : OutageWarning
+            Messages, in any order; of each outage the last one that is issued counts.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> import vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> controller = Controller.of(day, vppres.RunOptions(outages="belief"))
+        >>> at = controller.times[0]
+        >>> onset = at + pd.Timedelta(hours=3)
+        >>> controller.warn(OutageWarning(at, onset_likely=onset, preset="rota"))
+        >>> len(controller.scenario.warnings)
+        1
+        """
+        with self._turn:
+            self.scenario = replace(self.scenario, warnings=(*self.scenario.warnings, *warnings))
+
     def extend(
         self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
     ) -> None:
@@ -315,10 +349,12 @@ class Controller:
         switching, cold_load = past.held_until(t)
         window = self._window(seen.t)
         ends = window.stop == self.scenario.grid.n_steps
+        ahead = replace(seen.window(self._ahead(seen.t, window)).scenario, history=past.history)
+        forecasts = forecasts_of(ahead, self.options, ForecastErrors())
+        forecast = forecasts.at(0, range(len(window)))
         seen = seen.window(window)
-        remembered = replace(seen.scenario, history=past.history)
-        forecast = forecasts_of(remembered, self.options, ForecastErrors()).at(
-            0, range(len(window))
+        grid_seen = past.grid_seen.after(
+            seen.scenario.grid.start, float(seen.scenario.grid_limit_kw[0])
         )
         b = self.scenario.batteries
         soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
@@ -340,6 +376,8 @@ class Controller:
             served=past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
         )
+        view = OutageView.create(self.scenario, self.options.as_record())
+        measured = view.told(measured, grid_seen, ahead, 0, forecasts)
         decision = self._decider.decide(measured)
         guard = self._decider
         known = (
@@ -351,6 +389,7 @@ class Controller:
         day = Day(scenario, self.options)
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, b.t_ref_c)
         day.switching = switching
+        day.ac.go_on_from(past.voltages)
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
         return (
@@ -363,6 +402,8 @@ class Controller:
                 day.plant.cold_load,
                 record.customers["served"],
                 past.with_measured(scenario),
+                day.ac.found,
+                grid_seen,
             ),
         )
 
@@ -393,6 +434,8 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
             "estimated",
         )
     }
+    if "stored_value_gbp_per_kwh" in step.steps:
+        solve["stored_value_gbp_per_kwh"] = step.steps["stored_value_gbp_per_kwh"]
     return SetPoints(
         time=scenario.grid.times[step.t],
         customers=_table(

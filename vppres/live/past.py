@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
 from vppres.control.remembered import memory_of, put_back
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Complexes, Flags
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
+from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
@@ -40,6 +41,10 @@ class Past:
         Who was served.
     history : History or None
         What was measured; None where no forecaster learns from it.
+    voltages : dict of int to array of complex, shape (N,)
+        Solutions by the position of the source's bus, from which the next power flow starts.
+    grid_seen : GridSeen
+        Outages so far.
     """
 
     t: int
@@ -48,13 +53,15 @@ class Past:
     cold_load: ColdLoad
     served: Flags | None
     history: History | None
+    voltages: dict[int, Complexes]
+    grid_seen: GridSeen = field(default_factory=GridSeen)
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
         """Before the first step: everyone has been served for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
+        return cls(-1, None, day.switching, day.plant.cold_load, None, history, {})
 
     def with_measured(self, now: Scenario) -> History | None:
         """The history with the first step of a window; None where no forecaster learns from it."""
@@ -82,6 +89,8 @@ class Past:
             "switching": to_plain(self.switching, given),
             "cold_load": memory_of(self.cold_load, given),
             "served": to_plain(self.served, given),
+            "voltages": to_plain(self.voltages, given),
+            "grid_seen": to_plain(self.grid_seen, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -100,9 +109,13 @@ class Past:
             "operating_point": OperatingPoint | None,
             "switching": SwitchingState | None,
             "served": Flags | None,
+            "voltages": dict[int, Complexes],
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)
             for name, kind in kinds.items()
         }
+        seen = found.get("grid_seen")
+        if seen is not None:  # states from before there were beliefs have none
+            values["grid_seen"] = from_plain(GridSeen, seen, f"{where}.grid_seen", given)
         return Past(cold_load=cold_load, history=history, **values)

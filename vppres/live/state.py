@@ -25,6 +25,7 @@ from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.model.site import Site
 from vppres.scenario.history import History
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -96,6 +97,7 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
             "n_steps": known.grid.n_steps,
             "forgotten": standing.forgotten,
             "series": {name: to_plain(getattr(known, name)) for name in SERIES},
+            "warnings": to_plain(known.warnings),
         },
         "history": to_plain(standing.past.history),
         "now": _moment(decider, standing.past, given),
@@ -248,6 +250,11 @@ def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
         for name, values in plain["series"].items()
     }
     grid = replace(scenario.grid, start=pd.Timestamp(plain["start"]), n_steps=n_steps)
+    warnings = plain.get("warnings")
+    if warnings is not None:
+        series["warnings"] = from_plain(
+            tuple[OutageWarning, ...], warnings, f"{WHERE}.known.warnings"
+        )
     return replace(scenario, grid=grid, **series)
 
 

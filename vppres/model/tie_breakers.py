@@ -32,7 +32,7 @@ from vppres.model.forms import (
     with_demand,
     without,
 )
-from vppres.model.numerics import disc_sides, require_dpp
+from vppres.model.numerics import disc_sides, require_dpp, write
 from vppres.model.polygons import Polygon, battery_half_polygon, pv_polygon
 from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
@@ -103,11 +103,11 @@ class HeldModes:
     def fill(self, site: Site, data: WindowData, charging: Flags) -> None:
         """Write what the modes leave; f2 and f3 are written apart."""
         P_max = site.batteries.p_max_kw
-        self.charging.value = charging.astype(float)
-        self.gain.value = np.where(charging, data.eta_charge, 1.0 / data.eta_discharge)
-        self.P_min.value = np.where(charging, 0.0, -P_max)
-        self.P_max.value = np.where(charging, P_max, 0.0)
-        self.Q_pv_max.value = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
+        write(self.charging, charging)
+        write(self.gain, np.where(charging, data.eta_charge, 1.0 / data.eta_discharge))
+        write(self.P_min, np.where(charging, 0.0, -P_max))
+        write(self.P_max, np.where(charging, P_max, 0.0))
+        write(self.Q_pv_max, np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

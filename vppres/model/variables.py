@@ -11,6 +11,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
+from vppres.model.numerics import write
 from vppres.model.site import Site
 
 Mode = Literal["integer", "relaxed", "fixed"]
@@ -97,7 +98,7 @@ class Parameters:
         for f in fields(self):
             parameter = getattr(self, f.name)
             if parameter is not None:
-                parameter.value = values[f.name]
+                write(parameter, values[f.name])
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,20 +3,23 @@
 Batteries carry energy, and switching rules carry duties, from one step to another. Where there is
 neither, the objective is a sum over the steps, and so are the best dispatch and its bound. Solved
 together, such a window is one knapsack for each step at the same time, and a search multiplies
-their branches.
+their branches. Batteries of next to no power join the steps by watts: there each step is bounded
+with energy without limit, and dispatched with the energy that the steps before have left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.model.data import WindowData
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 from vppres.model.terms import Terms
+from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
@@ -26,9 +29,99 @@ LEAST_S = 0.01
 """What a step may take where earlier ones have used up the time: its grace is for an answer."""
 
 
+ENDLESS = 1e6
+"""Factor of the energy of batteries that are to have no limit of energy."""
+
+HALF = 0.5
+"""State of charge of a battery without limit of energy, between its limits."""
+
+
 def falls_apart(site: Site, data: WindowData) -> bool:
     """Whether a window has several steps and nothing that joins them."""
     return data.n_steps > 1 and len(site.batteries) == 0 and data.switching is None
+
+
+def hardly_joined(site: Site, data: WindowData) -> bool:
+    """Whether a window has several steps that are joined by batteries of next to no power alone."""
+    b = site.batteries
+    idle = len(b) > 0 and bool((b.active_max_kw <= NO_POWER_KW).all())
+    plain = data.switching is None and data.terminal is None and not data.physical
+    return data.n_steps > 1 and idle and plain and data.stored_value is None
+
+
+def without_energy_limits(site: Site) -> Site:
+    """The site with batteries of the same power that are never full and never empty."""
+    b = site.batteries
+    return replace(site, batteries=replace(b, energy_kwh=ENDLESS * b.energy_kwh))
+
+
+def solve_in_turn(
+    site: Site, data: WindowData, limits: SolveLimits, solve: SolveStep, relaxed: SolveStep
+) -> WindowSolution:
+    """Solve a window step by step, each from the energy that the one before has left.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        A window that is hardly joined.
+    limits : SolveLimits
+        Of the whole window: a step gets its share of the absolute gap and of the time left.
+    solve, relaxed : callable
+        Solve the window of one step, and the same without limits of energy.
+
+    Raises
+    ------
+    SolveError
+        If a step has no dispatch.
+    """
+    deadline = Deadline(limits.time_s)
+    b = site.batteries
+    soc = data.soc
+    half = b.soc_min + HALF * (b.soc_max - b.soc_min)
+    steps: list[WindowSolution] = []
+    for k, alone in enumerate(_shares(data.n_steps, limits, deadline)):
+        step = data.part(slice(k, k + 1))
+        free = relaxed(replace(step, soc=half), alone)
+        carried = _from_soc(site, replace(step, soc=soc), free)
+        if carried is None:
+            found = solve(replace(step, soc=soc), alone)
+            # Any dispatch of the step is one without limits of energy too.
+            stages = free.stages + found.stages
+            bound = max(free.bound, found.objective)
+            solver_s = free.solver_s + found.solver_s
+            carried = replace(found, bound=bound, stages=stages, solver_s=solver_s)
+        steps.append(carried)
+        soc = np.clip(carried.dispatch.soc[-1], b.soc_min, b.soc_max)
+    return _joined(steps, limits, deadline)
+
+
+def better(one: WindowSolution, other: WindowSolution, limits: SolveLimits) -> WindowSolution:
+    """The better of two answers to the same window, with what both prove and took."""
+    best = one if one.objective >= other.objective else other
+    bound = min(one.bound, other.bound)
+    met = limits.met(bound, best.objective)
+    return replace(
+        best,
+        bound=bound,
+        status=Status.OPTIMAL if met else one.status,
+        service_gap=min(one.service_gap, other.service_gap),
+        solve_s=one.solve_s + other.solve_s,
+        solver_s=one.solver_s + other.solver_s,
+        stages=other.stages + one.stages,
+    )
+
+
+def _from_soc(site: Site, step: WindowData, free: WindowSolution) -> WindowSolution | None:
+    """The answer without limits of energy as one with them, None where they forbid it."""
+    b = site.batteries
+    found = free.dispatch
+    stored_kw = cell_kw(found.charge_kw, found.discharge_kw, step.eta_charge, step.eta_discharge)
+    soc = np.vstack([step.soc, soc_after(step.soc, stored_kw, b, site.dt_h)])
+    if (soc < b.soc_min).any() or (soc > b.soc_max).any():
+        return None
+    return replace(free, dispatch=replace(found, soc=soc))
 
 
 def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> WindowSolution:
@@ -49,16 +142,22 @@ def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> Wind
         If a step has no dispatch.
     """
     deadline = Deadline(limits.time_s)
-    steps: list[WindowSolution] = []
-    for k in range(data.n_steps):
-        share = 1.0 / (data.n_steps - k)
-        alone = SolveLimits(
+    steps = [
+        solve(data.part(slice(k, k + 1)), alone)
+        for k, alone in enumerate(_shares(data.n_steps, limits, deadline))
+    ]
+    return _joined(steps, limits, deadline)
+
+
+def _shares(n_steps: int, limits: SolveLimits, deadline: Deadline) -> Iterator[SolveLimits]:
+    """Limits of each step, of the time as it is left when the step begins."""
+    for k in range(n_steps):
+        share = 1.0 / (n_steps - k)
+        yield SolveLimits(
             gap_rel=limits.gap_rel,
-            gap_abs=limits.gap_abs / data.n_steps,
+            gap_abs=limits.gap_abs / n_steps,
             time_s=max(share * deadline.left_s, LEAST_S),
         )
-        steps.append(solve(data.part(slice(k, k + 1)), alone))
-    return _joined(steps, limits, deadline)
 
 
 def _joined(

@@ -71,44 +71,47 @@ class Deadline(Stopwatch):
         return Deadline(min(self.left_s, time_s))
 
 
-class Patience(Deadline):
-    """A deadline that comes earlier where neither an answer nor its bound improve any more.
+class Patience:
+    """The end of a search whose answer and bound do not improve any more, counted in its nodes.
 
     Waiting as long again as the last improvement took finds what comes at a steady pace; a search
-    that has not moved for that long seldom moves in a multiple of it.
+    that has not moved for that long seldom moves in a multiple of it. Nodes are the same on every
+    machine, so that the answer is too; only the deadline is a matter of time.
 
     Parameters
     ----------
     end : Deadline
         The end in any case.
-    least_s : float
-        Seconds without improvement that are always waited for.
+    least : int
+        Nodes without improvement that are always waited for.
 
     Examples
     --------
-    >>> patience = Patience(Deadline(60.0), least_s=20.0)
-    >>> patience.saw(best=1.0, bound=2.0)
-    >>> patience.left_s < 20.1 < patience.end.left_s
-    True
+    >>> patience = Patience(Deadline(60.0), least=500)
+    >>> patience.saw(best=1.0, bound=2.0, nodes=10)
+    >>> patience.saw(best=1.0, bound=2.0, nodes=511)
+    >>> patience.passed, patience.end.passed
+    (True, False)
     """
 
-    def __init__(self, end: Deadline, least_s: float) -> None:
-        super().__init__(end.left_s)
+    def __init__(self, end: Deadline, least: int) -> None:
         self.end = end
-        self._least_s = least_s
+        self.nodes = 0
+        self._least = least
         self._best = -math.inf
         self._bound = math.inf
-        self._improved_s = 0.0
+        self._improved_at = 0
 
-    def saw(self, best: float, bound: float) -> None:
-        """Tell how far a search for the largest value is."""
+    def saw(self, best: float, bound: float, nodes: int) -> None:
+        """Tell how far a search for the largest value is after so many nodes in all."""
+        self.nodes = max(self.nodes, nodes)
         if best > self._best or bound < self._bound:
-            self._improved_s = self.spent_s
+            self._improved_at = self.nodes
         self._best = max(self._best, best)
         self._bound = min(self._bound, bound)
 
     @property
-    def left_s(self) -> float:
-        """Seconds until the end or until patience is over, whichever comes first."""
-        over_s = self._improved_s + max(self._least_s, self._improved_s)
-        return min(self.end.left_s, over_s - self.spent_s)
+    def passed(self) -> bool:
+        """Whether nothing has improved for long enough, or time is up."""
+        waited = self.nodes - self._improved_at
+        return self.end.passed or waited > max(self._least, self._improved_at)

@@ -15,8 +15,17 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.apart import falls_apart, solve_apart
+from vppres.solve.apart import (
+    LEAST_S,
+    better,
+    falls_apart,
+    hardly_joined,
+    solve_apart,
+    solve_in_turn,
+    without_energy_limits,
+)
 from vppres.solve.cache import shared_cache
+from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -27,7 +36,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.network.decide import enter_network
-from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
@@ -39,6 +48,9 @@ LEVELLED = ("decomposed", "monolithic")
 """Methods that solve term by term, each to its own precision."""
 
 METHODS = (*LEVELLED, "weighted")
+
+IN_TURN_SHARE = 0.5
+"""Share of the time for steps in turn: where watts count after all, the rest is for the window."""
 
 
 class WindowSolver:
@@ -127,7 +139,22 @@ class WindowSolver:
         """
         if self.method == "decomposed" and falls_apart(self.site, data):
             return solve_apart(data, self.limits, self._solve)
+        if self.method == "decomposed" and hardly_joined(self.site, data):
+            deadline = Deadline(self.limits.time_s)
+            turns = self.limits.within(IN_TURN_SHARE)
+            found = solve_in_turn(self.site, data, turns, self._solve, self._endless._solve)
+            if found.status == Status.OPTIMAL or deadline.passed:
+                return found
+            left = replace(self.limits, time_s=max(deadline.left_s, LEAST_S))
+            return better(self._solve(data, left), found, self.limits)
         return self._solve(data, self.limits)
+
+    @property
+    def _endless(self) -> WindowSolver:
+        """Solves windows of the site with batteries that are never full and never empty."""
+        site = without_energy_limits(self.site)
+        sides = self.sides or POLYGON_SIDES
+        return WindowSolver(site, self.method, self.spec.name, self.limits, sides)
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
@@ -190,7 +217,14 @@ def worth_everyone(task: WindowTask) -> bool:
 
 
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
-    """Relaxations without the network, in the order in which they are tried."""
+    """Relaxations without the network, in the order in which they are tried.
+
+    A dark step without batteries has to match the sun with whole customers, and every kW that it
+    misses is lost: service cannot be told from curtailment there.
+    """
+    data = task.data
+    if data.n_steps == 1 and len(task.site.batteries) == 0 and (data.grid_limit_kw <= 0.0).all():
+        return [all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
 

@@ -61,7 +61,7 @@ class Program:
         """The program with rows ``lower <= rows @ x <= upper`` more."""
         return replace(
             self,
-            rows=sp.csc_array(sp.vstack([self.rows, rows])),
+            rows=stacked(self.rows, rows),
             lower=np.append(self.lower, lower),
             upper=np.append(self.upper, upper),
         )
@@ -83,7 +83,7 @@ class Program:
         """Whether it is a linear problem of hardly any rows."""
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
-    def loaded(self, gap_abs: float = 0.0) -> highspy.Highs:
+    def loaded(self, gap_abs: float = 0.0, most_nodes: int | None = None) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
         options: dict[str, Any] = {
@@ -94,6 +94,8 @@ class Program:
         }
         if self.is_wide:
             options["presolve"] = "off"
+        if most_nodes is not None:
+            options["mip_max_nodes"] = most_nodes
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
@@ -158,12 +160,14 @@ class ProgramSolution:
     @classmethod
     def of_search(cls, solver: highspy.Highs, patience: Patience) -> ProgramSolution:
         """Run a search for a smallest whole number as long as it improves."""
+        before = patience.nodes
 
         def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
             """HiGHS asks between nodes whether to go on."""
             # Its bound is worth the whole number above it.
             bound = np.ceil(now.mip_dual_bound - WHOLE_TOLERANCE)
-            patience.saw(best=-now.mip_primal_bound, bound=-bound)
+            nodes = before + max(int(now.mip_node_count), 0)
+            patience.saw(best=-now.mip_primal_bound, bound=-bound, nodes=nodes)
             answer.user_interrupt = patience.passed
 
         solver.setCallback(ask, None)
@@ -173,6 +177,25 @@ class ProgramSolution:
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
+
+
+def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:
+    """Two sparse arrays of as many columns, one above the other; SciPy takes eight times as long.
+
+    >>> stacked(sp.csc_array([[1.0, 0.0]]), sp.csc_array([[2.0, 3.0]])).toarray().tolist()
+    [[1.0, 0.0], [2.0, 3.0]]
+    """
+    # Before a column's own entries stand those of earlier columns from the other array too.
+    first = np.arange(above.nnz) + np.repeat(below.indptr[:-1], np.diff(above.indptr))
+    second = np.arange(below.nnz) + np.repeat(above.indptr[1:], np.diff(below.indptr))
+    values = np.empty(above.nnz + below.nnz)
+    values[first] = above.data
+    values[second] = below.data
+    rows = np.empty(len(values), dtype=above.indices.dtype)
+    rows[first] = above.indices
+    rows[second] = below.indices + above.shape[0]
+    shape = (above.shape[0] + below.shape[0], above.shape[1])
+    return sp.csc_array((values, rows, above.indptr + below.indptr), shape=shape)
 
 
 def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
@@ -211,6 +234,6 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-    if status == highspy.HighsModelStatus.kInterrupt:
+    if status in (highspy.HighsModelStatus.kInterrupt, highspy.HighsModelStatus.kSolutionLimit):
         return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
@@ -124,6 +124,10 @@ class SolveLimits:
                 )
         if problems:
             raise InputError(problems)
+
+    def within(self, share: float) -> SolveLimits:
+        """The same gaps in a share of the time."""
+        return replace(self, time_s=share * self.time_s)
 
     def absolute(self, scale: float) -> float:
         """The absolute gap that meets both, for an objective of size ``scale``."""

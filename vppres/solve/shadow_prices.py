@@ -113,7 +113,7 @@ def price_window(
         Time limit in s.
     """
     model.fill(data, held, priced)
-    outcome = run_conic(model.problem, time_s)
+    outcome = run_conic(model.problem, time_s, duals=True)
     if outcome.status != Status.OPTIMAL:
         return None
     v = model.v

@@ -13,7 +13,11 @@ from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.errors import InputError, Problem
 from vppres.solve.deadline import Deadline
-from vppres.solve.interior_points import CLARABEL_INTERFACE
+from vppres.solve.interior_points import (
+    CLARABEL_INTERFACE,
+    CLARABEL_WITHOUT_DUALS,
+    HIGHS_WITHOUT_DUALS,
+)
 from vppres.solve.result import Outcome, Status
 
 COMPILER = cp.settings.COO_CANON_BACKEND
@@ -65,6 +69,11 @@ class SolverSpec:
     def installed(self) -> bool:
         """Whether cvxpy finds it on this machine."""
         return self.cvxpy_name in cp.installed_solvers()
+
+    @property
+    def interface(self) -> str | Solver:
+        """What cvxpy hands problems to."""
+        return HIGHS_WITHOUT_DUALS if self.cvxpy_name == cp.HIGHS else self.cvxpy_name
 
 
 def _stats(problem: cp.Problem) -> Any:
@@ -237,7 +246,7 @@ def run_with(
     """The same with options of one's own, of the seconds that are left."""
     deadline = Deadline(time_s)
     try:
-        asked = _solve(problem, spec.cvxpy_name, deadline, options)
+        asked = _solve(problem, spec.interface, deadline, options)
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, deadline.spent_s, spec.name)
     elapsed = deadline.spent_s
@@ -267,29 +276,34 @@ def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
     return Status.NUMERICAL
 
 
-def run_conic(problem: cp.Problem, time_s: float, scale: float = 1.0) -> Outcome:
+def run_conic(
+    problem: cp.Problem, time_s: float, scale: float = 1.0, duals: bool = False
+) -> Outcome:
     """Solve a continuous problem with cones or a quadratic objective by interior points.
 
     ``scale`` is a factor in the problem's objective; the value is meant without it. The time limit
-    holds for compiling too.
+    holds for compiling too. Constraints get their duals where they are asked for.
     """
     deadline = Deadline(time_s)
+    interface = CLARABEL_INTERFACE if duals else CLARABEL_WITHOUT_DUALS
     # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
-    status = _interior_points(problem, deadline, refined=False)
+    status = _interior_points(problem, interface, deadline, refined=False)
     if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
-        status = _interior_points(problem, deadline, refined=True)
+        status = _interior_points(problem, interface, deadline, refined=True)
     value = float(problem.objective.value) / scale if status.has_answer else np.nan
     return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
 
 
-def _interior_points(problem: cp.Problem, deadline: Deadline, refined: bool) -> Status:
+def _interior_points(
+    problem: cp.Problem, interface: Solver, deadline: Deadline, refined: bool
+) -> Status:
     """Status of a solve by interior points, with or without refined steps."""
 
     def options(time_s: float) -> Mapping[str, Any]:
         return {"time_limit": time_s, "iterative_refinement_enable": refined}
 
     try:
-        if not _solve(problem, CLARABEL_INTERFACE, deadline, options):
+        if not _solve(problem, interface, deadline, options):
             return Status.NO_ANSWER
     except cp.SolverError:
         return Status.NUMERICAL

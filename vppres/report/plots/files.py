@@ -11,6 +11,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import Runs, save_figure
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
+from vppres.report.plots.outages import has_beliefs, outage_belief
 from vppres.report.plots.service import service_by_tier
 from vppres.report.plots.strips import timeline
 
@@ -28,7 +29,11 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
 RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
     "timeline": timeline,
     "feeder_maps": feeder_maps,
+    "outage_belief": outage_belief,
 }
+
+# Which of them a run has only sometimes.
+SOMETIMES: dict[str, Callable[[Trajectory], bool]] = {"outage_belief": has_beliefs}
 
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
@@ -43,6 +48,8 @@ FIGURE_TEXTS = {
     "timeline": "The day at a glance; numbers count the customers not served.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
     "current; dashed: the outage.",
+    "outage_belief": "Probability of an outage in each step, as it was believed some hours before, "
+    "and what one more stored kWh was believed to be worth.",
 }
 """What each figure shows."""
 
@@ -63,7 +70,10 @@ def save_figures(runs: Runs, folder: Path) -> list[Path]:
 
 def figure_names(runs: Runs) -> list[str]:
     """Names of the figures that one run, or several side by side, have."""
-    return [*FIGURES, *(RUN_FIGURES if isinstance(runs, Trajectory) else ())]
+    if not isinstance(runs, Trajectory):
+        return [*FIGURES]
+    left_out = {name for name, has in SOMETIMES.items() if not has(runs)}
+    return [name for name in (*FIGURES, *RUN_FIGURES) if name not in left_out]
 
 
 def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:

@@ -26,7 +26,7 @@ from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
-from vppres.model.numerics import objective_scale, require_dpp
+from vppres.model.numerics import objective_scale, require_dpp, write
 from vppres.model.site import Site
 
 LEAST_KW = 1e-3
@@ -335,7 +335,7 @@ class AggregateModel:
         if data.drawn is not None:
             values["network_drawn"] = data.drawn.kw.sum(axis=1)
         for name, value in values.items():
-            self.p[name].value = value
+            write(self.p[name], value)
         if self.room:
             self._fill_room(data)
         if self.export is not None:

@@ -30,9 +30,8 @@ FLEET_SHARE = 0.1
 LEAST_FLEET_S = 1.0
 """What it may take of a short limit, as far as there is so much left."""
 
-COST_SHARE = 0.04
-"""Share of the time left for a cheaper set. On the benchmark's windows what it finds comes early,
-and the proof that there is nothing cheaper never ends where it does not end soon."""
+COST_SHARE = 0.25
+"""Share of the time left for a cheaper set, whose search ends at a number of nodes."""
 
 HALF_UNIT = 0.5
 """Units of service by which the network's bound must lie below the fleet's set to say that it
@@ -47,12 +46,13 @@ def enter_network(task: WindowTask) -> None:
     best = task.certificate.best
     if best is None:
         return
-    master = network_master(task)
+    # A small window asks the tie-breakers first, and most need no master then.
+    master = network_master(task) if task.is_large else None
     found = None
-    if master is None or worth_asking_tie_breakers(task, master, best):
+    if master is None or worth_asking_tie_breakers(master, best):
         found = carried(task, master, best)
     if found is None:
-        found = decided_anew(task, master, best)
+        found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
 
 
@@ -63,14 +63,12 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     return NetworkMaster(task.site, task.cache.table(Reactance), task.data, task.deadline)
 
 
-def worth_asking_tie_breakers(task: WindowTask, master: NetworkMaster, best: Candidate) -> bool:
-    """Whether the tie-breakers may carry the dispatch, or are cheap enough to be asked anyway.
+def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
+    """Whether the tie-breakers may carry the dispatch of a large window.
 
-    In a large window they take seconds to find that there is no answer. There the linear problem of
-    the network is asked first: where it carries less than the fleet, they need not be.
+    There they take seconds to find that there is no answer. The linear problem of the network is
+    asked first: where it carries less than the fleet, they need not be.
     """
-    if not task.is_large:
-        return True
     return master.unit * (master.most_units + HALF_UNIT) > best.service
 
 

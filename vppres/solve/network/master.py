@@ -50,9 +50,16 @@ ROUNDS = 3
 BOTH_WAYS_KW = 1e-4
 """Import and export of the same step above which a dispatch is made anew, one way in each step."""
 
-PATIENCE_S = 20.0
-"""Seconds without a better set or bound after which the search ends early: the longest wait for an
-improvement that came was 12 s on the benchmark's windows."""
+PATIENCE_NODES = 500
+"""Nodes without a better set or bound after which the search ends early: some 10 to 20 s on 33
+buses, where the longest wait for an improvement that came was 12 s."""
+
+COST_NODES = 100
+"""Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
+the proof that there is nothing cheaper never ends where it does not end soon."""
+
+ROUND_NODES = 25
+"""Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -169,7 +176,7 @@ class NetworkMaster:
         cuts = _ServiceCuts(self.units)
         most = self._cut(root, cuts)
         known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
-        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_S))
+        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
         if known.closed(self.units):
             status = Status.OPTIMAL
         else:
@@ -199,7 +206,7 @@ class NetworkMaster:
             if whole:
                 found = self._searched(few, patience)
             else:
-                found = cuts.most(linear.x[x], enough + 1.0, Deadline(patience.left_s))
+                found = cuts.most(linear.x[x], enough + 1.0, patience.end)
             known.take(found, enough)
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
             linear = self._until_carried(solver, self.deadline, worth=enough)
@@ -207,7 +214,8 @@ class NetworkMaster:
                 return
             self._cut(linear, cuts)
             known.improve(self._in_full(linear), self.units)
-            patience.saw(best=float(self.units @ known.best), bound=known.bound)
+            nodes = patience.nodes + ROUND_NODES
+            patience.saw(float(self.units @ known.best), known.bound, nodes)
             few += self.found[before:] if whole else []
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
@@ -254,7 +262,7 @@ class NetworkMaster:
         while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
             limited = _limited(program, self.found)
-            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp), deadline)
+            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp, COST_NODES), deadline)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:

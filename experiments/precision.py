@@ -1,0 +1,342 @@
+"""The paper's figures at the precision of a weighted solve: the problem's, or the tolerance's.
+
+``make reproduce`` sees them at one named setting, ``python -m experiments.precision`` at many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments import efficiency, ideal
+from experiments.config import Config, read_config
+from experiments.drawing import FULL, LINES, MPC, SPREAD, legend
+from experiments.jobs import Day, Job, scenario
+from experiments.results import DayResult
+from experiments.rows import Row, order
+from experiments.runner import Results, run_jobs
+from experiments.seeds import STUDIES, Jobs, Scheduler
+from experiments.seeds import Results as Folder
+from experiments.settings import At, Setting, jobs_of, rows_of
+from experiments.tables import markdown_table, write_pages
+from experiments.terminal import plain_errors, show_report
+from vppres.report.plots import BLACK, draw_grid, save_figure
+from vppres.scenario.weighted_gap import service_of, terms_beside_gap
+
+LABEL = "all"
+TITLE = "The paper at the precision of a weighted solve"
+PAPER = (
+    "All terms stand in one weighted objective, with 1e-6 for a GBP and less for losses and "
+    "reactive power, which Gurobi maximises; gaps, tolerances and units are not given."
+)
+
+NAME = "precision"
+WIDTH = 160
+
+RowKey = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A figure of a day that the paper publishes, or that stands beside one that it does."""
+
+    title: str
+    key: str
+    published: Mapping[str, float]
+
+
+QUANTITIES = (
+    Quantity("Resilience R", "resilience", {MPC: 0.92, FULL: 0.92}),
+    Quantity("Cost (GBP)", "cost_gbp", {}),
+    Quantity("Import (kWh), published with heating", "import_kwh", {MPC: 60854.07, FULL: 60691.72}),
+    Quantity("Mean lowest AC voltage (pu)", "v_mean_of_min_ac_pu", {MPC: 0.9607, FULL: 0.9601}),
+)
+
+
+# At one setting, in the report.
+
+
+def named(config: Config) -> Setting:
+    """The one setting that the report's table is held against."""
+    return Setting(**config["named"])
+
+
+def jobs(config: Config) -> list[Job]:
+    """The days term by term, and at the named setting."""
+    days = jobs_of(config)
+    return [*days, *(named(config).of(day) for day in days)]
+
+
+def figure(config: Config, results: Results) -> Figure:
+    """Key figures against the horizon, term by term and at the named setting."""
+    return _figure(config, results, [named(config)])
+
+
+def rows(config: Config, results: Results) -> list[Row]:
+    """None of its own: those of the others, seen again."""
+    return []
+
+
+def at_named(config: Config, results: Results) -> dict[RowKey, Row]:
+    """Rows at the named setting, by number and quantity."""
+    return {row_key(row): row for row in rows_of(config, At(named(config), results))}
+
+
+def row_key(row: Row) -> RowKey:
+    """What a row is about, whatever was found."""
+    return row.id, row.quantity
+
+
+def held(row: Row, seen: Mapping[RowKey, Row]) -> str:
+    """Where a row holds: as levelled, at published precision or nowhere."""
+    if row.holds:
+        return "as levelled"
+    again = seen.get(row_key(row))
+    if again is not None and again.holds:
+        return "at published precision"
+    return "no"
+
+
+def ours(config: Config, results: Results) -> str:
+    """What the figure shows, and which rows change their verdict."""
+    setting = named(config)
+    before = {row_key(row): row for row in rows_of(config, results)}
+    gained: list[str] = []
+    lost: list[str] = []
+    for key, row in at_named(config, results).items():
+        if row.holds != before[key].holds:
+            (gained if row.holds else lost).append(f"{key[0]} ({key[1]}: {row.ours})")
+    day = results[setting.of(ideal.FULL_HORIZON)]
+    exact = results[ideal.FULL_HORIZON]
+    return (
+        f"Setting: {setting}, the same for all rows; {len(before)} rows were looked at. "
+        f"{open_text(config)} The full horizon's plan {_means(day)}; term by term it "
+        f"{_means(exact)}. "
+        f"Rows that hold there and not term by term: {'; '.join(gained) or 'none'}. Rows that hold "
+        f"term by term and not there: {'; '.join(lost) or 'none'}."
+    )
+
+
+def _means(day: DayResult) -> str:
+    """What a day comes to."""
+    summary = day.summary
+    return (
+        f"costs GBP {summary['cost_gbp']:,.0f} and imports {summary['import_kwh']:,.0f} kWh, with "
+        f"R {day.resilience:.4f} and a mean lowest voltage of "
+        f"{summary['v_mean_of_min_ac_pu']:.4f} pu"
+    )
+
+
+def open_text(config: Config) -> str:
+    """The arithmetic of the gap, for a window of the chosen horizon."""
+    day = scenario(Day())
+    gap = named(config).gap
+    n_steps = config["horizon_h"] + 1
+    terms = {term.name: term for term in terms_beside_gap(day, n_steps, gap)}
+    cost = terms["the cost that batteries move"]
+    losses = terms["line losses"]
+    service = service_of(day, n_steps)
+    return (
+        f"A window of {n_steps} h in which everyone is served is worth {service:.1f} weighted "
+        f"customer hours. A gap of {gap:g} leaves {gap * service:.2g} of them open, as much as "
+        f"GBP {cost.left_open:,.0f}; batteries can move about {cost.whole:,.0f} of the cost, and "
+        f"all losses, {losses.whole:,.0f} kWh, weigh {losses.whole / losses.left_open:.0e} of the "
+        "gap."
+    )
+
+
+# Over all settings, as a study.
+
+
+def settings(config: Config) -> list[Setting]:
+    """The study's units and seeds, the named setting first, and the sharp gaps."""
+    study = config["study"]
+    first = named(config)
+    found = [
+        replace(first, solver=solver, unit_kw=unit, seed=seed)
+        for solver, unit, seed in product(study["solvers"], study["units_kw"], study["seeds"])
+    ]
+    sharp = [
+        replace(first, unit_kw=unit, gap=gap)
+        for unit, gap in product(study["units_kw"], study["sharp_gaps"])
+    ]
+    return list(dict.fromkeys([first, *found, *sharp]))
+
+
+def study_config(quick: bool = False) -> Config:
+    """The configuration with the study's further days."""
+    config = read_config(NAME, quick)
+    return config if quick else {**config, **config["study"]}
+
+
+def table(config: Config, results: Results, found: Sequence[Setting]) -> list[list[str]]:
+    """Each row of the paper's table term by term, at the named setting and over all."""
+    exact = rows_of(config, results)
+    over = [
+        {row_key(row): row for row in rows_of(config, At(setting, results))} for setting in found
+    ]
+    return [_line(row, [seen[row_key(row)] for seen in over]) for row in sorted(exact, key=order)]
+
+
+def _line(row: Row, over: Sequence[Row]) -> list[str]:
+    """One row of the study's table."""
+    holding = sum(again.holds for again in over)
+    same = all(again.holds == row.holds for again in over)
+    return [
+        row.id,
+        row.quantity,
+        row.published,
+        f"{row.ours} ({row.verdict})",
+        f"{over[0].ours} ({over[0].verdict})",
+        _range([again.ours for again in over]),
+        f"{holding} of {len(over)}",
+        "the problem" if same else "the tolerance",
+    ]
+
+
+def _range(values: Sequence[str]) -> str:
+    """Least and largest of values that are numbers."""
+    try:
+        numbers = [float(value) for value in values]
+    except ValueError:
+        return ""
+    low = values[int(np.argmin(numbers))]
+    high = values[int(np.argmax(numbers))]
+    return low if low == high else f"{low} to {high}"
+
+
+HEAD = (
+    "",
+    "Quantity",
+    "Published",
+    "Term by term",
+    "At the named setting",
+    "Over all settings",
+    "Holds in",
+    "Verdict hangs on",
+)
+
+
+def effort_text(config: Config, results: Results, found: Sequence[Setting]) -> str:
+    """How many windows of how many days ended as they should."""
+    days = [results[setting.of(job)] for setting in found for job in jobs_of(config)]
+    statuses = [status for day in days for status in day.steps["status"]]
+    solved = sum(status not in ("planned", "not_solved") for status in statuses)
+    late = statuses.count("time_limit")
+    fallbacks = sum(int(day.summary["fallbacks"]) for day in days)
+    solve_s = sum(day.summary["solve_s"]["total"] for day in days)
+    return (
+        f"{len(found)} settings, {len(days)} days, {solved:,} windows, {solve_s / 60:.0f} min of "
+        f"solve time; {late} windows ended at their time limit, {fallbacks} steps had a fallback."
+    )
+
+
+def write_study(config: Config, results: Results, found: Sequence[Setting], folder: Path) -> Path:
+    """Write table and figure of the study; the Markdown's path."""
+    lines = table(config, results, found)
+    text = "\n\n".join(
+        [
+            f"Named setting: {found[0]}. {effort_text(config, results, found)}",
+            open_text(config),
+            f"![{TITLE}]({NAME}.svg)",
+            markdown_table(HEAD, lines),
+        ]
+    )
+    record = {"settings": [str(setting) for setting in found], "rows": lines}
+    page = write_pages(folder, NAME, TITLE, text, record)
+    save_figure(_figure(config, results, found), folder / NAME)
+    return page
+
+
+def main(
+    jobs: Jobs = -1,
+    results: Folder = STUDIES,
+    scheduler: Scheduler = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="The named setting alone, on few days.")
+    ] = False,
+) -> None:
+    """The paper's rows over the settings of a weighted solve."""
+    config = study_config(quick)
+    found = [named(config)] if quick else settings(config)
+    days = jobs_of(config)
+    wanted = [*days, *(setting.of(day) for setting in found for day in days)]
+    with plain_errors("Days that were finished"):
+        known, _ = run_jobs(wanted, results / "days", jobs, scheduler)
+    show_report(write_study(config, known, found, results), WIDTH)
+
+
+# Figure.
+
+
+def _figure(config: Config, results: Results, found: Sequence[Setting]) -> Figure:
+    """Four key figures against the horizon: term by term, at each setting, as published."""
+    picture = Figure(figsize=(9.0, 6.6), layout="constrained")
+    axes = np.ravel(picture.subplots(2, 2, sharex=True))
+    names = [*map(str, config["horizons_h"]), "full"]
+    days = [*(ideal.mpc(h) for h in config["horizons_h"]), ideal.FULL_HORIZON]
+    for ax, quantity in zip(axes, QUANTITIES, strict=True):
+        draw_grid(ax)
+        _draw(ax, quantity, [results[day] for day in days], None)
+        for number, setting in enumerate(found):
+            _draw(ax, quantity, [results[setting.of(day)] for day in days], number)
+        _draw_heated(ax, quantity, config, results, found[0])
+        for name, value in quantity.published.items():
+            ax.axhline(value, color=BLACK, linewidth=0.9, linestyle=":" if name == FULL else "--")
+        ax.set_title(quantity.title, fontsize=10)
+        ax.set_xticks(range(len(names)), names)
+    for ax in axes[2:]:
+        ax.set_xlabel("Prediction horizon H (h); full horizon")
+    axes[0].axhline(np.nan, color=BLACK, linewidth=0.9, linestyle="--", label="published, MPC")
+    axes[0].axhline(
+        np.nan, color=BLACK, linewidth=0.9, linestyle=":", label="published, full horizon"
+    )
+    picture.suptitle(TITLE, fontsize=11)
+    return legend(picture, axes[0], 4)
+
+
+def _draw(ax: Axes, quantity: Quantity, days: Sequence[DayResult], number: int | None) -> None:
+    """A quantity of the days: a line term by term, marks at a setting."""
+    values = [float(day.summary[quantity.key]) for day in days]
+    positions = np.arange(len(values))
+    if number is None:
+        ax.plot(positions, values, marker="o", markersize=4, label="term by term", **LINES[MPC])
+        return
+    label = "weighted, named setting" if number == 0 else "weighted, other settings"
+    ax.plot(
+        positions,
+        values,
+        linestyle="none",
+        marker="D" if number == 0 else "_",
+        markersize=6 if number == 0 else 9,
+        color=SPREAD,
+        alpha=1.0 if number == 0 else 0.5,
+        label=label if number < 2 else "_",
+    )
+
+
+def _draw_heated(
+    ax: Axes, quantity: Quantity, config: Config, results: Results, setting: Setting
+) -> None:
+    """Import with battery heating, which is what the paper publishes, at the named setting."""
+    horizon_h = config["heated_horizon_h"]
+    horizons_h = config["horizons_h"]
+    if quantity.key != "import_kwh" or not config["schemes"] or horizon_h not in horizons_h:
+        return
+    heated = efficiency.pair({"horizon_h": horizon_h}, config["schemes"][0])
+    places = {MPC: horizons_h.index(horizon_h), FULL: len(horizons_h)}
+    for name, job in heated.items():
+        value = float(results[setting.of(job)].summary[quantity.key])
+        ax.plot(places[name], value, marker="*", markersize=11, color=SPREAD, linestyle="none")
+
+
+if __name__ == "__main__":
+    typer.run(main)

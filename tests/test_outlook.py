@@ -1,0 +1,346 @@
+"""Beliefs of outages and the value of stored energy, by hand and by linear programmes."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import linprog
+
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError
+from vppres.outlook import durations
+from vppres.outlook.belief import OutageBelief
+from vppres.outlook.outlook import HOUR, OutageOutlook, SeenOutage
+from vppres.outlook.presets import STATISTICS, WARNINGS, Statistics, completed
+from vppres.outlook.value import Ahead, Fleet, concave_above, stored_value
+from vppres.scenario.outage_warnings import (
+    STATISTICS_PRESETS,
+    WARNING_PRESETS,
+    OutageStatistics,
+    OutageWarning,
+)
+
+NOON = pd.Timestamp("2022-07-19T12:00Z")
+NEVER = OutageStatistics(saifi_per_year=0.0)
+
+
+def warned(issued_h: float, **told: object) -> OutageWarning:
+    """A message issued some hours from noon; onsets are hours from noon too."""
+    times = {
+        name: NOON + float(value) * HOUR  # type: ignore[arg-type]
+        for name, value in told.items()
+        if name.startswith("onset")
+    }
+    return OutageWarning(NOON + issued_h * HOUR, **(told | times))  # type: ignore[arg-type]
+
+
+def outlook(*warnings: OutageWarning, statistics: OutageStatistics = NEVER) -> OutageOutlook:
+    return OutageOutlook(warnings, statistics, 1.0)
+
+
+# Lengths.
+
+
+def test_lengths_are_rounded_to_steps() -> None:
+    for found in (
+        durations.lognormal(4.0, 0.7, 0.5, 60),
+        durations.weibull(58.1, 0.815, 0.5, 60),
+        durations.discrete([1.0, 2.6], [1.0, 3.0], 0.5, 60),
+        durations.known(0.1, 0.5, 60),
+    ):
+        assert found.sum() == pytest.approx(1.0)
+        assert (found >= 0.0).all()
+    below = durations.lognormal(4.0, 0.7, 0.5, 60).cumsum()
+    assert below[7] == pytest.approx(0.5, abs=0.05)  # 4 h are eight steps
+    assert durations.discrete([1.0, 2.6], [1.0, 3.0], 0.5, 60)[[1, 4]].tolist() == [0.25, 0.75]
+    assert durations.spread(4.0 / 2.0, 4.0 * 2.0) == pytest.approx(np.log(2.0) / 1.2816, rel=1e-4)
+
+
+# Beliefs.
+
+
+def test_every_step_without_it_makes_an_outage_less_likely() -> None:
+    """Equal thirds at 0, 1 and 2 h, p = .6: two of them passed leave .2 of .6 (Bayes)."""
+    message = warned(-9, onset_earliest=-1.5, onset_likely=1, onset_latest=2.5, probability=0.6)
+    early = outlook(message).at(NOON - 3 * HOUR, 8, [])
+    assert early.onset.sum() == pytest.approx(0.6)
+    late = outlook(message).at(NOON + 1 * HOUR, 4, [])
+    still = early.onset[0, 5:].sum()
+    assert late.onset.sum() == pytest.approx(still / (0.4 + still))
+    assert outlook(message).at(NOON + 4 * HOUR, 4, []).onset.sum() == 0.0
+
+
+def test_the_last_message_counts_and_none_before_it_is_issued() -> None:
+    first = warned(-6, onset_likely=0, probability=0.5, duration_p50_h=2.0)
+    later = warned(-2, onset_likely=1, probability=0.9, duration_p50_h=4.0)
+    clear = warned(-1, probability=0.0)
+    view = outlook(clear, later, first)
+    assert view.at(NOON - 7 * HOUR, 12, []).out_probability.max() == 0.0
+    assert view.at(NOON - 5 * HOUR, 12, []).out_probability[5:8].tolist() == [0.5, 0.5, 0.0]
+    assert (
+        view.at(NOON - 2 * HOUR, 9, []).out_probability.tolist()
+        == [0.0] * 3 + [0.9] * 4 + [0.0] * 2
+    )
+    assert view.at(NOON - 1 * HOUR, 9, []).out_probability.max() == 0.0
+
+
+def test_the_longer_out_the_longer_still_to_come() -> None:
+    """Discrete lengths of 1 and 4 h: an outage that lasts is the long one."""
+    belief = OutageBelief(np.zeros((0, 6)), [[0.5, 0, 0, 0.5, 0, 0, 0]], 0.0, True, 0, 1)
+    assert belief.out_probability.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert belief.certain
+    fresh = OutageBelief(np.zeros((0, 6)), [[0.5, 0, 0, 0.5, 0, 0, 0]], 0.0, True, 0, 0)
+    assert fresh.out_probability.tolist() == [1.0, 0.5, 0.5, 0.5, 0.0, 0.0]
+    assert not fresh.certain
+
+
+def test_an_update_during_the_outage_is_the_length_of_the_whole() -> None:
+    start = SeenOutage(NOON)
+    told = warned(-5, onset_likely=0, probability=0.6, duration_p50_h=2.0)
+    update = warned(1, onset_likely=0, duration_p50_h=5.0)
+    view = outlook(told, update)
+    assert view.at(NOON, 8, [start]).likely.tolist() == [True] * 2 + [False] * 6
+    assert view.at(NOON + HOUR, 8, [start]).likely.tolist() == [True] * 4 + [False] * 4
+    # Without onset it speaks of the outage that lasts.
+    view = outlook(warned(1, duration_p50_h=3.0))
+    assert view.at(NOON + HOUR, 4, [start]).out_probability.tolist() == [1.0, 1.0, 0.0, 0.0]
+
+
+def test_what_was_not_foreseen() -> None:
+    lengths = OutageStatistics(saifi_per_year=0.0, caidi_h=3.0, duration_sigma=0.0)
+    # An outage of which nobody spoke.
+    alone = outlook(statistics=lengths).at(NOON, 6, [SeenOutage(NOON)])
+    assert alone.out_probability.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    # One that is longer than was said has the statistics to go by, and these give up too.
+    view = outlook(warned(-5, onset_likely=0, duration_p50_h=1.0), statistics=lengths)
+    assert view.at(NOON + HOUR, 5, [SeenOutage(NOON)]).out_probability.tolist() == [1, 1, 0, 0, 0]
+    assert view.at(NOON + 3 * HOUR, 5, [SeenOutage(NOON)]).out_probability.tolist() == [
+        1,
+        0,
+        0,
+        0,
+        0,
+    ]
+    # One that is over is not waited for again.
+    over = SeenOutage(NOON, NOON + HOUR)
+    assert view.at(NOON + HOUR, 5, [over]).out_probability.max() == 0.0
+
+
+def test_several_announced_outages_come_in_their_order() -> None:
+    blocks = [
+        warned(-9, outage="one", onset_likely=1, probability=0.8, duration_p50_h=1.0),
+        warned(-9, outage="two", onset_likely=4, probability=0.5, duration_p50_h=2.0),
+    ]
+    view = outlook(*blocks)
+    first = view.at(NOON, 8, [])
+    assert first.out_probability.tolist() == pytest.approx([0, 0.8, 0, 0, 0.5, 0.5, 0, 0])
+    in_it = view.at(NOON + HOUR, 6, [SeenOutage(NOON + HOUR)])
+    assert in_it.out_probability.tolist() == pytest.approx([1, 0, 0, 0.5, 0.5, 0])
+
+
+def test_probabilities_are_those_of_all_futures_drawn() -> None:
+    """The chain against all its paths, counted one by one."""
+    belief = OutageBelief(
+        [[0, 0.2, 0.3, 0, 0], [0, 0, 0, 0.4, 0.1]],
+        [[0.5, 0.5, 0, 0, 0], [0.25, 0.75, 0, 0, 0], [0, 1, 0, 0, 0]],
+        hazard=0.1,
+    )
+    total = np.zeros(5)
+    for path in product([0, 1], repeat=4):
+        total += _weight(belief, (0, *path)) * np.array([0, *path])
+    assert belief.out_probability == pytest.approx(total)
+
+
+def _weight(belief: OutageBelief, out: tuple[int, ...]) -> float:
+    """Probability of a path of outages, over all that may have caused it."""
+
+    def onwards(t: int, kind: int | None, lasted: int, come: int) -> float:
+        if t == len(out):
+            return 1.0
+        if kind is None:
+            begins = belief.onsets_from(come, t)
+            if not out[t]:
+                return (1.0 - begins.sum()) * onwards(t + 1, None, 0, come)
+            return sum(p * onwards(t + 1, k, 1, come) for k, p in enumerate(begins) if p)
+        ends = belief.restored[kind, lasted - 1]
+        if out[t]:
+            return (1.0 - ends) * onwards(t + 1, kind, lasted + 1, come)
+        return ends * onwards(t + 1, None, 0, kind)
+
+    return onwards(1, None, 0, 0)
+
+
+def test_presets_say_where_they_come_from() -> None:
+    assert tuple(STATISTICS) == STATISTICS_PRESETS
+    assert ("", *WARNINGS) == WARNING_PRESETS
+    assert all(len(p.source) > 10 for p in (*STATISTICS.values(), *WARNINGS.values()))
+    mean = Statistics.of(OutageStatistics(caidi_h=4.0, duration_sigma=0.8))
+    assert mean.median_h * np.exp(0.8**2 / 2) == pytest.approx(4.0)
+    heat = completed(warned(-5, onset_likely=0, preset="heat"))
+    assert heat.probability == 0.005  # a weather warning says little of one feeder
+    assert heat.duration_p90_h == pytest.approx(7.0 * np.exp(1.2816 * 1.33), rel=1e-3)
+    own = completed(warned(-5, onset_likely=0, preset="heat", probability=0.4))
+    assert own.probability == 0.4
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"onset_likely": 0, "onset_earliest": 1}, "comes before"),
+        ({"onset_latest": 1}, "onset_likely.*is missing"),
+        ({"probability": 1.2}, "must lie between 0 and 1"),
+        ({"duration_p50_h": 0.0}, "must be above 0"),
+        ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "comes before duration_p50_h"),
+    ],
+)
+def test_contradictions_are_refused(told: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        warned(-5, **told)
+
+
+# Values.
+
+PRICE, VOLL = 0.3, 10.0
+
+
+def fleet(power_kw: float = 50.0) -> Fleet:
+    return Fleet(10.0, 110.0, power_kw, power_kw, 0.9, 0.8)
+
+
+def ahead(load_kw: Floats, pv_kw: Floats, **other: object) -> Ahead:
+    """Two customers, of which the first counts ten times as much per kW."""
+    values = {"import_kw": np.inf, "export": None, "lambda_curt": 0.1, "dt_h": 1.0} | other
+    price = values.pop("price", np.full(len(pv_kw), PRICE))
+    return Ahead(load_kw, pv_kw, price, weight=np.array([1.0, 0.1]), **values)  # type: ignore[arg-type]
+
+
+def nothing(energy_kwh: Floats) -> Floats:
+    return np.zeros_like(energy_kwh)
+
+
+def test_value_by_hand() -> None:
+    """One step: an outage with p = .25, in which 12.5 kWh serve the first and 12.5 the second."""
+    known = ahead(np.array([[10.0, 10.0]] * 2), np.zeros(2))
+    belief = OutageBelief([[0, 0.25]], [[1, 0, 0], [1, 0, 0]], 0.0)
+    value = stored_value(belief, fleet(), known, VOLL, nothing)
+    per_service = VOLL * 20.0 / 1.1
+    assert value.gbp_per_service == pytest.approx(per_service)
+    saved = 0.75 * 0.8 * PRICE / per_service  # a stored kWh gives .8, and saves the import of it
+    assert not value.as_service
+    assert value.at(10.0) == pytest.approx(0.0, abs=1e-12)
+    assert value.at(22.5) == pytest.approx(0.25 * 1.0 + 12.5 * saved, rel=0.05)
+    assert value.at(35.0) == pytest.approx(0.25 * 1.1 + 25.0 * saved, rel=0.01)
+    assert value.at(110.0) == pytest.approx(value.at(35.0), rel=0.01)
+    assert value.marginal_gbp_per_kwh(11.0) == pytest.approx(
+        per_service * (0.25 * 0.1 * 0.8 + saved), rel=0.05
+    )
+    # A power of 5 kW serves half of the first, whatever is stored.
+    weak = stored_value(belief, fleet(5.0), known, VOLL, nothing)
+    assert weak.at(110.0) == pytest.approx(0.25 * 0.5 + 0.75 * 5.0 * PRICE / per_service, rel=0.01)
+
+
+def _optimum(energy: float, out: list[bool], known: Ahead, one: Fleet, end_gbp: float) -> float:
+    """Best of a known future by a linear programme: service less cost and curtailment."""
+    T = len(out)
+    per_service = VOLL * known.kwh_per_service
+    # Columns of a step: charge, discharge, import, curtailed, shares of two customers.
+    k = 6
+    cost = np.zeros(T * k + 1)
+    rows, right = np.zeros((2 * T + 1, T * k + 1)), np.zeros(2 * T + 1)
+    bounds: list[tuple[float, float | None]] = []
+    for t in range(T):
+        at = t * k
+        cost[at + 2] = known.price_gbp_per_kwh[t] / per_service
+        cost[at + 3] = known.lambda_curt
+        cost[at + 4 : at + 6] = -known.weight if out[t] else 0.0
+        rows[t, at : at + 6] = [1, -1, -1, 1, *known.load_kw[t]]
+        right[t] = known.pv_kw[t]
+        shares = (0.0, 1.0) if out[t] else (1.0, 1.0)
+        limit = 0.0 if out[t] else None
+        bounds += [(0, one.p_max_kw), (0, one.p_max_kw), (0, limit), (0, None), shares, shares]
+    store = np.zeros((T, T * k + 1))
+    for t in range(T):
+        store[t:, t * k] = one.eta_charge
+        store[t:, t * k + 1] = -1.0 / one.eta_discharge
+    cost[: T * k] -= end_gbp / per_service * store[-1, : T * k]
+    upper = np.vstack([store, -store])
+    room = np.concatenate([np.full(T, one.most_kwh - energy), np.full(T, energy - one.least_kwh)])
+    found = linprog(
+        cost, upper, room, rows[:T], right[:T], bounds=[*bounds, (0, 0)], method="highs"
+    )
+    assert found.status == 0
+    return -float(found.fun) + end_gbp * (energy - one.least_kwh) / per_service
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_known_future_is_worth_what_a_linear_programme_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = 7
+    out = [False, *(rng.random(T - 1) < 0.5)]
+    load = rng.uniform(5.0, 20.0, (T, 2))
+    pv = rng.uniform(0.0, 30.0, T) * (rng.random(T) < 0.5)
+    # Without a price on curtailment: the programme could burn a surplus in the battery.
+    known = ahead(load, pv, price=rng.uniform(0.1, 0.6, T), lambda_curt=0.0)
+    one = fleet(20.0)
+    belief = _of_path(out)
+    assert belief.certain
+    value = stored_value(belief, one, known, VOLL, lambda e: 0.2 * (e - one.least_kwh))
+    behind = ahead(load[1:], pv[1:], price=known.price_gbp_per_kwh[1:], lambda_curt=0.0)
+    scale = known.kwh_per_service / behind.kwh_per_service
+    behind_gbp = replace_prices(behind, scale)
+    best = [
+        _optimum(e, out[1:], behind_gbp, one, 0.2 / scale)
+        for e in np.linspace(one.least_kwh, one.most_kwh, 6)
+    ]
+    found = [value.at(e) for e in np.linspace(one.least_kwh, one.most_kwh, 6)]
+    assert np.array(found) == pytest.approx(
+        np.array(best) - best[0], abs=0.02 * np.ptp(best) + 0.01
+    )
+
+
+def replace_prices(known: Ahead, scale: float) -> Ahead:
+    """The same with prices such that a weighted customer hour costs what it did."""
+    price = known.price_gbp_per_kwh / scale
+    return ahead(known.load_kw, known.pv_kw, price=price, lambda_curt=known.lambda_curt)
+
+
+def _of_path(out: list[bool]) -> OutageBelief:
+    """A belief of zeros and ones: announced outages at their steps."""
+    edges = np.flatnonzero(np.diff([*map(int, out), 0]))
+    begins = [i + 1 for i in edges if not out[i]]
+    ends = [i + 1 for i in edges if out[i]]
+    onset = np.zeros((len(begins), len(out)))
+    duration = np.zeros((len(begins) + 1, len(out) + 1))
+    duration[0, 0] = 1.0
+    for row, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        onset[row, begin] = 1.0
+        duration[row + 1, end - begin - 1] = 1.0
+    return OutageBelief(onset, duration, 0.0)
+
+
+def test_steps_of_any_length_agree() -> None:
+    """Quarter hours and hours of an outage that lasts are worth the same from one o'clock on."""
+    load = np.array([[10.0, 12.0]] * 12)
+    update = warned(0, onset_likely=0, duration_p10_h=2, duration_p50_h=4, duration_p90_h=8)
+    found = []
+    for dt_h in (1.0, 0.25):
+        now = NOON + (1.0 - dt_h) * HOUR
+        n_steps = round(11 / dt_h) + 1
+        belief = OutageOutlook([update], NEVER, dt_h).at(now, n_steps, [SeenOutage(NOON)])
+        loads = np.repeat(load, round(1 / dt_h), axis=0)[:n_steps]
+        known = ahead(loads, np.zeros(n_steps), dt_h=dt_h)
+        value = stored_value(belief, fleet(), known, VOLL, nothing)
+        found.append([value.at(e) for e in (30.0, 60.0, 90.0)])
+    assert found[0] == pytest.approx(found[1], rel=0.06)
+
+
+def test_functions_are_made_concave() -> None:
+    rng = np.random.default_rng(0)
+    values = np.cumsum(rng.normal(0.3, 1.0, 40))
+    above = concave_above(values)
+    assert (above >= values - 1e-12).all()
+    assert (np.diff(above, 2) <= 1e-9).all()
+    assert concave_above(above) == pytest.approx(above)

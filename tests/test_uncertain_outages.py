@@ -1,0 +1,301 @@
+"""What a run is told of outages: no more than was seen, and with certainty exactly what is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vppres.contract.export import Export
+from vppres.core.errors import InputError
+from vppres.day.faults import FaultPlan
+from vppres.day.options import RunOptions
+from vppres.day.outages import believed_outages
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory, read_run
+from vppres.explain.day import explain_day
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
+from vppres.report.plots import figure_names
+from vppres.report.plots.outages import outage_belief
+from vppres.report.run_folder import write_run
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+
+HOUR = pd.Timedelta(hours=1)
+NEVER = OutageStatistics(saifi_per_year=0.0)
+OFTEN = OutageStatistics(saifi_per_year=300.0, caidi_h=2.0)
+TIMES = ("solve_s", "solver_s", "compilations")
+
+
+def records(run: Trajectory, steps: int | None = None) -> dict[str, pd.DataFrame]:
+    """All tables of a run, or of its first steps, without times and what only beliefs have."""
+    found = {}
+    for name, table in run.tables.items():
+        left = [c for c in table if c not in (*TIMES, "stored_value_gbp_per_kwh", "phase")]
+        rows = len(table) // len(run.steps)
+        found[name] = table[left] if steps is None else table[left].iloc[: steps * rows]
+    return found
+
+
+def same(one: Trajectory, other: Trajectory, steps: int | None = None) -> bool:
+    """Whether two runs have the same record, to the last bit."""
+    tables = records(one, steps)
+    return all(table.equals(records(other, steps)[name]) for name, table in tables.items())
+
+
+def certainly(tiny: Scenario) -> Scenario:
+    """The tiny day with its outage announced for certain, and no other."""
+    onset = tiny.grid.times[3]
+    warned = OutageWarning(tiny.grid.start, onset_likely=onset, duration_p50_h=2.0)
+    return replace(tiny, warnings=(warned,), outage_statistics=NEVER)
+
+
+@pytest.mark.parametrize("kind", ["belief", "likely"])
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_certainty_is_what_is_known_to_the_last_bit(tiny: Scenario, kind: str, mode: str) -> None:
+    day = certainly(tiny)
+    options = RunOptions(horizon_h=2.0, mode=mode)
+    known = run_day(day, options)
+    assert same(known, run_day(day, replace(options, outages=kind)))
+
+
+def test_certainty_is_what_is_known_where_something_is_exported(tiny: Scenario) -> None:
+    day = replace(certainly(tiny), export_limit_kw=np.array(30.0))
+    day = replace(day, export_price_gbp_per_kwh=np.array(0.1))
+    known = run_day(day, RunOptions(horizon_h=2.0))
+    assert same(known, run_day(day, RunOptions(horizon_h=2.0, outages="belief")))
+
+
+def random_day(tiny: Scenario, seed: int) -> Scenario:
+    """The tiny day with an outage, messages and statistics of a seed."""
+    rng = np.random.default_rng([seed, 5])
+    start, length = rng.integers(1, 5), rng.integers(1, 4)
+    limit_kw = np.full(tiny.grid.n_steps, np.inf)
+    limit_kw[start : start + length] = 0.0
+    messages = []
+    for hours in np.sort(rng.uniform(0.0, 5.0, 3)):
+        likely = tiny.grid.start + float(rng.uniform(hours, 6.0)) * HOUR
+        spread = float(rng.uniform(0.2, 2.0)) * HOUR
+        messages.append(
+            OutageWarning(
+                tiny.grid.start + float(hours) * HOUR,
+                onset_earliest=likely - spread,
+                onset_likely=likely,
+                onset_latest=likely + spread,
+                probability=float(rng.choice([0.0, 0.4, 0.9])),
+                duration_p10_h=1.0,
+                duration_p50_h=2.0,
+                duration_p90_h=4.0,
+            )
+        )
+    return replace(
+        tiny,
+        grid_limit_kw=limit_kw,
+        warnings=tuple(messages),
+        outage_statistics=OFTEN,
+        export_limit_kw=np.array(float(rng.choice([0.0, 20.0]))),
+    )
+
+
+def with_another_future(day: Scenario, step: int, seed: int) -> Scenario:
+    """The same up to a step, that one included; other limits and messages behind it."""
+    rng = np.random.default_rng([seed, step, 6])
+    limit_kw = day.grid_limit_kw.copy()
+    limit_kw[step + 1 :] = rng.choice([0.0, np.inf, 40.0], len(limit_kw) - step - 1)
+    now = day.grid.times[step]
+    issued = [w for w in day.warnings if w.issued_at <= now]
+    later = OutageWarning(now + 0.5 * HOUR, onset_likely=now + 2 * HOUR, duration_p50_h=1.0)
+    return replace(day, grid_limit_kw=limit_kw, warnings=(*issued, later))
+
+
+@pytest.mark.parametrize(
+    ("controller", "kind"),
+    [
+        ("mpc", "belief"),
+        ("mpc", "likely"),
+        ("mpc", "none"),
+        ("full-horizon", "likely"),
+        ("reserve", "likely"),
+        ("reserve", "none"),
+    ],
+)
+def test_nothing_that_is_not_seen_changes_a_decision(
+    tiny: Scenario, controller: str, kind: str
+) -> None:
+    leaks = []
+    for seed in range(2):
+        day = random_day(tiny, seed)
+        options = RunOptions(outages=kind, controller=controller, horizon_h=3.0)
+        run = run_day(day, options)
+        for step in (0, 3):
+            other = run_day(with_another_future(day, step, seed), options)
+            if not same(run, other, step + 1):
+                leaks.append((seed, step))
+    assert not leaks
+
+
+@pytest.mark.parametrize("kind", ["likely", "belief", "none"])
+def test_guard_and_fallbacks_see_no_more(tiny: Scenario, kind: str) -> None:
+    """Solvers that fail, readings that are missing, batteries that trip: nothing falls back on
+    what is not known."""
+    leaks = []
+    fallbacks = set()
+    for seed in range(2):
+        day = random_day(tiny, seed)
+        faults = FaultPlan.draw(tiny, seed)
+        options = RunOptions(outages=kind, horizon_h=3.0, protect_critical=True)
+        run = run_day(day, options, faults=faults)
+        fallbacks |= set(run.steps["fallback"])
+        other = run_day(with_another_future(day, 2, seed), options, faults=faults)
+        if not same(run, other, 3):
+            leaks.append(seed)
+    assert not leaks
+    assert fallbacks > {"none"}
+
+
+def test_known_does_see_what_comes(tiny: Scenario) -> None:
+    """The test above can fail: with known outages the future changes decisions."""
+    day = random_day(tiny, 0)
+    other = with_another_future(day, 2, 1)
+    options = RunOptions(horizon_h=3.0)
+    assert not same(run_day(day, options), run_day(other, options), 3)
+
+
+def test_every_window_is_certified_and_worth_is_recorded(tiny: Scenario) -> None:
+    for seed in range(3):
+        day = random_day(tiny, seed)
+        run = run_day(day, RunOptions(outages="belief"))
+        assert (run.steps["status"] == "optimal").all()
+        assert (run.steps["fallback"] == "none").all()
+        worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
+        assert np.isfinite(worth).all()
+        dark = run.steps["outage"].to_numpy(bool)
+        assert worth[dark].max(initial=0.0) >= worth[~dark].min()
+    assert "stored_value_gbp_per_kwh" not in run_day(tiny, RunOptions()).steps
+
+
+def test_batteries_are_charged_for_what_may_come(tiny: Scenario) -> None:
+    """Nothing comes; who believes it may has bought energy by noon, and who does not has none."""
+    day = replace(tiny, grid_limit_kw=np.full(6, np.inf), price_gbp_per_kwh=np.full(6, 0.3))
+    warned = OutageWarning(
+        day.grid.start,
+        onset_earliest=day.grid.times[2],
+        onset_likely=day.grid.times[3],
+        onset_latest=day.grid.times[4],
+        probability=0.4,
+        duration_p50_h=2.0,
+    )
+    day = replace(day, warnings=(warned,), outage_statistics=NEVER)
+    stored = {
+        kind: run_day(day, RunOptions(outages=kind)).batteries["soc_end"].to_numpy()[2:4].mean()
+        for kind in ("likely", "belief")
+    }
+    assert stored["belief"] > 0.8
+    assert stored["likely"] < 0.4
+
+
+@pytest.mark.parametrize(
+    ("controller", "kind"),
+    [("full-horizon", "belief"), ("idle", "belief"), ("perfect", "likely"), ("perfect", "none")],
+)
+def test_what_has_no_meaning_is_refused(tiny: Scenario, controller: str, kind: str) -> None:
+    with pytest.raises(InputError, match="has no meaning for the controller"):
+        run_day(tiny, RunOptions(controller=controller, outages=kind))
+
+
+def test_a_scenario_may_ask_for_it(tiny: Scenario) -> None:
+    asked = replace(tiny, controller=ControllerDefaults(mode="paper", outages="none"))
+    assert RunOptions().on(asked).outages == "none"
+    assert RunOptions(outages="known").on(asked).outages == "known"
+
+
+def test_export_is_believed_like_import(tiny: Scenario) -> None:
+    day = replace(tiny, export_limit_kw=np.array(10.0))
+    told = Export.believed(day, slice(2, 5), np.array([np.inf, 0.0, np.inf]))
+    assert told is not None
+    assert told.limit_kw.tolist() == [10.0, 0.0, 10.0]
+    assert Export.believed(tiny, slice(0, 1), np.array([np.inf])) is None
+
+
+@pytest.mark.parametrize("kind", ["belief", "likely", "none"])
+def test_a_live_controller_decides_as_a_run_does(tiny: Scenario, kind: str) -> None:
+    """Messages come as they are issued; of the limits it is told those of the step alone."""
+    day = random_day(tiny, 1)
+    options = RunOptions(outages=kind, horizon_h=3.0, isolate=False)
+    run = run_day(day, options)
+    blind = replace(day, warnings=(), grid_limit_kw=np.full(day.grid.n_steps, np.inf))
+    controller = Controller.of(blind, options)
+    soc = run.batteries["soc_start"].to_numpy().reshape(-1, 2)
+    wrong = []
+    for t, now in enumerate(day.grid.times):
+        issued = [w for w in day.warnings if w.issued_at <= now]
+        controller.warn(*(w for w in issued if w not in controller.scenario.warnings))
+        told = Measurement(
+            now,
+            soc=dict(zip(day.batteries.id, soc[t], strict=True)),
+            grid_limit_kw=float(day.grid_limit_kw[t]),
+        )
+        done = controller.step(told)
+        rows = run.batteries.iloc[2 * t : 2 * t + 2]
+        power = (rows["charge_kw"] - rows["discharge_kw"]).to_numpy()
+        if not np.allclose(done.batteries["p_kw"], power, atol=1e-3):
+            wrong.append((t, done.batteries["p_kw"].tolist(), power.tolist()))
+        assert ("stored_value_gbp_per_kwh" in done.solve) == (kind == "belief")
+    assert not wrong
+
+
+def rationed_day(tiny: Scenario) -> Scenario:
+    """Hours without grid, and a battery that does not last for them."""
+    warned = OutageWarning(
+        tiny.grid.start,
+        onset_earliest=tiny.grid.times[0],
+        onset_likely=tiny.grid.times[1],
+        onset_latest=tiny.grid.times[2],
+        probability=0.9,
+        duration_p10_h=2.0,
+        duration_p50_h=4.0,
+        duration_p90_h=6.0,
+    )
+    limit_kw = np.array([np.inf, np.inf, 0.0, 0.0, 0.0, 0.0])
+    return replace(tiny, grid_limit_kw=limit_kw, warnings=(warned,), outage_statistics=OFTEN)
+
+
+def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> None:
+    run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
+    assert run.explanations is not None
+    words = run.explanations["words"]
+    rationed = words[words.str.contains("rationed: one more kWh in store is worth")]
+    assert len(rationed) > 0
+    later, now = zip(*rationed.str.findall(r"([0-9.]+) GBP").tolist(), strict=True)
+    assert (np.array(later, dtype=float) >= np.array(now, dtype=float)).all()
+    assert not words.str.contains("neither shadow prices nor the record").any()
+
+
+def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:
+    run = explain_day(run_day(certainly(tiny), RunOptions(outages="belief", horizon_h=2.0)))
+    known = explain_day(run_day(certainly(tiny), RunOptions(horizon_h=2.0)))
+    assert run.explanations is not None
+    assert known.explanations is not None
+    assert run.explanations["driver"].tolist() == known.explanations["driver"].tolist()
+
+
+def test_the_report_shows_the_belief_beside_what_came(tiny: Scenario, tmp_path: Path) -> None:
+    run = run_day(rationed_day(tiny), RunOptions(outages="belief"))
+    believed = believed_outages(run.scenario, run.options)
+    assert np.diagonal(believed).tolist() == run.scenario.outage.astype(float).tolist()
+    assert np.isnan(believed[np.tril_indices(6, -1)]).all()
+    figure = outage_belief(run)
+    curve = next(line for line in figure.axes[0].lines if line.get_label() == "1 h before")
+    assert curve.get_ydata()[1:-1] == pytest.approx(np.diagonal(believed, 1))
+    write_run(run, tmp_path / "run")
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "Outages: what was believed, and what came" in page
+    assert "2, 4, 6" in page
+    read = read_run(tmp_path / "run")
+    assert read.scenario.warnings == run.scenario.warnings
+    known = run_day(tiny, RunOptions())
+    assert "outage_belief" not in figure_names(known)

@@ -1,0 +1,163 @@
+"""``warnings.csv`` and ``[outage_statistics]``: read, written, digested, and what is wrong with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from vppres.core.errors import InputError
+from vppres.io import read_scenario, write_scenario
+from vppres.io.digest import scenario_digest
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+
+HEADER = (
+    "issued_at,onset_earliest,onset_likely,onset_latest,probability,"
+    "duration_p10_h,duration_p50_h,duration_p90_h\n"
+)
+
+
+def with_warnings(folder: Path, text: str) -> Path:
+    (folder / "warnings.csv").write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_messages_are_read(tiny_folder: Path) -> None:
+    rows = (
+        "2022-07-19T05:00Z,2022-07-19T10:00Z,2022-07-19T12:00Z,2022-07-19T15:00Z,0.7,2,5,9\n"
+        "2022-07-19T14:00+01:00,,2022-07-19T12:00Z,,1,2,4,7\n"
+        "2022-07-19T09:00Z,,,,0,,,\n"
+    )
+    first, update, clear = read_scenario(with_warnings(tiny_folder, HEADER + rows)).warnings
+    assert first == OutageWarning(
+        pd.Timestamp("2022-07-19T05:00Z"),
+        onset_earliest=pd.Timestamp("2022-07-19T10:00Z"),
+        onset_likely=pd.Timestamp("2022-07-19T12:00Z"),
+        onset_latest=pd.Timestamp("2022-07-19T15:00Z"),
+        probability=0.7,
+        duration_p10_h=2.0,
+        duration_p50_h=5.0,
+        duration_p90_h=9.0,
+    )
+    assert update.issued_at == pd.Timestamp("2022-07-19T13:00Z")
+    assert update.onset_earliest is None
+    assert clear.all_clear
+
+
+def test_what_is_written_reads_back_equal(tiny: Scenario, tmp_path: Path) -> None:
+    warning = OutageWarning(
+        pd.Timestamp("2022-07-19T05:00Z"),
+        outage="block 1",
+        preset="rota",
+        onset_likely=pd.Timestamp("2022-07-19T12:30Z"),
+        probability=0.25,
+    )
+    day = replace(
+        tiny,
+        warnings=(warning, replace(warning, outage="block 2", preset="", duration_p50_h=0.1)),
+        outage_statistics=OutageStatistics("equipment", saifi_per_year=3.0),
+        controller=ControllerDefaults(mode="paper", outages="belief"),
+    )
+    write_scenario(day, tmp_path / "day")
+    read = read_scenario(tmp_path / "day")
+    assert read.warnings == day.warnings
+    assert read.outage_statistics == day.outage_statistics
+    assert read.controller == day.controller
+    assert scenario_digest(read) == scenario_digest(day)
+
+
+def test_folders_without_keep_their_digest(tiny: Scenario, tiny_folder: Path) -> None:
+    """The digest is the one from before there were warnings; each of the new things changes it."""
+    plain = scenario_digest(tiny)
+    assert plain == "fd277338167c04d2da7dcbd03a9a033810db9d5a13c1cc31fb2515da388e7d3e"
+    assert not (tiny_folder / "warnings.csv").exists()
+    warning = OutageWarning(pd.Timestamp("2022-07-19T05:00Z"), probability=0.0)
+    changed = [
+        replace(tiny, warnings=(warning,)),
+        replace(tiny, outage_statistics=OutageStatistics("none")),
+        replace(tiny, controller=replace(tiny.controller, outages="likely")),
+    ]
+    assert len({plain, *map(scenario_digest, changed)}) == 4
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (
+            "2022-07-19 noon,,,,0,,,",
+            "warnings.csv, row 2, issued_at = 2022-07-19 noon: is not an ISO 8601 time. "
+            "Write it like 2022-07-19T12:00:00Z.",
+        ),
+        (
+            "2022-07-19T05:00,,,,0,,,",
+            "warnings.csv, row 2, issued_at = 2022-07-19T05:00: has no time zone. "
+            "Add the offset, for example 2022-07-19T05:00Z.",
+        ),
+        (
+            ",,,,0,,,",
+            "warnings.csv, row 2, issued_at: is empty. "
+            "Give the time of issue, ISO 8601 with time zone.",
+        ),
+        (
+            "2022-07-19T05:00Z,,2022-07-19T12:00Z,2022-07-19T11:00Z,0.5,,,",
+            "warnings.csv, row 2, onset_latest = 2022-07-19T11:00:00+00:00: "
+            "comes before onset_likely. Put them in their order.",
+        ),
+        (
+            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,0.5,9,5,",
+            "warnings.csv, row 2, duration_p50_h = 5.0: comes before duration_p10_h. "
+            "Put them in their order.",
+        ),
+        (
+            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,50,,,",
+            "warnings.csv, row 2, probability = 50: must be at most 1. ",
+        ),
+        (
+            "2022-07-19T05:00Z,,,2022-07-19T12:00Z,0.5,,,",
+            "warnings.csv, row 2, onset_likely: is missing. Give it, or leave out onset_latest too.",
+        ),
+        (
+            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,0.5,,0,",
+            "warnings.csv, row 2, duration_p50_h = 0: must be greater than 0. ",
+        ),
+    ],
+)
+def test_bad_rows_are_named_with_their_cure(tiny_folder: Path, rows: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_scenario(with_warnings(tiny_folder, f"{HEADER}{rows}\n"))
+    assert message in str(caught.value)
+    assert len(caught.value.problems) == 1
+
+
+def test_many_bad_rows_are_folded(tiny_folder: Path) -> None:
+    text = HEADER + "yesterday,,,,0,,,\n" * 40
+    with pytest.raises(InputError) as caught:
+        read_scenario(with_warnings(tiny_folder, text))
+    assert len(caught.value.problems) <= 11
+    assert "and 3" in str(caught.value)
+
+
+def test_unknown_presets_and_columns_are_named(tiny_folder: Path) -> None:
+    with pytest.raises(InputError, match="row 2, preset = storm: must be"):
+        read_scenario(with_warnings(tiny_folder, "issued_at,preset\n2022-07-19T05:00Z,storm\n"))
+    with pytest.raises(InputError, match="is not a known column"):
+        read_scenario(with_warnings(tiny_folder, "issued_at,p\n2022-07-19T05:00Z,1\n"))
+
+
+def test_a_named_file_must_be_there(tiny_folder: Path) -> None:
+    file = tiny_folder / "scenario.toml"
+    file.write_text(file.read_text() + '\n[files]\nwarnings = "alarms.csv"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"alarms\.csv: the file is missing"):
+        read_scenario(tiny_folder)
+
+
+def test_bad_statistics_are_named(tiny_folder: Path) -> None:
+    file = tiny_folder / "scenario.toml"
+    file.write_text(
+        file.read_text() + "\n[outage_statistics]\nsaifi_per_year = -1.0\n", encoding="utf-8"
+    )
+    with pytest.raises(InputError, match=r"outage_statistics\.saifi_per_year = -1"):
+        read_scenario(tiny_folder)
