@@ -163,6 +163,7 @@ def by_processor() -> Iterator[None]:
 def main(
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Every N-th instance.")] = 5,
     large: Annotated[int, typer.Option(min=0, max=6, help="Windows of 1,021 buses.")] = 2,
+    limit: Annotated[list[float], typer.Option(metavar="S", help="Limits in s.")] = [*LIMITS_S],  # noqa: B006 (typer copies it)
 ) -> None:
     """Measure by the processor's clock, which others on the machine do not change."""
     found = list(windows(read_instances()[::every], large))
@@ -170,7 +171,7 @@ def main(
         rows = [
             {"window": window.name, "limit_s": limit_s, **measure(window, limit_s)}
             for window in track(found, "windows", transient=True)
-            for limit_s in LIMITS_S
+            for limit_s in limit
         ]
     typer.echo(deadline_table(pd.DataFrame(rows)).round(3).to_string())
 

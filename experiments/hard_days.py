@@ -14,8 +14,14 @@ import pandas as pd
 from numpy.random import Generator
 
 from experiments.random_feeders import random_rules
-from vppres.contract.forecast import ForecastErrors
+from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.contract.switching import SwitchingState
+from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.model.beyond_paper.losses import lossless
+from vppres.model.data import WindowData
+from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.rules import SwitchingRules
@@ -339,3 +345,79 @@ def _network(
         v_min_pu=v_min_pu,
         v_max_pu=v_max_pu,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class HardWindow:
+    """A window of a day of a kind, in a random state.
+
+    Parameters
+    ----------
+    day : HardDay
+        The day.
+    t0, steps : int
+        First step and number of steps.
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window, as its controller would see it.
+    """
+
+    day: HardDay
+    t0: int
+    steps: int
+    site: Site
+    data: WindowData
+
+
+HORIZONS_H = (5, 5, 5, 11)
+"""Horizons of hourly windows; a window has the present step too."""
+QUARTER_STEPS = (20, 20, 40)
+"""Steps of windows in quarter hours."""
+HEADROOM = 0.1
+"""Share of the inverters that physical windows keep free, the default of a run."""
+
+
+def hard_window(kind: str, seed: int) -> HardWindow:
+    """A window that meets the outage of the day of a kind and a seed.
+
+    Examples
+    --------
+    >>> window = hard_window("tight", 2)
+    >>> window.data.n_steps == window.steps
+    True
+    """
+    day = hard_day(kind, seed)
+    scenario = day.scenario
+    rng = np.random.default_rng([seed, 99])
+    steps = 1 + int(rng.choice(HORIZONS_H))
+    if "quarters" in day.traits:
+        steps = int(rng.choice(QUARTER_STEPS))
+    last = scenario.grid.n_steps - steps
+    out = np.flatnonzero(scenario.outage)
+    first = max(0, out[0] - steps + 1) if len(out) else 0
+    latest = min(last, out[-1]) if len(out) else last
+    t0 = min(int(rng.integers(first, max(first, latest) + 1)), last)
+    b = scenario.batteries
+    soc = b.soc_min + (b.soc_max - b.soc_min) * rng.uniform(0.0, 1.0, len(b))
+    forecast = Forecaster(scenario, day.errors, seed).at(t0, range(t0, t0 + steps))
+    seen = Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, None, _past(rng, scenario))
+    site = Site.of(scenario)
+    data = WindowData.of(seen, site, "lossless")
+    if scenario.controller.mode == "physical":
+        lit = without_power(data, dark_steps(site, data))
+        data = lossless(lit, physics_of(site, lit, HEADROOM))
+    return HardWindow(day, t0, steps, site, data)
+
+
+def _past(rng: Generator, scenario: Scenario) -> SwitchingState | None:
+    """Who was served before, since when and after how many actions; None without rules."""
+    if not scenario.switching.active:
+        return None
+    count = len(scenario.customers)
+    dt_h = scenario.grid.dt_h
+    served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
+    untouched = served & (rng.random(count) < 0.5)
+    since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
+    actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
+    return SwitchingState(scenario.switching, dt_h, served, since_h, actions.astype(float))

@@ -89,6 +89,8 @@ SNIPPETS = (
     "0.999999999",
     "٣",
 )
+ROW_EDITS = ("drop", "repeat", "exchange")
+MOST_CUT = 12  # characters that a snippet replaces
 SLOW_S = 10.0
 # Rounding of the plant's arithmetic and of the power flow; readings have fewer digits.
 TOLERANCE_SOC = 1e-6
@@ -144,10 +146,26 @@ def mutated(texts: Mapping[str, str], draw: random.Random) -> dict[str, str]:
     return edited
 
 
+def with_snippet(text: str, at: int, cut: int, snippet: str) -> str:
+    """The text with some characters from a place on replaced."""
+    return text[:at] + snippet + text[at + cut :]
+
+
+def with_row(text: str, one: int, other: int, kind: str) -> str:
+    """The text with a row dropped, repeated or exchanged with another (``ROW_EDITS``)."""
+    rows = text.splitlines(keepends=True)
+    if kind == "exchange":
+        rows[one], rows[other] = rows[other], rows[one]
+    else:
+        rows[one : one + 1] = [] if kind == "drop" else [rows[one]] * 2
+    return "".join(rows)
+
+
 def _characters(text: str, draw: random.Random) -> str:
     """Some characters replaced, anywhere."""
     at = draw.randint(0, len(text))
-    return text[:at] + draw.choice(SNIPPETS) + text[at + draw.randint(0, 12) :]
+    snippet = draw.choice(SNIPPETS)
+    return with_snippet(text, at, draw.randint(0, MOST_CUT), snippet)
 
 
 def _cell(text: str, draw: random.Random) -> str:
@@ -175,17 +193,12 @@ def _cell(text: str, draw: random.Random) -> str:
 
 def _row(text: str, draw: random.Random) -> str:
     """A row dropped, repeated or exchanged with another."""
-    rows = text.splitlines(keepends=True)
-    if not rows:
+    count = len(text.splitlines())
+    if not count:
         return text
-    i = draw.randrange(len(rows))
-    j = draw.randrange(len(rows))
-    kind = draw.choice(("drop", "repeat", "exchange"))
-    if kind == "exchange":
-        rows[i], rows[j] = rows[j], rows[i]
-    else:
-        rows[i : i + 1] = [] if kind == "drop" else [rows[i]] * 2
-    return "".join(rows)
+    one = draw.randrange(count)
+    other = draw.randrange(count)
+    return with_row(text, one, other, draw.choice(ROW_EDITS))
 
 
 def read_mutated(source: Path, count: int, seed: int, tally: Tally) -> Iterator[Scenario]:

@@ -35,14 +35,16 @@ class OutageClimate:
 
     Parameters
     ----------
-    unannounced : float
-        Share of days with an outage that nobody foresees.
+    warned : float
+        Share of days with warnings of an outage around noon.
     comes : float
-        Share of first warnings after which an outage comes.
+        Share of first warnings after which it comes.
+    hazard_per_h : float
+        Rate of outages that nobody foresees, at any time of any day.
     onset_h, onset_std_h : float
-        Mean and standard deviation of the onset in hours after midnight.
+        Mean and standard deviation of an announced onset in hours after midnight.
     duration_median_h, duration_sigma : float
-        Median, and standard deviation of the logarithm, of the duration.
+        Median, and standard deviation of the logarithm, of every duration.
     lead_h : tuple of int
         Least and largest lead time of the first warning.
     onset_sign_std_h : float
@@ -54,14 +56,11 @@ class OutageClimate:
     sign_of_coming : float
         Distance, in standard deviations, between signs of an outage that comes and of a false
         alarm.
-    longest_h : float
-        Outages last no longer.
-    surprise_h : tuple of float
-        When unannounced outages begin, in hours after midnight.
     """
 
-    unannounced: float = 0.10
+    warned: float = 0.9
     comes: float = 0.74
+    hazard_per_h: float = 0.004
     onset_h: float = 12.0
     onset_std_h: float = 1.5
     duration_median_h: float = 4.0
@@ -71,18 +70,33 @@ class OutageClimate:
     duration_sign: float = 1.5
     restoration_sign: float = 1.0
     sign_of_coming: float = 0.5
-    longest_h: float = 10.0
-    surprise_h: tuple[float, float] = (6.0, 20.0)
 
     @property
     def statistics(self) -> OutageStatistics:
         """What an operator who knows the climate says of outages without a warning."""
-        hazard_per_h = -np.log1p(-self.unannounced) / HOURS_A_DAY
         return OutageStatistics(
-            saifi_per_year=float(hazard_per_h * HOURS_A_YEAR),
+            saifi_per_year=self.hazard_per_h * HOURS_A_YEAR,
             caidi_h=float(self.duration_median_h * np.exp(self.duration_sigma**2 / 2)),
             duration_sigma=self.duration_sigma,
         )
+
+    def duration_h(self, rng: Generator) -> float:
+        """A random duration."""
+        return self.duration_median_h * float(np.exp(self.duration_sigma * rng.standard_normal()))
+
+
+@dataclass(frozen=True)
+class Outage:
+    """Onset in hours after midnight, and duration in h."""
+
+    onset_h: float
+    duration_h: float
+
+    @property
+    def steps(self) -> range:
+        """Hours without grid: those nearest, and one at least."""
+        begin = round(self.onset_h)
+        return range(begin, begin + max(round(self.duration_h), 1))
 
 
 @dataclass(frozen=True)
@@ -91,23 +105,35 @@ class OutageDay:
 
     Parameters
     ----------
-    kind : {"announced", "false alarm", "unannounced"}
-        What kind of day it is.
-    onset_h, duration_h : float
-        The outage in hours after midnight, or what a false alarm was about.
+    expected : Outage or None
+        The outage of the warnings, whether it comes or not.
+    comes : bool
+        Whether it comes.
+    surprise : Outage or None
+        An outage that nobody foresaw.
     warnings : tuple of OutageWarning
         In the order of their times.
     """
 
-    kind: str
-    onset_h: float
-    duration_h: float
+    expected: Outage | None
+    comes: bool
+    surprise: Outage | None
     warnings: tuple[OutageWarning, ...]
 
     @property
-    def comes(self) -> bool:
-        """Whether there is an outage."""
-        return self.kind != "false alarm"
+    def outages(self) -> list[Outage]:
+        """What really happens."""
+        announced = self.expected if self.comes else None
+        return [outage for outage in (announced, self.surprise) if outage is not None]
+
+    @property
+    def kind(self) -> str:
+        """Whether its first outage was announced or not, or that there is none."""
+        if self.comes:
+            return "announced"
+        if self.surprise is not None:
+            return "unannounced"
+        return "quiet" if self.expected is None else "false alarm"
 
 
 @dataclass(frozen=True)
@@ -127,7 +153,7 @@ class Normal:
 def draw_outage_day(
     seed: int, midnight: pd.Timestamp, climate: OutageClimate | None = None
 ) -> OutageDay:
-    """The outage of a seed and its warnings, on the day that begins at ``midnight``.
+    """The outages of a seed and what is said of them, on the day that begins at ``midnight``.
 
     Examples
     --------
@@ -137,20 +163,40 @@ def draw_outage_day(
     """
     climate = climate or OutageClimate()
     rng = np.random.default_rng([seed, 1503])
-    surprise = bool(rng.random() < climate.unannounced)
-    comes = surprise or bool(rng.random() < climate.comes)
+    expected = _expected(climate, rng)
+    comes = expected is not None and bool(rng.random() < climate.comes)
+    surprise = _surprise(climate, rng)
+    if comes and expected is not None and surprise is not None and _touch(expected, surprise):
+        surprise = None
+    messages: list[OutageWarning] = []
+    if expected is not None:
+        writer = _Writer(climate, midnight, expected, "announced", rng)
+        messages += writer.before(comes)
+        messages += writer.during() if comes else [writer.all_clear()]
+    if surprise is not None:
+        messages += _Writer(climate, midnight, surprise, "surprise", rng).during()
+    messages.sort(key=lambda message: message.issued_at)
+    return OutageDay(expected, comes, surprise, tuple(messages))
+
+
+def _expected(climate: OutageClimate, rng: Generator) -> Outage | None:
+    """What the warnings of a day are about, None on a day without."""
+    if rng.random() >= climate.warned:
+        return None
     onset_h = climate.onset_h + climate.onset_std_h * float(rng.standard_normal())
-    if surprise:
-        onset_h = float(rng.uniform(*climate.surprise_h))
-    duration_h = climate.duration_median_h * float(
-        np.exp(climate.duration_sigma * rng.standard_normal())
-    )
-    duration_h = min(duration_h, climate.longest_h)
-    writer = _Writer(climate, midnight, onset_h, duration_h, rng)
-    messages = [] if surprise else writer.before(comes)
-    messages += writer.during() if comes else [writer.all_clear()]
-    kind = "unannounced" if surprise else "announced" if comes else "false alarm"
-    return OutageDay(kind, onset_h, duration_h, tuple(messages))
+    return Outage(onset_h, climate.duration_h(rng))
+
+
+def _surprise(climate: OutageClimate, rng: Generator) -> Outage | None:
+    """The first outage of a day that nobody foresees, None if there is none."""
+    onset_h = float(rng.exponential(1.0 / climate.hazard_per_h))
+    outage = Outage(onset_h, climate.duration_h(rng))
+    return outage if onset_h < HOURS_A_DAY - 1.0 else None
+
+
+def _touch(one: Outage, other: Outage) -> bool:
+    """Whether two outages leave no hour with grid between them."""
+    return one.steps.start <= other.steps.stop and other.steps.start <= one.steps.stop
 
 
 class _Writer:
@@ -160,14 +206,14 @@ class _Writer:
         self,
         climate: OutageClimate,
         midnight: pd.Timestamp,
-        onset_h: float,
-        duration_h: float,
+        outage: Outage,
+        name: str,
         rng: Generator,
     ) -> None:
         self.climate = climate
         self.midnight = midnight
-        self.onset_h = onset_h
-        self.duration_h = duration_h
+        self.outage = outage
+        self.name = name
         self.rng = rng
         self.onset = Normal(climate.onset_h, climate.onset_std_h)
         self.log_duration = Normal(float(np.log(climate.duration_median_h)), climate.duration_sigma)
@@ -177,12 +223,13 @@ class _Writer:
         """Warnings each hour from the first one to the last before the onset."""
         least, most = self.climate.lead_h
         lead_h = int(self.rng.integers(least, most + 1))
-        begin = round(self.onset_h)
+        begin = self.outage.steps.start
         return [self._warning(hour, comes) for hour in range(max(begin - lead_h, 0), begin)]
 
     def _warning(self, hour: int, comes: bool) -> OutageWarning:
-        error_h = self.climate.onset_sign_std_h * (self.onset_h - hour)
-        self.onset = self.onset.seen(self.onset_h + error_h * self._noise(), error_h)
+        onset_h = self.outage.onset_h
+        error_h = self.climate.onset_sign_std_h * (onset_h - hour)
+        self.onset = self.onset.seen(onset_h + error_h * self._noise(), error_h)
         self._see_duration(self.climate.duration_sign)
         distance = self.climate.sign_of_coming
         sign = distance * ((0.5 if comes else -0.5) * distance + self._noise())
@@ -191,6 +238,7 @@ class _Writer:
         likely_h = max(self.onset.mean, hour + 0.5)
         return OutageWarning(
             issued_at=self._at(hour),
+            outage=self.name,
             onset_earliest=self._at(max(self.onset.mean - reach_h, hour)),
             onset_likely=self._at(likely_h),
             onset_latest=self._at(max(self.onset.mean + reach_h, likely_h + 0.5)),
@@ -200,26 +248,25 @@ class _Writer:
 
     def during(self) -> list[OutageWarning]:
         """Estimates of the restoration, each hour of the outage."""
-        begin = round(self.onset_h)
-        hours = range(begin, begin + steps_of(self.duration_h, 1.0))
-        return [self._estimate(hour, begin) for hour in hours]
+        return [self._estimate(hour) for hour in self.outage.steps]
 
-    def _estimate(self, hour: int, begin: int) -> OutageWarning:
+    def _estimate(self, hour: int) -> OutageWarning:
         self._see_duration(self.climate.restoration_sign)
         return OutageWarning(
             issued_at=self._at(hour),
-            onset_likely=self._at(begin),
+            outage=self.name,
+            onset_likely=self._at(self.outage.steps.start),
             probability=1.0,
             **self._durations(),
         )
 
     def all_clear(self) -> OutageWarning:
         """The end of a false alarm, one to three hours after the onset that did not come."""
-        hour = int(np.ceil(self.onset_h)) + int(self.rng.integers(0, 3))
-        return OutageWarning(self._at(hour), probability=0.0)
+        hour = int(np.ceil(self.outage.onset_h)) + int(self.rng.integers(0, 3))
+        return OutageWarning(self._at(hour), self.name, probability=0.0)
 
     def _see_duration(self, error: float) -> None:
-        truth = float(np.log(self.duration_h))
+        truth = float(np.log(self.outage.duration_h))
         self.log_duration = self.log_duration.seen(truth + error * self._noise(), error)
 
     def _durations(self) -> dict[str, Any]:
@@ -236,25 +283,21 @@ class _Writer:
         return (self.midnight + pd.Timedelta(hours=hour)).round("min")
 
 
-def steps_of(duration_h: float, dt_h: float) -> int:
-    """Steps that an outage takes: the nearest number, and one at least."""
-    return max(round(duration_h / dt_h), 1)
-
-
 def with_outage_day(
     scenario: Scenario, day: OutageDay, climate: OutageClimate | None = None
 ) -> Scenario:
-    """A scenario whose only outage is that of a day, with its warnings."""
-    nothing = scenario.grid.start
-    calm = scenario.with_outage(nothing, nothing)
-    statistics = (climate or OutageClimate()).statistics
-    warned = replace(calm, warnings=day.warnings, outage_statistics=statistics)
-    if not day.comes:
-        return warned
-    dt_h = scenario.grid.dt_h
-    begin = nothing + pd.Timedelta(hours=dt_h * round(day.onset_h / dt_h))
-    end = begin + pd.Timedelta(hours=dt_h * steps_of(day.duration_h, dt_h))
-    return warned.with_outage(begin, end)
+    """A scenario whose outages are those of a day, with what was said of them; hourly steps."""
+    hour = np.arange(scenario.grid.n_steps)
+    out = np.zeros(len(hour), dtype=bool)
+    for outage in day.outages:
+        out |= np.isin(hour, outage.steps)
+    with_grid = np.where(scenario.outage, np.inf, scenario.grid_limit_kw)
+    return replace(
+        scenario,
+        grid_limit_kw=np.where(out, 0.0, with_grid),
+        warnings=day.warnings,
+        outage_statistics=(climate or OutageClimate()).statistics,
+    )
 
 
 def biased(

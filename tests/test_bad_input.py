@@ -13,7 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.mutations import study
+from experiments.mutations import (
+    FILES,
+    MOST_CUT,
+    ROW_EDITS,
+    SNIPPETS,
+    study,
+    with_row,
+    with_snippet,
+)
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
@@ -1262,57 +1270,6 @@ def test_the_name_of_a_tier_and_the_title_are_checked(tiny_folder: Path) -> None
     ]
 
 
-FILES = [
-    "scenario.toml",
-    "lines.csv",
-    "customers.csv",
-    "pv.csv",
-    "batteries.csv",
-    "load_kw.csv",
-    "pv_kw.csv",
-    "system.csv",
-]
-SNIPPETS = st.sampled_from(
-    [
-        "",
-        ",",
-        "\n",
-        '"',
-        "'",
-        "=",
-        "[",
-        "]",
-        "-",
-        "0",
-        "1e400",
-        "nan",
-        "inf",
-        "-1",
-        "9" * 400,
-        "é",
-        "\x00",
-        "\r",
-        "\t",
-        " ",
-        "2022-07-19T10:00:00Z",
-        "2022-02-30T10:00:00Z",
-        "now",
-        "time",
-        "id",
-        "true",
-        "1_0",
-        "[[outages]]\n",
-        "[time]\n",
-        "\u2028",
-        ";",
-        "hospital",
-        "{",
-        "}",
-        "#",
-    ]
-)
-
-
 @pytest.fixture(scope="module")
 def valid_texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The files of the tiny folder."""
@@ -1321,35 +1278,24 @@ def valid_texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {file: (folder / file).read_text(encoding="utf-8") for file in FILES}
 
 
+PLACE = st.floats(0, 1)
+"""A share of a text's characters or rows, whatever its length."""
+
 EDIT = st.tuples(
-    st.sampled_from(FILES), st.floats(0, 1), st.integers(0, 12), SNIPPETS | st.text(max_size=6)
-)
-# Whole rows: one is dropped, repeated, or put in another one's place.
-ROW_EDIT = st.tuples(
     st.sampled_from(FILES),
-    st.floats(0, 1),
-    st.floats(0, 1),
-    st.sampled_from(["drop", "repeat", "exchange"]),
+    PLACE,
+    st.integers(0, MOST_CUT),
+    st.sampled_from(SNIPPETS) | st.text(max_size=6),
 )
+ROW_EDIT = st.tuples(st.sampled_from(FILES), PLACE, PLACE, st.sampled_from(ROW_EDITS))
 
 
-def edited(text: str, place: float, cut: int, snippet: str) -> str:
-    """A text with some characters replaced."""
-    at = int(place * len(text))
-    return text[:at] + snippet + text[at + cut :]
-
-
-def rows_edited(text: str, place: float, other: float, kind: str) -> str:
-    """A text with a row dropped, repeated or exchanged with another."""
-    rows = text.splitlines(keepends=True)
-    if not rows:
-        return text
-    i, j = (min(int(p * len(rows)), len(rows) - 1) for p in (place, other))
-    if kind == "exchange":
-        rows[i], rows[j] = rows[j], rows[i]
-    else:
-        rows[i : i + 1] = [] if kind == "drop" else [rows[i]] * 2
-    return "".join(rows)
+def edited(text: str, place: float, extent: float | int, what: str) -> str:
+    """A text with some characters replaced, or one of its rows moved."""
+    if isinstance(extent, int):
+        return with_snippet(text, int(place * len(text)), extent, what)
+    last = len(text.splitlines()) - 1
+    return text if last < 0 else with_row(text, round(place * last), round(extent * last), what)
 
 
 def test_any_mutation_is_read_or_refused_with_reasons(
@@ -1360,8 +1306,7 @@ def test_any_mutation_is_read_or_refused_with_reasons(
     def read_mutated(edits: list[tuple[str, float, float | int, str]]) -> None:
         texts = dict(valid_texts)
         for file, place, extent, what in edits:
-            edit = edited if isinstance(extent, int) else rows_edited
-            texts[file] = edit(texts[file], place, extent, what)
+            texts[file] = edited(texts[file], place, extent, what)
         for file, text in texts.items():
             (tmp_path / file).write_text(
                 text, encoding="utf-8", errors="surrogateescape", newline=""

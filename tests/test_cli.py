@@ -346,15 +346,23 @@ def documented_options(command: str) -> list[str]:
     return re.findall(r"^\| `(--[a-z-]+)`", found[1], re.MULTILINE) if found else []
 
 
-@pytest.mark.parametrize("command", sorted(set(COMMANDS) - {"sweep"}))
+# What these take of `run`'s own options beside those of the day.
+OF_RUN_ALONE = {
+    "sweep": {"--out", "--explain", "--figures"},
+    "serve": {"--out", "--explain", "--figures", "--json", "--quiet"},
+}
+
+
+@pytest.mark.parametrize("command", sorted(set(COMMANDS) - set(OF_RUN_ALONE)))
 def test_documentation_lists_every_option(command: str) -> None:
     assert documented_options(command) == option_names(command)
 
 
-def test_documentation_lists_the_options_of_sweep() -> None:
-    own = documented_options("sweep")
+@pytest.mark.parametrize("command", sorted(OF_RUN_ALONE))
+def test_documentation_lists_what_is_not_shared_with_run(command: str) -> None:
+    own = documented_options(command)
     # The page refers to those that it shares with `run`.
-    alone = {*own, "--out", "--explain", "--figures"}
+    alone = {*own, *OF_RUN_ALONE[command]}
     shared = [name for name in option_names("run") if name not in alone]
-    assert sorted(own + shared) == sorted(option_names("sweep"))
-    assert shared == [name for name in option_names("sweep") if name not in own]
+    assert sorted(own + shared) == sorted(option_names(command))
+    assert shared == [name for name in option_names(command) if name not in own]

@@ -20,6 +20,10 @@ LIBRARY_HOMES = {
     "pandapower": {"feeders", "physics"},
     "typer": {"cli"},
     "matplotlib": {"report", "studies"},
+    "fastapi": {"service"},
+    "prometheus_client": {"service"},
+    "sqlalchemy": {"service"},
+    "uvicorn": {"service"},
 }
 MOST_ENTRIES, MOST_LAYERS = 24, 12
 SOLVING = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,10 +13,15 @@ from vppres.contract.export import Export
 from vppres.core.errors import InputError
 from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
+from vppres.day.outages import believed_outages
 from vppres.day.simulate import run_day
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, read_run
+from vppres.explain.day import explain_day
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.report.plots import figure_names
+from vppres.report.plots.outages import outage_belief
+from vppres.report.run_folder import write_run
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 
@@ -240,3 +246,56 @@ def test_a_live_controller_decides_as_a_run_does(tiny: Scenario, kind: str) -> N
             wrong.append((t, done.batteries["p_kw"].tolist(), power.tolist()))
         assert ("stored_value_gbp_per_kwh" in done.solve) == (kind == "belief")
     assert not wrong
+
+
+def rationed_day(tiny: Scenario) -> Scenario:
+    """Hours without grid, and a battery that does not last for them."""
+    warned = OutageWarning(
+        tiny.grid.start,
+        onset_earliest=tiny.grid.times[0],
+        onset_likely=tiny.grid.times[1],
+        onset_latest=tiny.grid.times[2],
+        probability=0.9,
+        duration_p10_h=2.0,
+        duration_p50_h=4.0,
+        duration_p90_h=6.0,
+    )
+    limit_kw = np.array([np.inf, np.inf, 0.0, 0.0, 0.0, 0.0])
+    return replace(tiny, grid_limit_kw=limit_kw, warnings=(warned,), outage_statistics=OFTEN)
+
+
+def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> None:
+    run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
+    assert run.explanations is not None
+    words = run.explanations["words"]
+    rationed = words[words.str.contains("rationed: one more kWh in store is worth")]
+    assert len(rationed) > 0
+    later, now = zip(*rationed.str.findall(r"([0-9.]+) GBP").tolist(), strict=True)
+    assert (np.array(later, dtype=float) >= np.array(now, dtype=float)).all()
+    assert not words.str.contains("neither shadow prices nor the record").any()
+
+
+def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:
+    run = explain_day(run_day(certainly(tiny), RunOptions(outages="belief", horizon_h=2.0)))
+    known = explain_day(run_day(certainly(tiny), RunOptions(horizon_h=2.0)))
+    assert run.explanations is not None
+    assert known.explanations is not None
+    assert run.explanations["driver"].tolist() == known.explanations["driver"].tolist()
+
+
+def test_the_report_shows_the_belief_beside_what_came(tiny: Scenario, tmp_path: Path) -> None:
+    run = run_day(rationed_day(tiny), RunOptions(outages="belief"))
+    believed = believed_outages(run.scenario, run.options)
+    assert np.diagonal(believed).tolist() == run.scenario.outage.astype(float).tolist()
+    assert np.isnan(believed[np.tril_indices(6, -1)]).all()
+    figure = outage_belief(run)
+    curve = next(line for line in figure.axes[0].lines if line.get_label() == "1 h before")
+    assert curve.get_ydata()[1:-1] == pytest.approx(np.diagonal(believed, 1))
+    write_run(run, tmp_path / "run")
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "Outages: what was believed, and what came" in page
+    assert "2, 4, 6" in page
+    read = read_run(tmp_path / "run")
+    assert read.scenario.warnings == run.scenario.warnings
+    known = run_day(tiny, RunOptions())
+    assert "outage_belief" not in figure_names(known)

@@ -445,6 +445,67 @@ def recheck(
         typer.echo(f"Written to {folder}")
 
 
+@app.command(cls=DayCommand, epilog="Example: vppres serve ./my-feeder")
+def serve(
+    context: typer.Context,
+    scenario: ScenarioName,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8420,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Where the service keeps its state; SCENARIO.live if not given."
+        ),
+    ] = None,
+    rehearse: Annotated[
+        bool,
+        typer.Option(help="Play the scenario's own steps, each when POST /v1/steps asks for it."),
+    ] = False,
+    add_token: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME:SCOPES",
+            help="Make a token, print it and end; scopes: read, telemetry, events, operator.",
+        ),
+    ] = None,
+    behind_proxy: Annotated[
+        bool, typer.Option(help="A proxy in front does TLS, without which others may not call.")
+    ] = False,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="A name under which a proxy calls; may be given several times."),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Serve a scenario's site over HTTP: a controller that decides day and night.
+
+    Needs the extra: pip install "vppres[serve]".
+    """
+    with _plain_errors(debug):
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+
+        try:
+            from vppres.service import serve as service
+            from vppres.service.runner import Service
+        except ImportError as error:
+            raise InputError(
+                Problem(
+                    "serve",
+                    f"needs the package {error.name}",
+                    'Install the extra: pip install "vppres[serve]".',
+                )
+            ) from error
+        day = read_scenario(find_scenario(scenario))
+        served = Service(day, run_options(day, context.obj), rehearse)
+        folder = state or Path(f"{day.name}.live")
+        if add_token is not None:
+            typer.echo(service.add_token(served, folder, add_token))
+            return
+        address = service.Address(host, port, behind_proxy, tuple(name or ()))
+        service.serve(served, folder, address, typer.echo)
+
+
 @app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")
 def backtest(
     history: cli_backtest.HistoryName,

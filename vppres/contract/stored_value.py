@@ -88,6 +88,15 @@ class StoredValue:
             self.energy_kwh - unusable_kwh, self.service, self.gbp_per_service, self.as_service
         )
 
+    @classmethod
+    def nothing(cls) -> StoredValue:
+        """Energy that is worth nothing.
+
+        >>> StoredValue.nothing().at(7.0)
+        0.0
+        """
+        return cls(np.arange(PIECES + 1.0), np.zeros(PIECES + 1), 0.0, as_service=False)
+
     @property
     def gbp_as_cost(self) -> float:
         """What a weighted customer hour takes off the cost, 0 where it counts as service."""

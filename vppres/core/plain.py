@@ -158,6 +158,13 @@ def _needed(kind: Any) -> frozenset[str]:
 
 def _read_array(dtype: Any, plain: Any, where: str) -> Any:
     """An array of a type; numbers of another type are no numbers of this one."""
+    if dtype is np.complex128:
+        parts = _of(dict, plain, where)
+        real, imag = (_read_array(np.float64, parts[name], where) for name in ("real", "imag"))
+        array = np.empty(real.shape, dtype)
+        array.real = real
+        array.imag = imag
+        return array
     if isinstance(plain, dict):
         return np.empty([0, *plain["shape"][1:]], dtype=dtype)
     array = np.array(_of(list, plain, where), dtype=dtype)
@@ -182,6 +189,8 @@ def _array_to_plain(array: Any) -> Any:
     """Nested lists; of no rows their width, which lists do not show."""
     if array.ndim > 1 and len(array) == 0:
         return {"shape": list(array.shape)}
+    if array.dtype.kind == "c":
+        return {"real": _array_to_plain(array.real), "imag": _array_to_plain(array.imag)}
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         return _numbers_to_plain(array.tolist())
     return array.tolist()

@@ -209,6 +209,35 @@ class OutageView:
         )
 
 
+def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
+    """Probability that each step is one of an outage, as it was believed at each.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day as it came.
+    options : mapping
+        Of the run, as they are recorded.
+
+    Returns
+    -------
+    array, shape (T, T)
+        By the step at which it was believed, then by the step that it is about; NaN for steps
+        that were over, or too far ahead.
+    """
+    view = OutageView.create(scenario, options)
+    times = scenario.grid.times
+    T = scenario.grid.n_steps
+    most = scenario.grid.steps_in_horizon(LOOKAHEAD_H)
+    found = np.full((T, T), np.nan)
+    seen = GridSeen()
+    for t, now in enumerate(times):
+        seen = seen.after(now, float(scenario.grid_limit_kw[t]))
+        ahead = min(most, T - t)
+        found[t, t : t + ahead] = view.outlook.at(now, ahead, seen.outages).out_probability
+    return found
+
+
 def check_outages(kind: str, controller: str) -> None:
     """Refuse what a controller has no use for.
 

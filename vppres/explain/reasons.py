@@ -10,7 +10,7 @@ import numpy as np
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Binding, Reason, Scarce, Step
-from vppres.explain.words import SCARCE, figure, money, one_more, stored_worth_gbp
+from vppres.explain.words import SCARCE, figure, money, one_more, pounds, stored_worth_gbp
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
@@ -77,6 +77,9 @@ def why_not_served(step: Step, customer: int) -> Reason:
 
 def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
     """A customer whose supply is worth more to others, in this step or kept for later ones."""
+    rationed = _rationed(step, customer, binding)
+    if rationed is not None:
+        return rationed
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
     compare = (
         f"its supply is worth {figure(weight - gain)} weighted customer hours to others, "
@@ -98,6 +101,20 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
             f"Not served: {SCARCE[binding]} is worth more elsewhere or later; {compare}",
             one_more(step, binding),
         ),
+    )
+
+
+def _rationed(step: Step, customer: int, binding: Scarce) -> Reason | None:
+    """A customer whose energy is kept for what is believed to come; None where it is not."""
+    later = step.later_worth_gbp
+    now = step.worth_gbp_per_kwh(customer)
+    if later is None or now is None or binding != "energy" or later <= now:
+        return None
+    return Reason(
+        "energy",
+        "energy",
+        f"Not served, rationed: one more kWh in store is worth {pounds(later)} GBP later, "
+        f"{pounds(now)} GBP to it now.",
     )
 
 
@@ -211,13 +228,18 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
             limit,
             f"Charges: {step.site.pv.word} gives more than the demand, and {_taken(step)}.",
         )
-    worth = stored_worth_gbp(step, battery)
+    worth = step.later_worth_gbp
+    if worth is None:
+        worth = stored_worth_gbp(step, battery)
     saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
     at_price = f"at {money(step.price_gbp_per_kwh)} GBP/kWh"
     if not charges and step.export_kw > MOVE_KW:
         earned = f"{money(step.export_price_gbp_per_kwh)} GBP/kWh"
         return Reason("price", limit, f"Discharges: what the feeder exports earns {earned}{saves}.")
-    if charges and step.phase == "preparation":
+    if charges and step.later_worth_gbp is not None and step.later_worth_gbp > step.dearest_gbp:
+        words = f"Charges for an outage that may come {at_price}{saves}."
+        return Reason("preparation", limit, words)
+    if charges and step.phase == "preparation" and step.later_worth_gbp is None:
         return Reason("preparation", limit, f"Charges for the outage {at_price}{saves}.")
     return Reason("price", limit, f"{verb} {at_price}{saves}.")
 

@@ -92,10 +92,31 @@ class Step:
         """Shadow prices in GBP."""
         return None if self.levels.cost is None else self.levels.cost.prices
 
+    @cached_property
+    def later_worth_gbp(self) -> float | None:
+        """What one more stored kWh was believed to be worth later; None where outages are known."""
+        text = self.recorded.note(self.t, "stored_value_gbp_per_kwh")
+        return float(text) if text else None
+
+    def worth_gbp_per_kwh(self, customer: int) -> float | None:
+        """What a stored kWh is worth to a customer now; None where outages are known."""
+        value = self.levels.window.stored_value
+        if value is None:
+            return None
+        weight = float(self.site.customers.weight[customer])
+        efficiency = float(self.site.batteries.eta_discharge.mean())
+        per_kw = weight / max(float(self.load_kw[customer]), 1e-9)
+        return value.gbp_per_service * per_kw * efficiency
+
     @property
     def price_gbp_per_kwh(self) -> float:
         """Import price."""
         return float(self.scenario.price_gbp_per_kwh[self.t])
+
+    @cached_property
+    def dearest_gbp(self) -> float:
+        """Dearest import price from the step on: energy that is worth more is for an outage."""
+        return float(self.scenario.price_gbp_per_kwh[self.t :].max())
 
     @property
     def export_price_gbp_per_kwh(self) -> float:

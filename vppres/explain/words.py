@@ -40,6 +40,15 @@ def money(value: float) -> str:
     return f"{value:.3f}"
 
 
+def pounds(value: float) -> str:
+    """What a kWh is worth: whole pounds where it is many, else to a penny.
+
+    >>> pounds(41.7), pounds(0.523)
+    ('42', '0.52')
+    """
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2f}"
+
+
 def one_more(step: Step, binding: Binding) -> str:
     """What one more unit of what binds would have bought, without a full stop; empty if nothing."""
     p = step.service

@@ -389,6 +389,7 @@ class Controller:
         day = Day(scenario, self.options)
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, b.t_ref_c)
         day.switching = switching
+        day.ac.go_on_from(past.voltages)
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
         return (
@@ -401,6 +402,7 @@ class Controller:
                 day.plant.cold_load,
                 record.customers["served"],
                 past.with_measured(scenario),
+                day.ac.found,
                 grid_seen,
             ),
         )

@@ -9,7 +9,7 @@ from typing import Any
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
 from vppres.control.remembered import memory_of, put_back
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Complexes, Flags
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
@@ -41,6 +41,8 @@ class Past:
         Who was served.
     history : History or None
         What was measured; None where no forecaster learns from it.
+    voltages : dict of int to array of complex, shape (N,)
+        Solutions by the position of the source's bus, from which the next power flow starts.
     grid_seen : GridSeen
         Outages so far.
     """
@@ -51,6 +53,7 @@ class Past:
     cold_load: ColdLoad
     served: Flags | None
     history: History | None
+    voltages: dict[int, Complexes]
     grid_seen: GridSeen = field(default_factory=GridSeen)
 
     @classmethod
@@ -58,7 +61,7 @@ class Past:
         """Before the first step: everyone has been served for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history)
+        return cls(-1, None, day.switching, day.plant.cold_load, None, history, {})
 
     def with_measured(self, now: Scenario) -> History | None:
         """The history with the first step of a window; None where no forecaster learns from it."""
@@ -86,6 +89,7 @@ class Past:
             "switching": to_plain(self.switching, given),
             "cold_load": memory_of(self.cold_load, given),
             "served": to_plain(self.served, given),
+            "voltages": to_plain(self.voltages, given),
             "grid_seen": to_plain(self.grid_seen, given),
         }
 
@@ -105,6 +109,7 @@ class Past:
             "operating_point": OperatingPoint | None,
             "switching": SwitchingState | None,
             "served": Flags | None,
+            "voltages": dict[int, Complexes],
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)

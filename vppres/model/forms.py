@@ -27,7 +27,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.stored_value import Ending
+from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import RuleSteps
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -276,9 +276,9 @@ def stored_at_end(site: Site, v: Variables) -> cp.Expression:
 
 
 def fill_end(held: AtEnd, site: Site, data: WindowData) -> None:
-    """Write a value, or what each battery is to hold: nothing where the window does not end."""
+    """Write a value, or what each battery is to hold; nothing for a window that says neither."""
     if isinstance(held, ValueAtEnd):
-        held.fill(data.require_value())
+        held.fill(data.stored_value or StoredValue.nothing())
         return
     terminal = data.terminal or Terminal(0.0, 0.0)
     target_kwh = terminal.target_kwh(site.batteries)

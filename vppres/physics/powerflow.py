@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,6 +221,15 @@ class ACPowerFlow:
     def restart(self) -> None:
         """Forget the last solution: the next solve starts flat."""
         self._last.clear()
+
+    @property
+    def found(self) -> dict[int, Complexes]:
+        """Voltages of the last solutions by their reference, from which the next solves start."""
+        return dict(self._last)
+
+    def go_on_from(self, found: Mapping[int, Complexes]) -> None:
+        """Start the next solves from solutions that were found before, here or elsewhere."""
+        self._last = dict(found)
 
     def _checked(self, name: str, values: ArrayLike) -> Floats:
         """Injections as an array with one finite value per bus."""

@@ -11,6 +11,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.report.plots.base import Runs, save_figure
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
+from vppres.report.plots.outages import has_beliefs, outage_belief
 from vppres.report.plots.service import service_by_tier
 from vppres.report.plots.strips import timeline
 
@@ -30,6 +31,9 @@ RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
     "feeder_maps": feeder_maps,
 }
 
+# Figures of one run that did not know the outages ahead.
+BELIEF_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {"outage_belief": outage_belief}
+
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, demand served and available PV "
@@ -43,6 +47,8 @@ FIGURE_TEXTS = {
     "timeline": "The day at a glance; numbers count the customers not served.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
     "current; dashed: the outage.",
+    "outage_belief": "Probability of an outage in each step, as it was believed some hours before, "
+    "and what one more stored kWh was believed to be worth.",
 }
 """What each figure shows."""
 
@@ -63,7 +69,9 @@ def save_figures(runs: Runs, folder: Path) -> list[Path]:
 
 def figure_names(runs: Runs) -> list[str]:
     """Names of the figures that one run, or several side by side, have."""
-    return [*FIGURES, *(RUN_FIGURES if isinstance(runs, Trajectory) else ())]
+    if not isinstance(runs, Trajectory):
+        return [*FIGURES]
+    return [*FIGURES, *RUN_FIGURES, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
 
 
 def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
@@ -71,4 +79,4 @@ def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
     if name in FIGURES:
         return save_figure(FIGURES[name](runs), folder / name)
     assert isinstance(runs, Trajectory)
-    return save_figure(RUN_FIGURES[name](runs), folder / name)
+    return save_figure((RUN_FIGURES | BELIEF_FIGURES)[name](runs), folder / name)

@@ -16,6 +16,7 @@ from vppres.report.sections.explain import explain_section
 from vppres.report.sections.feeder import feeder_section
 from vppres.report.sections.figures import figures_section
 from vppres.report.sections.network import network_section
+from vppres.report.sections.outages import outages_section
 from vppres.report.sections.overview import overview_section
 from vppres.report.sections.service import service_section
 from vppres.report.sections.solver import solver_section
@@ -25,6 +26,7 @@ from vppres.report.sections.timeline import timeline_section
 SECTIONS: tuple[SectionMaker, ...] = (
     overview_section,
     timeline_section,
+    outages_section,
     days_section,
     explain_section,
     service_section,

@@ -1,0 +1,122 @@
+"""The windows that users bring, the race against monoliths, and random days."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks import findings, race
+from benchmarks.hard import HardInstance, read_hard
+from benchmarks.instances import packaged, read_instances, window_data
+from benchmarks.random_days import STEPS, cut, steps_of, summary
+from experiments.hard_days import KINDS, hard_day
+from vppres.core.errors import InputError
+from vppres.model.site import Site
+
+# The table.
+
+
+def test_there_are_enough_of_every_kind() -> None:
+    rows = read_hard()
+    assert len(rows) >= 60
+    assert len(rows) + len(read_instances()) >= 180
+    assert {row.kind for row in rows} == set(KINDS)
+    assert all(row.before_s >= 0.5 or row.before != "optimal" for row in rows)
+
+
+@pytest.mark.parametrize("name", ["h001", "h030", "h060"])
+def test_a_row_determines_its_window(name: str) -> None:
+    row = next(row for row in read_hard() if row.name == name)
+    again = HardInstance(**asdict(row)).window.data
+    assert np.array_equal(row.window.data.soc, again.soc)
+    assert np.array_equal(row.window.data.load_kw, again.load_kw)
+    assert row.window.data.n_steps == row.steps
+    with pytest.raises(InputError, match="makes a window of t0, steps, buses"):
+        _ = replace(row, t0=row.t0 + 1).window
+
+
+def test_unknown_kinds_and_columns_are_refused(tmp_path: Path) -> None:
+    table = pd.DataFrame([asdict(read_hard()[0])])
+    file = tmp_path / "hard.csv"
+    table.assign(kind="none").to_csv(file, index=False)
+    with pytest.raises(InputError, match="kind that is not known"):
+        read_hard(file)
+    table.drop(columns="kind").to_csv(file, index=False)
+    with pytest.raises(InputError, match="other columns"):
+        read_hard(file)
+
+
+# The race.
+
+
+def test_slower_is_beyond_twice_the_better_monolith_and_half_a_second() -> None:
+    rows = pd.DataFrame(
+        {
+            "window": list("abcd"),
+            "group": "hard",
+            "kind": "tight",
+            "seconds": [0.4, 2.4, 2.6, 12.0],
+            "status": ["optimal", "optimal", "optimal", "optimal"],
+            "gap": 0.0,
+            "buses": 33,
+            "steps": 6,
+            "highs_s": [np.nan, 1.0, 1.0, np.inf],
+            "scip_s": [np.nan, np.inf, 5.0, np.inf],
+        }
+    )
+    found = race.with_verdict(rows)
+    assert found["slower"].tolist() == [False, False, True, False]
+    assert found["certified"].tolist() == [True, True, True, False]
+    table = race.summary(found)
+    assert table["windows"].tolist() == [4, 4]
+    assert table["slower"].tolist() == [1, 1]
+    bars = findings.race_bars(found)
+    assert [bar.met for bar in bars] == [None, False, False]
+    assert bars[1].measured == "75.0% of 4"
+    section = findings.race_section(found)
+    assert section.tables[1]["window"].tolist() == ["c", "d"]
+
+
+def test_monoliths_run_only_as_long_as_they_can_win(monkeypatch: pytest.MonkeyPatch) -> None:
+    instance = read_instances()[2]
+    runner = race.Runner("o", "ordinary", "", Site.of(packaged()), window_data(instance))
+    quick = race.race(runner)
+    assert quick["status"] == "optimal"
+    assert "highs_s" not in quick  # a few hundredths of a second: nothing to win
+    monkeypatch.setattr(race, "HEAD_START_S", -60.0)
+    monkeypatch.setattr(race, "MONOLITHS", ("highs",))
+    found = race.race(runner)
+    assert found["highs_status"] == "optimal"
+    assert found["highs_value"] == pytest.approx(quick["value"], abs=5e-3)
+
+
+# Random days.
+
+
+def test_two_days_of_quarter_hours_are_cut_to_their_outage() -> None:
+    scenario = hard_day("quarters", 2).scenario
+    part = cut(scenario)
+    assert part.grid.n_steps == STEPS
+    assert part.outage.any() == scenario.outage.any()
+    assert cut(part) is part
+
+
+def test_summary_counts_steps_that_are_left_open() -> None:
+    day = {
+        "kind": "tight",
+        "seed": 1,
+        "seconds": [0.1, 0.3],
+        "status": ["optimal", "gap_open"],
+        "gap": [1e-6, 2e-3],
+        "fallback": ["none", "rule"],
+        "stages": ["a", "b"],
+    }
+    table = summary(steps_of(pd.DataFrame([day, {**day, "kind": "rules", "gap": [0.0, 0.0]}])))
+    assert table["kind"].tolist() == ["all", "tight", "rules"]
+    assert table["open"].tolist() == [1, 1, 0]
+    assert table["fallbacks"].tolist() == [2, 1, 1]
+    assert table["steps"].tolist() == [4, 2, 2]

@@ -1,0 +1,52 @@
+"""What was believed of outages, and the messages behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from vppres.outlook.presets import completed
+from vppres.report.clock import Clock
+from vppres.report.plots.outages import has_beliefs
+from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
+from vppres.scenario.outage_warnings import OutageWarning
+
+
+def outages_section(run: Run) -> Section | None:
+    """Beliefs beside what came; nothing where outages were known."""
+    if not has_beliefs(run.trajectory):
+        return None
+    scenario = run.trajectory.scenario
+    messages = sorted(map(completed, scenario.warnings), key=lambda message: message.issued_at)
+    return section(
+        "outages",
+        "Outages: what was believed, and what came",
+        {
+            "kind": run.trajectory.options["outages"],
+            "figure": run.figure("outage_belief"),
+            "heading": Clock.of(run.trajectory).heading,
+            "messages": [_row(message, Clock.of(run.trajectory)) for message in messages],
+            "folded_above": FOLDED_ABOVE,
+        },
+    )
+
+
+def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:
+    """A message in the words of the table."""
+    onsets = (message.onset_earliest, message.onset_likely, message.onset_latest)
+    lengths = (message.duration_p10_h, message.duration_p50_h, message.duration_p90_h)
+    chance = 1.0 if message.probability is None else message.probability
+    return {
+        "time": clock.words(message.issued_at),
+        "about": " ".join(word for word in (message.outage, message.preset) if word),
+        "onset": "all-clear" if message.all_clear else _between(onsets, clock),
+        "probability": f"{chance:.0%}" if chance >= 0.01 else f"{chance:.2%}",
+        "length": ", ".join(f"{hours:.3g}" for hours in lengths if hours is not None),
+    }
+
+
+def _between(onsets: Sequence[pd.Timestamp | None], clock: Clock) -> str:
+    """The onset's times, once where they are one."""
+    times = list(dict.fromkeys(clock.words(time) for time in onsets if time is not None))
+    return " to ".join(times)

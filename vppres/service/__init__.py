@@ -1,0 +1,1 @@
+"""A controller that runs day and night, behind HTTP."""

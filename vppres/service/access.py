@@ -1,0 +1,140 @@
+"""Who may do what: everybody on this machine while nobody has a token, else whoever has one."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vppres.core.errors import InputError, Problem
+from vppres.service.store import Token
+
+SCOPES = ("read", "telemetry", "events", "operator")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+class Denied(Exception):
+    """A request that may not do what it asks.
+
+    Parameters
+    ----------
+    status : int
+        401 where nobody knows who asks, 403 where it is known and not enough.
+    message : str
+        Why.
+    """
+
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Access:
+    """Tokens of a service.
+
+    Parameters
+    ----------
+    tokens : sequence of Token
+        Who may come in; if there are none everybody may do everything.
+    """
+
+    tokens: Sequence[Token] = ()
+
+    def actor(self, authorization: str | None, scope: str) -> str:
+        """Name of whoever asks.
+
+        Parameters
+        ----------
+        authorization : str or None
+            Header of the request.
+        scope : str
+            What is asked for.
+
+        Raises
+        ------
+        Denied
+            If it may not.
+        """
+        if not self.tokens:
+            return "anybody here"
+        kind, _, secret = (authorization or "").partition(" ")
+        given = digest(secret)
+        found = None
+        for token in self.tokens:  # all of them, so that the time says nothing
+            if hmac.compare_digest(token.sha256, given):
+                found = token
+        if found is None or kind.lower() != "bearer":
+            raise Denied(401, "Give a token: Authorization: Bearer TOKEN.")
+        if scope not in found.scopes.split():
+            raise Denied(403, f"The token of {found.name} has no scope {scope}.")
+        return found.name
+
+
+def digest(secret: str) -> str:
+    """What is kept of a token; 32 random bytes need no salt.
+
+    >>> digest("x")[:8]
+    '2d711642'
+    """
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def new_token(text: str) -> tuple[str, Token]:
+    """A secret, and what is kept of it, for ``NAME:SCOPE,SCOPE``.
+
+    Raises
+    ------
+    InputError
+        If there is no name, or a scope that is none.
+
+    Examples
+    --------
+    >>> new_token("scada:read,telemetry")[1].scopes
+    'read telemetry'
+    """
+    name, _, wanted = text.partition(":")
+    scopes = [scope.strip() for scope in wanted.split(",") if scope.strip()]
+    unknown = [scope for scope in scopes if scope not in SCOPES]
+    if not name.strip() or not scopes or unknown:
+        raise InputError(
+            Problem(
+                "options",
+                "is not a name with scopes",
+                f"Write NAME:SCOPE,SCOPE, for example scada:read,telemetry. Scopes: "
+                f"{', '.join(SCOPES)}.",
+                field="add-token",
+                value=text,
+            )
+        )
+    secret = secrets.token_urlsafe(32)
+    return secret, Token(name.strip(), digest(secret), " ".join(scopes))
+
+
+def check_address(host: str, access: Access, behind_proxy: bool) -> None:
+    """Refuse to listen to other machines without tokens and encryption.
+
+    Raises
+    ------
+    InputError
+        If that is asked for.
+    """
+    if host in LOOPBACK:
+        return
+    missing = []
+    if not access.tokens:
+        missing.append("a token (--add-token NAME:SCOPES)")
+    if not behind_proxy:
+        missing.append("a proxy in front that does TLS (--behind-proxy)")
+    if missing:
+        raise InputError(
+            Problem(
+                "options",
+                "is an address for other machines",
+                f"It needs {' and '.join(missing)}; 127.0.0.1 needs neither.",
+                field="host",
+                value=host,
+            )
+        )

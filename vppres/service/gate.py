@@ -1,0 +1,118 @@
+"""The last check of set-points before they leave: arithmetic of its own, whatever decided them.
+
+It knows ratings, what a battery holds and what there is to be fed, and neither model nor guard.
+What does not pass is not sent; the device gets its default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from vppres.core.arrays import Floats
+from vppres.live.controller import SetPoints
+from vppres.scenario.scenario import Scenario
+
+RATING_SHARE = 2e-3
+POWER_KW = 0.02
+SOC_SHARE = 1e-3
+"""What solvers and rounding may be off by."""
+
+
+def refusals(
+    decision: SetPoints, scenario: Scenario, soc: Mapping[str, float]
+) -> dict[tuple[str, str], str]:
+    """What may not be sent, and why.
+
+    Parameters
+    ----------
+    decision : SetPoints
+        What is to be sent.
+    scenario : Scenario
+        The site: ratings and step length.
+    soc : mapping of str to float
+        State of charge of batteries as far as it is known.
+
+    Returns
+    -------
+    dict
+        Reason by kind (``batteries``, ``pv`` or ``customers``) and identifier.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for kind, reasons in (
+        ("batteries", _batteries(decision, scenario, soc)),
+        ("pv", _pv(decision, scenario)),
+        ("customers", _customers(decision)),
+    ):
+        found.update({(kind, name): reason for name, reason in reasons.items()})
+    return found
+
+
+def _batteries(decision: SetPoints, scenario: Scenario, soc: Mapping[str, float]) -> dict[str, str]:
+    """Ratings, the inverter's disc, and what is stored."""
+    b = scenario.batteries
+    table = decision.batteries
+    p_kw = table["p_kw"].to_numpy(float)
+    q_kvar = table["q_kvar"].to_numpy(float)
+    held = np.array([soc.get(name, np.nan) for name in b.id], dtype=float)
+    stored_kw = np.where(p_kw > 0.0, p_kw * b.eta_charge, p_kw / b.eta_discharge)
+    after = held + stored_kw * scenario.grid.dt_h / b.energy_kwh
+    # What is outside already may stay there, and come back; what is not known is not checked.
+    over = after - np.maximum(b.soc_max, held)
+    under = np.minimum(b.soc_min, held) - after
+    reasons = {
+        "power above its rating": np.abs(p_kw) - b.p_max_kw - _slack(b.p_max_kw),
+        "apparent power above its rating": np.hypot(p_kw, q_kvar)
+        - b.s_max_kva
+        - _slack(b.s_max_kva),
+        "more than it has room for": over - SOC_SHARE,
+        "more than it holds": under - SOC_SHARE,
+    }
+    return _named(list(b.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
+
+
+def _pv(decision: SetPoints, scenario: Scenario) -> dict[str, str]:
+    """What there is to be fed, and the inverter's disc."""
+    pv = scenario.pv
+    table = decision.pv
+    p_kw = table["p_kw"].to_numpy(float)
+    q_kvar = table["q_kvar"].to_numpy(float)
+    available_kw = table["available_kw"].to_numpy(float)
+    reasons = {
+        "power below nothing": -p_kw - POWER_KW,
+        "more power than there is": p_kw - available_kw - _slack(pv.p_max_kw),
+        "apparent power above its rating": np.hypot(p_kw, q_kvar)
+        - pv.s_max_kva
+        - _slack(pv.s_max_kva),
+    }
+    return _named(list(pv.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
+
+
+def _customers(decision: SetPoints) -> dict[str, str]:
+    """Served, or not."""
+    served = decision.customers["served"]
+    return {
+        str(name): "neither served nor not"
+        for name, value in served.items()
+        if not isinstance(value, (bool, np.bool_))
+    }
+
+
+def _slack(rating: Floats) -> Floats:
+    return POWER_KW + RATING_SHARE * rating
+
+
+def _named(names: list[Any], reasons: Mapping[str, Floats], numbers: Any) -> dict[str, str]:
+    """The first reason of each item that has one."""
+    found: dict[str, str] = {}
+    for i, name in enumerate(names):
+        if not numbers[i]:
+            found[str(name)] = "no number"
+            continue
+        for reason, excess in reasons.items():
+            if excess[i] > 0:
+                found[str(name)] = reason
+                break
+    return found

@@ -1,0 +1,188 @@
+"""Bodies of requests. Names carry their units; whatever is not named here is refused."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import pandas as pd
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    WithJsonSchema,
+    model_validator,
+)
+
+from vppres.live.door import moment_of
+
+MOST_SERIES = 2_000
+MOST_VALUES = 2_000
+LONGEST_NAME = 100
+
+_DURATION = re.compile(r"PT(?=\d)(\d{1,4}H)?(\d{1,5}M)?(\d{1,6}S)?")
+
+
+def read_moment(value: Any) -> pd.Timestamp:
+    """A time in ISO 8601 with an offset.
+
+    >>> read_moment("2026-11-21T20:00:00+01:00").isoformat()
+    '2026-11-21T20:00:00+01:00'
+    """
+    moment = moment_of(value) if isinstance(value, str) else None
+    if moment is None:
+        raise ValueError("is not a time. Write ISO 8601, for example 2026-07-19T12:00:00Z")
+    if moment.tzinfo is None:
+        raise ValueError("has no offset. Write one, for example 2026-07-19T12:00:00Z")
+    if not 2000 <= moment.year < 2200:
+        raise ValueError("is not a time of this century or the next")
+    return moment
+
+
+def read_duration(value: Any) -> pd.Timedelta:
+    """A duration in ISO 8601, in hours, minutes and seconds.
+
+    >>> read_duration("PT30M")
+    Timedelta('0 days 00:30:00')
+    """
+    if not isinstance(value, str) or not _DURATION.fullmatch(value):
+        raise ValueError("is not a duration. Write hours, minutes or seconds, for example PT30M")
+    duration = pd.Timedelta(value)
+    if duration <= pd.Timedelta(0):
+        raise ValueError("must be longer than nothing")
+    return duration
+
+
+Moment = Annotated[
+    pd.Timestamp,
+    PlainValidator(read_moment),
+    WithJsonSchema({"type": "string", "format": "date-time"}),
+]
+Duration = Annotated[
+    pd.Timedelta,
+    PlainValidator(read_duration),
+    WithJsonSchema({"type": "string", "pattern": f"^{_DURATION.pattern}$", "examples": ["PT1H"]}),
+]
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Power = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)]
+Price = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e3, le=1e3)]
+
+Quantity = Literal["soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "online"]
+
+
+class Body(BaseModel):
+    """What all bodies have in common: no other fields than those named."""
+
+    model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+
+
+class Readings(Body):
+    """Readings of one quantity of one asset, equally apart; null where one is known to be missing.
+
+    ``soc``, ``load_kw``, ``pv_kw`` and ``online`` (1 or 0) hold at their time, ``battery_kw``
+    (charging positive) and ``import_kw`` (of the asset ``grid``) are means from then on.
+    """
+
+    source: Name
+    asset: Name
+    quantity: Quantity
+    start: Moment
+    resolution: Duration
+    values: list[Number | None] = Field(min_length=1, max_length=MOST_VALUES)
+
+
+class Telemetry(Body):
+    """A batch of readings; to send it twice does no harm."""
+
+    series: list[Readings] = Field(min_length=1, max_length=MOST_SERIES)
+
+
+class Interval(Body):
+    """From a time on, up to another one, or until further notice."""
+
+    source: Name = "operator"
+    start: Moment
+    end: Moment | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Interval:
+        if self.end is not None and self.end <= self.start:
+            raise ValueError("ends before it begins. Give a later end, or none")
+        return self
+
+
+class Outage(Interval):
+    """No grid; every step that it touches counts."""
+
+    type: Literal["outage"]
+
+
+class ImportLimit(Interval):
+    """No more import than this."""
+
+    type: Literal["import_limit"]
+    limit_kw: Power
+
+
+class Prices(Body):
+    """Import prices of the steps from a time on."""
+
+    type: Literal["price"]
+    source: Name = "operator"
+    start: Moment
+    resolution: Duration
+    price_gbp_per_kwh: list[Price] = Field(min_length=1, max_length=MOST_VALUES)
+
+
+class Alert(Interval):
+    """Something to be shown; it decides nothing."""
+
+    type: Literal["alert"]
+    text: str = Field(max_length=500)
+
+
+Event = Annotated[Outage | ImportLimit | Prices | Alert, Field(discriminator="type")]
+
+
+class Quantiles(Body):
+    """The median of each step, and what one in ten lies below or above."""
+
+    p10: list[Power] | None = Field(None, max_length=MOST_VALUES)
+    p50: list[Power] = Field(min_length=1, max_length=MOST_VALUES)
+    p90: list[Power] | None = Field(None, max_length=MOST_VALUES)
+
+    @model_validator(mode="after")
+    def _do_not_cross(self) -> Quantiles:
+        ordered = [row for row in (self.p10, self.p50, self.p90) if row is not None]
+        if any(len(row) != len(self.p50) for row in ordered):
+            raise ValueError("has quantiles of different lengths. Give one value for each step")
+        for lower, upper in pairwise(ordered):
+            if any(a > b for a, b in zip(lower, upper, strict=True)):
+                raise ValueError("has quantiles that cross. Give p10 <= p50 <= p90")
+        return self
+
+
+class Forecasts(Body):
+    """What is expected of customers or PV systems, of whom the plan takes the median."""
+
+    issued_at: Moment
+    start: Moment
+    resolution: Duration
+    assets: dict[Name, Quantiles] = Field(min_length=1, max_length=MOST_SERIES)
+
+
+class StepRequest(Body):
+    """The step to decide on; the present one if no time is given."""
+
+    time: Moment | None = None
+
+
+class ModeRequest(Body):
+    """What the service does: decide, or give defaults only."""
+
+    mode: Literal["auto", "off"]
+    until: Moment | None = None
+    reason: str = Field("", max_length=200)

@@ -1,0 +1,202 @@
+"""A decision as the service says it: set-points with their ends and defaults, and why."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.live.controller import SetPoints
+from vppres.live.measurement import Measurement
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.knowledge import Known
+
+SCHEMA_VERSION = "1.0.0"
+"""Of the plan. A sign that changes is a new first number."""
+
+OVERLAP = 0.1
+"""Share of a step for which set-points hold beyond its end, while the next ones are made."""
+
+DECIDED = ("ok", "fallback")
+"""Outcomes of steps in which the controller decided."""
+
+
+def plan_of(
+    decision: SetPoints, scenario: Scenario, known: Known, refused: Mapping[tuple[str, str], str]
+) -> dict[str, Any]:
+    """The plan of a step that was decided.
+
+    Parameters
+    ----------
+    decision : SetPoints
+        What was decided.
+    scenario : Scenario
+        The site.
+    known : Known
+        What it was decided on.
+    refused : mapping
+        What the gate does not let pass, by kind and identifier.
+    """
+    solve = decision.solve
+    fallback = None if solve["fallback"] == "none" else solve["fallback"]
+    reason = fallback or ("corrected" if solve["corrected"] else "plan")
+    v_pu = decision.buses["v_ac_pu"]
+    return {
+        **_head(decision.time, scenario, "ok" if fallback is None else "fallback"),
+        "inputs_digest": f"sha256:{inputs_digest(known.measurement)}",
+        "solve": {
+            "status": str(solve["status"]),
+            "relative_gap": _number(solve["gap"]),
+            "objective": _number(solve["objective"]),
+            "bound": _number(solve["bound"]),
+            "seconds": _number(solve["solve_s"]),
+            "fallback": fallback,
+            "fallback_reason": solve["fallback_reason"] or None,
+            "correction_reason": solve["reason"] or None,
+        },
+        "estimated": [words for words in str(solve["estimated"]).split("; ") if words],
+        "late": [vars(one) for one in known.heard if one.state != "ok"],
+        "setpoints": _set_points(decision, scenario, refused, reason),
+        "expected": {
+            "import_kw": _number(decision.import_kw),
+            "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
+            "v_min_pu": _number(v_pu.min()),
+            "v_max_pu": _number(v_pu.max()),
+        },
+    }
+
+
+def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
+    """The plan of a step in which nothing was decided: every device does its default."""
+    empty: dict[str, dict[str, dict[str, Any]]] = {
+        "batteries": {str(name): {} for name in scenario.batteries.id},
+        "pv": {str(name): {} for name in scenario.pv.id},
+        "customers": {str(name): {} for name in scenario.customers.id},
+    }
+    refused = {(kind, name): reason for kind, names in empty.items() for name in names}
+    return {
+        **_head(time, scenario, status),
+        "inputs_digest": None,
+        "solve": None,
+        "reason": reason,
+        "estimated": [],
+        "late": [],
+        "setpoints": [
+            _set_point(time, scenario, kind, name, values, refused, "default")
+            for kind, each in empty.items()
+            for name, values in each.items()
+        ],
+        "expected": None,
+    }
+
+
+def etag(plan: Mapping[str, Any]) -> str:
+    """Name of the content."""
+    text = json.dumps(plan, sort_keys=True)
+    return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+
+
+def inputs_digest(measured: Measurement) -> str:
+    """SHA-256 of a measurement."""
+    digest = hashlib.sha256()
+    for f in fields(measured):
+        value = getattr(measured, f.name)
+        if isinstance(value, (pd.DataFrame, pd.Series)):
+            digest.update(np.ascontiguousarray(value.to_numpy(float)).tobytes())
+        else:
+            text = sorted(value.items()) if isinstance(value, dict) else str(value)
+            digest.update(f"{f.name} {text}".encode())
+    return digest.hexdigest()
+
+
+def at(setpoint: Mapping[str, Any], time: pd.Timestamp) -> dict[str, Any]:
+    """A set-point as it holds at a time: itself, or its default when it is over."""
+    begun = pd.Timestamp(setpoint["valid_from"]) <= time
+    active = begun and time < pd.Timestamp(setpoint["valid_until"])
+    return {**setpoint, **({} if active else setpoint["default"]), "active": active}
+
+
+def _head(time: pd.Timestamp, scenario: Scenario, status: str) -> dict[str, Any]:
+    minutes = scenario.grid.step_minutes
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "id": f"p-{written(time)}",
+        "status": status,
+        "start": written(time),
+        "resolution": f"PT{minutes:g}M" if minutes % 60 else f"PT{minutes / 60:g}H",
+        "site_time_zone": scenario.grid.zone,
+    }
+
+
+def _set_points(
+    decision: SetPoints,
+    scenario: Scenario,
+    refused: Mapping[tuple[str, str], str],
+    reason: str,
+) -> list[dict[str, Any]]:
+    """Batteries, then PV systems, then customers."""
+    batteries = {
+        str(name): {"p_kw": float(row.p_kw), "q_kvar": float(row.q_kvar)}
+        for name, row in decision.batteries.iterrows()
+    }
+    pv = {
+        str(name): {"p_kw": float(row.p_kw), "q_kvar": float(row.q_kvar)}
+        for name, row in decision.pv.iterrows()
+    }
+    customers = {str(name): {"served": bool(on)} for name, on in decision.customers.served.items()}
+    return [
+        _set_point(decision.time, scenario, kind, name, values, refused, reason)
+        for kind, each in (("batteries", batteries), ("pv", pv), ("customers", customers))
+        for name, values in each.items()
+    ]
+
+
+def _set_point(
+    time: pd.Timestamp,
+    scenario: Scenario,
+    kind: str,
+    name: str,
+    values: Mapping[str, Any],
+    refused: Mapping[tuple[str, str], str],
+    reason: str,
+) -> dict[str, Any]:
+    """What one device is to do, until when, and what after that."""
+    length = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    default = _default(scenario, kind, name)
+    stopped = refused.get((kind, name))
+    return {
+        "id": f"{written(time)}/{kind}/{name}",
+        "asset": name,
+        "kind": kind,
+        **(values if stopped is None else default),
+        **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
+        "valid_from": written(time),
+        "valid_until": written(time + (1.0 + OVERLAP) * length),
+        "default": default,
+        "reason": reason if stopped is None else f"default: {stopped}",
+    }
+
+
+_SIGNS = {"batteries": "charging_positive", "pv": "injection_positive"}
+
+
+def _default(scenario: Scenario, kind: str, name: str) -> dict[str, Any]:
+    """What a device does without us: batteries rest, the sun shines, customers are on."""
+    if kind == "customers":
+        return {"served": True}
+    if kind == "batteries":
+        return {"p_kw": 0.0, "q_kvar": 0.0}
+    place = [str(each) for each in scenario.pv.id].index(name)
+    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0}
+
+
+def _number(value: Any) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None

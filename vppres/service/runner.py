@@ -1,0 +1,251 @@
+"""One step, from the clock to the stored plan, and what is to be said between two of them."""
+
+from __future__ import annotations
+
+import time as machine
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pandas as pd
+
+from vppres.core.errors import InputError, Problem, StorageError, VppresError
+from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN, LOOKAHEAD_H
+from vppres.live.controller import Controller
+from vppres.live.profile import Profile
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import Clock, SetClock, written
+from vppres.service.gate import refusals
+from vppres.service.knowledge import Heard, known_at
+from vppres.service.plans import DECIDED, defaults_of, plan_of
+from vppres.service.store import Store
+
+DEADLINE_SHARE = 0.25
+"""Largest share of a step that a window may be searched for."""
+
+MOST_MISSED = 10_000
+"""Steps missed in a row that are written down one by one."""
+
+FULL_HORIZON_H = 24.0
+
+
+@dataclass(frozen=True, eq=False)
+class Service:
+    """What is served.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The site.
+    options : RunOptions
+        How it decides.
+    rehearsal : bool
+        Whether the scenario's own steps are played, at the pace of whoever asks for them.
+    """
+
+    scenario: Scenario
+    options: RunOptions
+    rehearsal: bool = False
+
+
+class Runner:
+    """Decides the steps of a site, one after another, and remembers them.
+
+    Parameters
+    ----------
+    service : Service
+        What is served.
+    store : Store
+        Where it is kept.
+    clock : Clock
+        What time it is.
+    """
+
+    def __init__(self, service: Service, store: Store, clock: Clock) -> None:
+        self.store = store
+        self.clock = clock
+        self.rehearsal = service.rehearsal
+        self.scenario = service.scenario
+        self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
+        self.profile = None if service.rehearsal else Profile.of(service.scenario)
+        self.options = _in_time(service.options, self.scenario)
+        self.heard: list[Heard] = []
+        self.last: dict[str, Any] | None = store.last_step()
+        self.on_step: Callable[[float], None] = lambda _: None
+        self._state = store.state()
+        self._controller = self._restored()
+        # One thread decides all steps, so that there is one process that solves.
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
+        if service.rehearsal and isinstance(clock, SetClock) and self.last is not None:
+            clock.set(pd.Timestamp(self.last["start"]))
+
+    def close(self) -> None:
+        """End the thread, after the step that it is in."""
+        self._thread.shutdown()
+
+    def step(self, time: pd.Timestamp | None = None) -> dict[str, Any]:
+        """The plan of a step: the stored one, or a new one.
+
+        Parameters
+        ----------
+        time : pandas.Timestamp, optional
+            Its beginning; that of the present step if not given.
+
+        Raises
+        ------
+        InputError
+            If no step begins then, if it is over, or not yet there.
+        StorageError
+            If it could not be kept: then nothing was decided.
+        """
+        return self._thread.submit(self._step, time).result()
+
+    def begun(self, time: pd.Timestamp) -> pd.Timestamp:
+        """Beginning of the step that covers a time."""
+        start = self.scenario.grid.start
+        return (start + ((time - start) // self.length) * self.length).tz_convert("UTC")
+
+    @property
+    def mode(self) -> dict[str, Any]:
+        """What an operator asked for, as long as it holds."""
+        asked = self.store.setting("mode")
+        if asked is None or (
+            asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
+        ):
+            return {"mode": "auto", "until": None, "reason": ""}
+        found: dict[str, Any] = asked
+        return found
+
+    @property
+    def ahead_s(self) -> float:
+        """How long the last plan still holds, in s; negative when it is over."""
+        if self.last is None:
+            return -float("inf")
+        end = pd.Timestamp(self.last["start"]) + self.length
+        return (end - self.clock.now()).total_seconds()
+
+    def _step(self, time: pd.Timestamp | None) -> dict[str, Any]:
+        """The same, in the thread of steps."""
+        now = self.clock.now()
+        time = self.begun(now) if time is None else time.tz_convert("UTC")
+        stored = self.store.step(time)
+        if stored is not None:
+            return stored
+        self._check(time, now)
+        if self.rehearsal and isinstance(self.clock, SetClock):
+            self.clock.set(time)
+        begin = machine.monotonic()
+        self._write_missed(time)
+        if self.mode["mode"] == "off":
+            plan = self._without(time, "off", self.mode["reason"] or "switched off")
+        else:
+            plan = self._decided(time)
+        self.on_step(machine.monotonic() - begin)
+        self.last = plan
+        return plan
+
+    def _check(self, time: pd.Timestamp, now: pd.Timestamp) -> None:
+        """Whether a step may be decided now."""
+        problem = None
+        if self.begun(time) != time:
+            problem = (
+                "is not the beginning of a step",
+                f"One begins at {written(self.begun(time))}.",
+            )
+        elif self.last is not None and time < pd.Timestamp(self.last["start"]):
+            problem = ("is over, and was not decided", f"The last step is {self.last['start']}.")
+        elif self.rehearsal and not self.scenario.grid.start <= time < self.scenario.grid.end:
+            problem = (
+                "is no step of the scenario that is rehearsed",
+                f"Its steps are those from {written(self.scenario.grid.start)} up to "
+                f"{written(self.scenario.grid.end)}.",
+            )
+        elif not self.rehearsal and time != self.begun(now):
+            problem = ("is not the present step", f"That one began at {written(self.begun(now))}.")
+        if problem is not None:
+            raise InputError(Problem("step", *problem, field="time", value=written(time)))
+
+    def _decided(self, time: pd.Timestamp) -> dict[str, Any]:
+        """The plan of the controller, or of nobody if it fails."""
+        try:
+            self._feed(time)
+            known = known_at(time, self._controller, self.store)
+            self.heard = known.heard
+            decision = self._controller.step(known.measurement)
+            refused = refusals(decision, self.scenario, known.soc)
+        except StorageError:
+            raise
+        except VppresError as error:
+            return self._without(time, "failed", str(error).splitlines()[0])
+        plan = {
+            **plan_of(decision, self.scenario, known, refused),
+            "generated_at": written(self.clock.now()),
+        }
+        state = self._controller.state()
+        try:
+            self.store.write_step(time, plan, state)
+        except StorageError:
+            self._controller = self._restored()  # as if it had not decided
+            raise
+        self._state = state
+        return plan
+
+    def _without(self, time: pd.Timestamp, status: str, reason: str) -> dict[str, Any]:
+        """The plan of a step in which nothing is decided."""
+        plan = {
+            **defaults_of(time, self.scenario, status, reason),
+            "generated_at": written(self.clock.now()),
+        }
+        self.store.write_plan(time, plan)
+        return plan
+
+    def _write_missed(self, time: pd.Timestamp) -> None:
+        """Write down the steps since the last one as missed; they are not decided any more."""
+        if self.last is None:
+            return
+        missed = pd.Timestamp(self.last["start"]) + self.length
+        for _ in range(MOST_MISSED):
+            if missed >= time:
+                return
+            self._without(missed, "missed", "the service did not run")
+            missed += self.length
+
+    def _restored(self) -> Controller:
+        """The controller where the last stored state left it."""
+        known = self.scenario
+        if self.profile is not None:
+            known = self.profile.steps(self.begun(self.clock.now()), self._ahead)
+        return Controller.of(known, self.options, state=self._state)
+
+    def _feed(self, time: pd.Timestamp) -> None:
+        """Let the controller know the steps up to the horizon's end and one more."""
+        if self.profile is None:
+            return
+        end = self._controller.scenario.grid.end
+        missing = round((time - end) / self.length) + self._ahead
+        if missing > 0:
+            self._controller.extend(self.profile.steps(end, missing))
+
+    @property
+    def _ahead(self) -> int:
+        """Steps that are known ahead."""
+        o = self.options
+        hours = {"mpc": o.horizon_h, "reserve": o.reserve.notice_h, "idle": 0.0}
+        horizon_h = hours.get(o.controller, FULL_HORIZON_H)
+        if o.outages != KNOWN:
+            horizon_h = max(horizon_h, LOOKAHEAD_H)
+        return self.scenario.grid.steps_in_horizon(horizon_h) + 1
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many steps there were of each outcome."""
+        return {**dict.fromkeys((*DECIDED, "failed", "off", "missed"), 0), **self.store.outcomes()}
+
+
+def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:
+    """The options with a time limit that leaves most of the step to the devices."""
+    most_s = DEADLINE_SHARE * scenario.grid.dt_h * 3600.0
+    limits = options.limits
+    return replace(options, limits=replace(limits, time_s=min(limits.time_s, most_s)))

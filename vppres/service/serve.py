@@ -1,0 +1,143 @@
+"""Puts the parts of a service together, and runs it until it is told to end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+
+from vppres.core.errors import InputError
+from vppres.model.site import Site
+from vppres.service.access import LOOPBACK, Access, check_address, new_token
+from vppres.service.app import make_app
+from vppres.service.clock import Clock, SetClock, SystemClock
+from vppres.service.loop import Loop
+from vppres.service.runner import Runner, Service
+from vppres.service.store import Store
+
+DEFAULT_PORT = 8420
+GRACE_S = 10
+"""What requests may take to end after the service was told to."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a service listens.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+        Port.
+    behind_proxy : bool
+        Whether a proxy in front does TLS, which other machines need.
+    names : tuple of str
+        Further names under which it is called, as a proxy passes them on.
+    """
+
+    host: str = LOOPBACK[0]
+    port: int = DEFAULT_PORT
+    behind_proxy: bool = False
+    names: tuple[str, ...] = ()
+
+    @property
+    def url(self) -> str:
+        """As a browser writes it."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}"
+
+
+@contextmanager
+def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterator[Runner]:
+    """A runner with its store, closed in the end.
+
+    Parameters
+    ----------
+    service : Service
+        What is served.
+    folder : Path
+        Where its state is.
+    clock : Clock, optional
+        The machine's, or the scenario's in a rehearsal, if not given.
+    """
+    if clock is None:
+        clock = SetClock(service.scenario.grid.start) if service.rehearsal else SystemClock()
+    store = Store(folder, Site.of(service.scenario).key)
+    try:
+        runner = Runner(service, store, clock)
+        try:
+            yield runner
+        finally:
+            runner.close()
+    finally:
+        store.close()
+
+
+def add_token(service: Service, folder: Path, text: str) -> str:
+    """Let somebody in; the secret, which is shown once.
+
+    Raises
+    ------
+    InputError
+        If the text is no name with scopes, or the service runs.
+    """
+    secret, token = new_token(text)
+    store = Store(folder, Site.of(service.scenario).key)
+    try:
+        store.add_token(token, SystemClock().now())
+    finally:
+        store.close()
+    return secret
+
+
+def serve(service: Service, folder: Path, address: Address, told: Callable[[str], None]) -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    service : Service
+        What is served.
+    folder : Path
+        Where its state is.
+    address : Address
+        Where it listens.
+    told : callable
+        Is told in a line what begins.
+
+    Raises
+    ------
+    InputError
+        If another process serves from the folder, or the address needs what is not there.
+    """
+    with opened(service, folder) as runner:
+        access = Access(runner.store.tokens())
+        check_address(address.host, access, address.behind_proxy)
+        hosts = (*LOOPBACK, address.host, *address.names)
+        app = make_app(runner, access, [name.strip("[]") for name in hosts])
+        config = uvicorn.Config(
+            app,
+            host=address.host,
+            port=address.port,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=GRACE_S,
+        )
+        told(f"Serving {service.scenario.name} at {address.url}, state in {folder}.")
+        loop = None if service.rehearsal else Loop(runner)
+        if loop is not None:
+            loop.start()
+        try:
+            uvicorn.Server(config).run()
+        except SystemExit as end:  # how uvicorn says that it cannot listen
+            if end.code:
+                raise InputError(f"No service could be started at {address.url}.") from None
+        except KeyboardInterrupt:  # it has ended by then
+            pass
+        finally:
+            if loop is not None:
+                loop.end()

@@ -1,0 +1,451 @@
+"""What the service knows and has said, in SQLite: one transaction a step, before anything is sent.
+
+WAL with ``synchronous=FULL``: what was committed survives a kill and a loss of power. A lock on a
+file beside the database keeps a second process out; it ends with the process that holds it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import sqlalchemy as sa
+
+from vppres.core.errors import InputError, Problem, StorageError
+
+LAYOUT = "1"
+STATES_KEPT = 3
+BUSY_S = 5
+
+_tables = sa.MetaData()
+
+_meta = sa.Table(
+    "meta",
+    _tables,
+    sa.Column("key", sa.String, primary_key=True),
+    sa.Column("value", sa.String, nullable=False),
+)
+_telemetry = sa.Table(
+    "telemetry",
+    _tables,
+    sa.Column("asset", sa.String, primary_key=True),
+    sa.Column("quantity", sa.String, primary_key=True),
+    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("source", sa.String, primary_key=True),
+    sa.Column("resolution_s", sa.Integer, nullable=False),
+    sa.Column("value", sa.Float),
+)
+_contacts = sa.Table(
+    "contacts",
+    _tables,
+    sa.Column("source", sa.String, primary_key=True),
+    sa.Column("last_contact", sa.Integer, nullable=False),
+)
+_events = sa.Table(
+    "events",
+    _tables,
+    sa.Column("id", sa.String, primary_key=True),
+    sa.Column("version", sa.Integer, primary_key=True),
+    sa.Column("made_at", sa.Integer, nullable=False),
+    sa.Column("body", sa.Text),  # none: withdrawn
+)
+_forecasts = sa.Table(
+    "forecasts",
+    _tables,
+    sa.Column("quantity", sa.String, primary_key=True),
+    sa.Column("issued_at", sa.Integer, primary_key=True),
+    sa.Column("body", sa.Text, nullable=False),
+)
+_steps = sa.Table(
+    "steps",
+    _tables,
+    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("outcome", sa.String, nullable=False),
+    sa.Column("plan", sa.Text, nullable=False),
+)
+_states = sa.Table(
+    "controller_state",
+    _tables,
+    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("state", sa.Text, nullable=False),
+)
+_audit = sa.Table(
+    "audit",
+    _tables,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("actor", sa.String, nullable=False),
+    sa.Column("action", sa.String, nullable=False),
+    sa.Column("detail", sa.Text, nullable=False),
+)
+_tokens = sa.Table(
+    "tokens",
+    _tables,
+    sa.Column("name", sa.String, primary_key=True),
+    sa.Column("sha256", sa.String, nullable=False),
+    sa.Column("scopes", sa.String, nullable=False),
+)
+
+
+def seconds(time: pd.Timestamp) -> int:
+    """Whole seconds of UTC, as times are stored.
+
+    >>> seconds(pd.Timestamp("1970-01-01T01:00:01+01:00"))
+    1
+    """
+    return int(time.timestamp())
+
+
+def moment(stored: int) -> pd.Timestamp:
+    """The time of stored seconds."""
+    return pd.Timestamp(stored, unit="s", tz="UTC")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading; ``value`` is None where it is known to be missing."""
+
+    asset: str
+    quantity: str
+    time: int
+    source: str
+    resolution_s: int
+    value: float | None
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of a batch of readings."""
+
+    accepted: int
+    duplicates: int
+
+
+@dataclass(frozen=True)
+class Token:
+    """Who may do what; of the secret only the hash is kept."""
+
+    name: str
+    sha256: str
+    scopes: str
+
+
+class Store:
+    """The database of one site.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is; made if it is not there.
+    site : str
+        Key of the site, to which the database belongs.
+
+    Raises
+    ------
+    InputError
+        If another process serves from it, or it belongs to another site or layout.
+    """
+
+    def __init__(self, folder: Path, site: str) -> None:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self.folder = folder
+        self._lock = _locked(folder)
+        self._writing = threading.Lock()
+        self._engine = sa.create_engine(
+            f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
+        )
+        sa.event.listen(self._engine, "connect", _durable)
+        with _plain_errors():
+            _tables.create_all(self._engine)
+        self._belongs_to(site)
+
+    def close(self) -> None:
+        """Let go of database and lock."""
+        self._engine.dispose()
+        os.close(self._lock)
+
+    def ready(self) -> bool:
+        """Whether the database takes a transaction."""
+        try:
+            with self._changes() as db:
+                _put(db, _meta, key="checked", value="")
+        except StorageError:
+            return False
+        return True
+
+    # Telemetry
+
+    def write_readings(self, readings: Iterable[Reading], now: pd.Timestamp) -> Written:
+        """Keep readings; those that are there with the same value count as duplicates."""
+        accepted = 0
+        duplicates = 0
+        with self._changes() as db:
+            for reading in readings:
+                row = dict(vars(reading))
+                key = _where(_telemetry, row)
+                before = db.execute(sa.select(_telemetry.c.value).where(key)).first()
+                if before is not None and before[0] == reading.value:
+                    duplicates += 1
+                else:
+                    accepted += 1
+                    _put(db, _telemetry, **row)
+                _put(db, _contacts, source=reading.source, last_contact=seconds(now))
+        return Written(accepted, duplicates)
+
+    def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
+        """The last reading of each asset and quantity up to a time, that time included."""
+        t = _telemetry.c
+        rank = (
+            sa.func.row_number()
+            .over(partition_by=(t.asset, t.quantity), order_by=(t.time.desc(), t.source))
+            .label("rank")
+        )
+        ranked = (
+            sa.select(_telemetry, rank)
+            .where(t.time <= seconds(until), t.quantity.in_(list(quantities)))
+            .subquery()
+        )
+        return self._readings(sa.select(ranked).where(ranked.c.rank == 1))
+
+    def between(
+        self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
+    ) -> list[Reading]:
+        """Readings from a time on, up to but without another one."""
+        t = _telemetry.c
+        inside = sa.and_(t.time >= seconds(start), t.time < seconds(end))
+        chosen = sa.select(_telemetry).where(inside, t.quantity.in_(list(quantities)))
+        return self._readings(chosen.order_by(t.time, t.source))
+
+    def _readings(self, chosen: Any) -> list[Reading]:
+        with self._reads() as db:
+            return [
+                Reading(r.asset, r.quantity, r.time, r.source, r.resolution_s, r.value)
+                for r in db.execute(chosen)
+            ]
+
+    def contacts(self) -> dict[str, int]:
+        """When each source was last heard from."""
+        with self._reads() as db:
+            return {row.source: row.last_contact for row in db.execute(sa.select(_contacts))}
+
+    # Events and forecasts
+
+    def put_event(
+        self, identifier: str, body: dict[str, Any] | None, now: pd.Timestamp, actor: str
+    ) -> int:
+        """Keep a version of an event, none to withdraw it; its number."""
+        with self._changes() as db:
+            chosen = sa.select(sa.func.max(_events.c.version)).where(_events.c.id == identifier)
+            version = (db.execute(chosen).scalar() or 0) + 1
+            text = None if body is None else json.dumps(body, sort_keys=True)
+            _put(db, _events, id=identifier, version=version, made_at=seconds(now), body=text)
+            action = "event withdrawn" if body is None else "event"
+            _note(db, now, actor, action, f"{identifier} {text or ''}")
+        return version
+
+    def events(self) -> dict[str, tuple[int, dict[str, Any]]]:
+        """Latest version of each event that holds, with its number."""
+        e = _events.c
+        newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
+        both = sa.and_(e.id == newest.c.id, e.version == newest.c.version)
+        with self._reads() as db:
+            rows = db.execute(sa.select(_events).join(newest, both).order_by(e.id)).all()
+        return {row.id: (row.version, json.loads(row.body)) for row in rows if row.body}
+
+    def put_forecast(self, quantity: str, issued_at: pd.Timestamp, body: dict[str, Any]) -> None:
+        """Keep a forecast beside older ones."""
+        with self._changes() as db:
+            text = json.dumps(body, sort_keys=True)
+            _put(db, _forecasts, quantity=quantity, issued_at=seconds(issued_at), body=text)
+
+    def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
+        """The forecast that was issued last, up to now."""
+        f = _forecasts.c
+        chosen = (
+            sa.select(f.body)
+            .where(f.quantity == quantity, f.issued_at <= seconds(now))
+            .order_by(f.issued_at.desc())
+            .limit(1)
+        )
+        with self._reads() as db:
+            text = db.execute(chosen).scalar()
+        found: dict[str, Any] | None = None if text is None else json.loads(text)
+        return found
+
+    # Steps
+
+    def write_step(self, time: pd.Timestamp, plan: dict[str, Any], state: dict[str, Any]) -> None:
+        """Keep a step: its plan and the controller's state after it, both or neither."""
+        with self._changes() as db:
+            self._put_step(db, time, plan)
+            _put(db, _states, time=seconds(time), state=json.dumps(state, allow_nan=False))
+            old = sa.select(_states.c.time).order_by(_states.c.time.desc()).offset(STATES_KEPT - 1)
+            oldest = db.execute(old.limit(1)).scalar()
+            if oldest is not None:
+                db.execute(_states.delete().where(_states.c.time < oldest))
+
+    def write_plan(self, time: pd.Timestamp, plan: dict[str, Any]) -> None:
+        """Keep a step in which the controller did not decide."""
+        with self._changes() as db:
+            self._put_step(db, time, plan)
+
+    def _put_step(self, db: sa.Connection, time: pd.Timestamp, plan: dict[str, Any]) -> None:
+        text = json.dumps(plan, allow_nan=False)
+        _put(db, _steps, time=seconds(time), outcome=plan["status"], plan=text)
+
+    def step(self, time: pd.Timestamp) -> dict[str, Any] | None:
+        """The plan of a step, None if it is none of ours."""
+        chosen = sa.select(_steps.c.plan).where(_steps.c.time == seconds(time))
+        return self._plan(chosen)
+
+    def last_step(self, until: pd.Timestamp | None = None) -> dict[str, Any] | None:
+        """The plan of the last step, or of the last one up to a time."""
+        chosen = sa.select(_steps.c.plan).order_by(_steps.c.time.desc()).limit(1)
+        if until is not None:
+            chosen = chosen.where(_steps.c.time <= seconds(until))
+        return self._plan(chosen)
+
+    def _plan(self, chosen: Any) -> dict[str, Any] | None:
+        with self._reads() as db:
+            text = db.execute(chosen).scalar()
+        plan: dict[str, Any] | None = None if text is None else json.loads(text)
+        return plan
+
+    def outcomes(self) -> dict[str, int]:
+        """How many steps there were of each outcome."""
+        chosen = sa.select(_steps.c.outcome, sa.func.count()).group_by(_steps.c.outcome)
+        with self._reads() as db:
+            return {row[0]: row[1] for row in db.execute(chosen)}
+
+    def state(self) -> dict[str, Any] | None:
+        """The controller's last state."""
+        chosen = sa.select(_states.c.state).order_by(_states.c.time.desc()).limit(1)
+        with self._reads() as db:
+            text = db.execute(chosen).scalar()
+        state: dict[str, Any] | None = None if text is None else json.loads(text)
+        return state
+
+    # Settings, people
+
+    def put_setting(self, key: str, value: Any, now: pd.Timestamp, actor: str) -> None:
+        """Keep a setting, and who changed it."""
+        with self._changes() as db:
+            text = json.dumps(value, sort_keys=True)
+            _put(db, _meta, key=f"setting.{key}", value=text)
+            _note(db, now, actor, key, text)
+
+    def setting(self, key: str) -> Any:
+        """A setting, None if there is none."""
+        chosen = sa.select(_meta.c.value).where(_meta.c.key == f"setting.{key}")
+        with self._reads() as db:
+            text = db.execute(chosen).scalar()
+        return None if text is None else json.loads(text)
+
+    def add_token(self, token: Token, now: pd.Timestamp) -> None:
+        """Let somebody in, in place of whoever had the name."""
+        with self._changes() as db:
+            _put(db, _tokens, **vars(token))
+            _note(db, now, "command line", "token", f"{token.name} {token.scopes}")
+
+    def tokens(self) -> list[Token]:
+        """Everybody who may come in."""
+        with self._reads() as db:
+            rows = db.execute(sa.select(_tokens).order_by(_tokens.c.name)).all()
+        return [Token(row.name, row.sha256, row.scopes) for row in rows]
+
+    def audit(self) -> list[tuple[str, str, str]]:
+        """Who did what, in order: actor, action, detail."""
+        with self._reads() as db:
+            rows = db.execute(sa.select(_audit).order_by(_audit.c.number)).all()
+        return [(row.actor, row.action, row.detail) for row in rows]
+
+    def _belongs_to(self, site: str) -> None:
+        """Refuse the database of another site or layout."""
+        with self._changes() as db:
+            known = {row.key: row.value for row in db.execute(sa.select(_meta))}
+            for key, value in {"layout": LAYOUT, "site": site}.items():
+                if known.setdefault(key, value) == value:
+                    _put(db, _meta, key=key, value=value)
+        for key, value in {"layout": LAYOUT, "site": site}.items():
+            if known[key] != value:
+                self.close()
+                raise InputError(
+                    Problem(
+                        str(self.folder),
+                        f"holds the state of another {key}",
+                        "Give another folder with --state, or remove this one.",
+                        field=key,
+                        value=known[key][:12],
+                    )
+                )
+
+    @contextmanager
+    def _changes(self) -> Iterator[sa.Connection]:
+        """A transaction that writes."""
+        with self._writing, _plain_errors(), self._engine.begin() as db:
+            yield db
+
+    @contextmanager
+    def _reads(self) -> Iterator[sa.Connection]:
+        with _plain_errors(), self._engine.connect() as db:
+            yield db
+
+
+def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
+    """Insert a row, or replace the one with its key."""
+    db.execute(table.delete().where(_where(table, row)))
+    db.execute(table.insert().values(**row))
+
+
+def _where(table: sa.Table, row: dict[str, Any]) -> Any:
+    """The row's key."""
+    return sa.and_(*(column == row[column.name] for column in table.primary_key.columns))
+
+
+def _note(db: sa.Connection, now: pd.Timestamp, actor: str, action: str, detail: str) -> None:
+    """Add to the audit, of which nothing is ever changed."""
+    db.execute(_audit.insert().values(at=seconds(now), actor=actor, action=action, detail=detail))
+
+
+def _durable(connection: Any, _record: Any) -> None:
+    """Set up a connection to SQLite."""
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=FULL")
+    cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.close()
+
+
+def _locked(folder: Path) -> int:
+    """Take the lock of a folder; its file descriptor."""
+    descriptor = os.open(folder / "service.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise InputError(
+            Problem(
+                str(folder),
+                "is in use: another process serves from it",
+                "End that one first, or give another folder with --state.",
+            )
+        ) from None
+    return descriptor
+
+
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    """What the database says as an error of ours."""
+    try:
+        yield
+    except sa.exc.SQLAlchemyError as error:
+        words = str(getattr(error, "orig", None) or type(error).__name__)
+        raise StorageError(f"The database does not answer: {words}.") from error
