@@ -146,6 +146,13 @@ def test_unsolved_instances_enter_the_ratios_with_their_limit() -> None:
     assert table["share slower"] == 1.0
 
 
+def test_long_solves_are_split_from_short_ones_by_the_method_in_question() -> None:
+    rows = rows_of({"a": [9.0, 0.1, 0.1], "b": [0.5, 1.5, 1.0]})
+    long, short = profiles.split_by_time(rows, "b", 1.0)
+    assert long["solve_s"].tolist() == [0.1, 1.5]
+    assert short["solve_s"].tolist() == [9.0, 0.1, 0.5, 1.0]
+
+
 def test_certificate_needs_both_gaps_and_the_time() -> None:
     rows = pd.DataFrame(
         {
@@ -334,7 +341,7 @@ def test_unknown_part_is_an_error(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert result.stderr.strip() == (
         "benchmarks, only = weather: is not known. Use one of: "
-        "windows, day, scaling, throughput, worker, deadlines."
+        "windows, race, day, scaling, throughput, worker, deadlines."
     )
 
 

@@ -274,7 +274,8 @@ class NetworkMaster:
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
                 best = served > 0.5
-        status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else Status.TIME_LIMIT
+        ended = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
+        status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
     def _enough(self, units_min: float) -> Program:
