@@ -18,6 +18,7 @@ from benchmarks import findings
 from benchmarks.day import run_days
 from benchmarks.deadlines import run_deadlines
 from benchmarks.instances import Instance, read_instances
+from benchmarks.race import run_race
 from benchmarks.report import Bar, Section, bar_table, publish, write_report
 from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
@@ -29,6 +30,7 @@ from vppres.core.errors import InputError, Problem
 DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 TABLE_WIDTH = 140
 QUICK_EVERY = 9
+RACE_QUICK_EVERY = 30
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,13 @@ def windows(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     rows = run_windows(plan.instances(), Limits(plan.time_s), plan.folder, plan.processes, bar)
     plan.save("windows", rows)
     return findings.window_section(rows), findings.window_bars(rows)
+
+
+def race(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
+    """Every window of both tables against the monoliths, as long as they can win."""
+    rows = run_race(RACE_QUICK_EVERY if plan.quick else 1, plan.folder, bar)
+    plan.save("race", rows)
+    return findings.race_section(rows), findings.race_bars(rows)
 
 
 def day(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
@@ -101,6 +110,7 @@ def deadlines(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
 
 PARTS: dict[str, Part] = {
     "windows": windows,
+    "race": race,
     "day": day,
     "scaling": scaling,
     "throughput": throughput,

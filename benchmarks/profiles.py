@@ -135,6 +135,15 @@ def outage_windows(rows: pd.DataFrame) -> pd.DataFrame:
     ]
 
 
+def split_by_time(
+    rows: pd.DataFrame, method: str, seconds: float
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows of the instances for which a method takes longer, and of all others."""
+    mine = rows[rows["method"] == method]
+    longer = rows["instance"].isin(mine.loc[mine["solve_s"] > seconds, "instance"])
+    return rows[longer], rows[~longer]
+
+
 def certified(rows: pd.DataFrame) -> pd.Series:
     """Whether each row is certified to both gaps in time."""
     return (rows["gap"] <= GAP_REL) & (rows["gap_abs"] <= GAP_ABS) & (rows["solve_s"] <= CERTIFY_S)

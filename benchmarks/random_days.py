@@ -84,7 +84,9 @@ def summary(steps: pd.DataFrame) -> pd.DataFrame:
         largest_gap=("gap", "max"),
     )
     opened = everything.assign(open=everything["gap"] > OPEN_GAP)
-    fell = everything.assign(fell=everything["fallback"].isin(["", "None", "nan"]).eq(False))
+    fell = everything.assign(
+        fell=everything["fallback"].isin(["", "none", "None", "nan"]).eq(False)
+    )
     table["open"] = opened.groupby("kind", sort=False)["open"].sum()
     table["fallbacks"] = fell.groupby("kind", sort=False)["fell"].sum()
     return table.reset_index()

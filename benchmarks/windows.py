@@ -146,7 +146,7 @@ class Bench:
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()
-        model.problem.get_problem_data(spec.cvxpy_name, canon_backend=COMPILER)
+        model.problem.get_problem_data(spec.interface, canon_backend=COMPILER)
         compile_s = time.perf_counter() - begin
         whole = self.site.customers.weight.sum() * self.site.dt_h * instance.steps
         begin = time.perf_counter()

@@ -17,7 +17,7 @@ from benchmarks import deadlines, make_instances, profiles
 from benchmarks.day import error_settings
 from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
-from benchmarks.findings import deadline_bars
+from benchmarks.findings import deadline_bars, scaling_bars
 from benchmarks.instances import FILE, Instance, packaged, read_instances, window_data
 from benchmarks.report import BEGIN, END, Section, publish
 from benchmarks.scaling import exponent
@@ -146,6 +146,13 @@ def test_unsolved_instances_enter_the_ratios_with_their_limit() -> None:
     assert table["share slower"] == 1.0
 
 
+def test_long_solves_are_split_from_short_ones_by_the_method_in_question() -> None:
+    rows = rows_of({"a": [9.0, 0.1, 0.1], "b": [0.5, 1.5, 1.0]})
+    long, short = profiles.split_by_time(rows, "b", 1.0)
+    assert long["solve_s"].tolist() == [0.1, 1.5]
+    assert short["solve_s"].tolist() == [9.0, 0.1, 0.5, 1.0]
+
+
 def test_certificate_needs_both_gaps_and_the_time() -> None:
     rows = pd.DataFrame(
         {
@@ -228,11 +235,28 @@ def test_days_and_finer_steps_keep_the_energy() -> None:
     assert fine.outage.sum() == 4 * day.outage.sum()
 
 
+def test_bars_of_size_need_proofs_and_enough_windows() -> None:
+    """1,021 buses with one window open miss their bar; a large gap of 3,000 buses does too."""
+    row = {"axis": "buses", "windows": 24, "certified": 24, "p95_s": 2.0, "max_s": 4.0}
+    row |= {"gap_max": 1e-5, "median_s": 1.0, "mean_s": 1.0, "first_s": 1.0, "memory_mb": 500.0}
+    sizes = (33, 1021, 2993, 9997)
+    rows = pd.DataFrame([row | {"size": size, "n_steps": 6} for size in sizes])
+    steps = rows.head(2).assign(axis="steps", size=[1, 6], n_steps=[1, 6])
+    rows = pd.concat([rows, steps], ignore_index=True)
+    assert [bar.met for bar in scaling_bars(rows)] == [True] * 7
+    rows.loc[rows["size"] == 1021, "certified"] = 23
+    rows.loc[rows["size"] == 2993, "gap_max"] = 2e-3
+    rows.loc[rows["size"] == 9997, "memory_mb"] = 5000.0
+    rows.loc[rows["size"] == 33, "windows"] = 6
+    met = [bar.met for bar in scaling_bars(rows)]
+    assert met == [True, True, False, False, True, False, False]
+
+
 def test_unknown_size_is_an_error() -> None:
     with pytest.raises(InputError) as caught:
         feeder_scenario(34)
     assert str(caught.value) == (
-        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021."
+        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021, 2993, 9997."
     )
 
 
@@ -317,7 +341,7 @@ def test_unknown_part_is_an_error(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert result.stderr.strip() == (
         "benchmarks, only = weather: is not known. Use one of: "
-        "windows, day, scaling, throughput, worker, deadlines."
+        "windows, race, day, scaling, throughput, worker, deadlines."
     )
 
 

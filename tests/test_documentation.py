@@ -47,6 +47,7 @@ NOT_RUN = {
     "python -m experiments.garbage --days 100": "takes minutes",
     "python -m experiments.threads --days 50": "takes minutes",
     "python -m experiments.baselines --days 50": "takes minutes",
+    "python -m experiments.homes --days 60": "takes minutes",
     "python -m experiments.islands --days 200": "takes minutes",
     "python -m experiments.mutations": "takes minutes",
     "python -m experiments.kills": "takes minutes",

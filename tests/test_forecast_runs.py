@@ -15,6 +15,7 @@ from vppres.day.forecasting import OWN_SERIES, MeasuredForecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
 from vppres.explain.recorded import Recorded
+from vppres.forecasts.seasonal import Seasonal
 from vppres.io.digest import scenario_digest
 from vppres.io.history import read_history
 from vppres.io.scenario_folder import read_scenario
@@ -46,13 +47,13 @@ def remembered(day: Scenario, days: int = 20) -> Scenario:
 def test_a_forecast_in_a_run_is_exact_now_and_knows_nothing_later(tiny: Scenario) -> None:
     day = remembered(tiny)
     t0 = 2
-    seen = MeasuredForecasts(day).at(t0, range(t0, 6))
+    seen = MeasuredForecasts(day, Seasonal()).at(t0, range(t0, 6))
     np.testing.assert_array_equal(seen.load_kw[0], day.load_kw[t0])
     np.testing.assert_array_equal(seen.pv_kw[0], day.pv_kw[t0])
     load, pv = day.load_kw.copy(), day.pv_kw.copy()
     load[t0 + 1 :] *= 7.0
     pv[t0 + 1 :] = 0.0
-    other = MeasuredForecasts(replace(day, load_kw=load, pv_kw=pv)).at(t0, range(t0, 6))
+    other = MeasuredForecasts(replace(day, load_kw=load, pv_kw=pv), Seasonal()).at(t0, range(t0, 6))
     np.testing.assert_array_equal(seen.load_kw, other.load_kw)
     np.testing.assert_array_equal(seen.pv_kw, other.pv_kw)
     assert (seen.pv_kw <= day.pv.p_max_kw).all()

@@ -95,7 +95,12 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
     heavy, _ = weak(packaged)
     data = window(heavy, slice(hour, hour + 4), 0.3)
     usual = solved(heavy, data)
-    for name in ("task.LARGE", "task.HUGE", "network.master.SMALL"):
+    for name in (
+        "task.LARGE",
+        "task.HUGE",
+        "network.master.SMALL",
+        "network.injections.MOST_TABLED",
+    ):
         monkeypatch.setattr(f"vppres.solve.{name}", 0)
     answer = solved(heavy, data)
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages)

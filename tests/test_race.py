@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks import race
+from benchmarks import findings, race
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import packaged, read_instances, window_data
 from benchmarks.random_days import STEPS, cut, steps_of, summary
@@ -62,6 +62,8 @@ def test_slower_is_beyond_twice_the_better_monolith_and_half_a_second() -> None:
             "seconds": [0.4, 2.4, 2.6, 12.0],
             "status": ["optimal", "optimal", "optimal", "optimal"],
             "gap": 0.0,
+            "buses": 33,
+            "steps": 6,
             "highs_s": [np.nan, 1.0, 1.0, np.inf],
             "scip_s": [np.nan, np.inf, 5.0, np.inf],
         }
@@ -72,6 +74,11 @@ def test_slower_is_beyond_twice_the_better_monolith_and_half_a_second() -> None:
     table = race.summary(found)
     assert table["windows"].tolist() == [4, 4]
     assert table["slower"].tolist() == [1, 1]
+    bars = findings.race_bars(found)
+    assert [bar.met for bar in bars] == [None, False, False]
+    assert bars[1].measured == "75.0% of 4"
+    section = findings.race_section(found)
+    assert section.tables[1]["window"].tolist() == ["c", "d"]
 
 
 def test_monoliths_run_only_as_long_as_they_can_win(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,7 +112,7 @@ def test_summary_counts_steps_that_are_left_open() -> None:
         "seconds": [0.1, 0.3],
         "status": ["optimal", "gap_open"],
         "gap": [1e-6, 2e-3],
-        "fallback": ["", "rule"],
+        "fallback": ["none", "rule"],
         "stages": ["a", "b"],
     }
     table = summary(steps_of(pd.DataFrame([day, {**day, "kind": "rules", "gap": [0.0, 0.0]}])))

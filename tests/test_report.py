@@ -96,7 +96,8 @@ def test_the_report_needs_nothing_beside_it(report: str) -> None:
 
 def test_all_sections_are_there_in_order(report: str) -> None:
     assert re.findall(r'<section id="(\w+)">', report) == SECTIONS_OF_A_DAY
-    assert len(SECTIONS) == len(SECTIONS_OF_A_DAY) + 2  # no explanation here, and only one day
+    # No explanation here, no beliefs, and only one day.
+    assert len(SECTIONS) == len(SECTIONS_OF_A_DAY) + 3
 
 
 def test_every_figure_is_in_the_report(report: str) -> None:

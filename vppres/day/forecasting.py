@@ -7,16 +7,21 @@ from typing import Protocol
 
 import numpy as np
 
-from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
+from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import PERFECT, RunOptions
-from vppres.forecasts.interface import Fitted, LoadAndPV
+from vppres.forecasts.interface import Fitted, Forecaster, LoadAndPV
+from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
 PAPER = "paper"
-SEASONAL = "seasonal"
+FORECASTERS: dict[str, Forecaster] = {"seasonal": Seasonal(), "climatology": Climatology()}
+"""Those that learn from what was measured, by the name of the option."""
+MEMORY_DAYS = 80
+"""Days before the present one that any of them looks at."""
 BASIS = "forecast_basis"
 OWN_SERIES = "the scenario's own series"
 
@@ -70,8 +75,8 @@ def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors
 def named_forecasts(scenario: Scenario, name: str, errors: ForecastErrors, seed: int) -> Forecasts:
     """Forecasts of a day by the forecaster's name."""
     if name == PAPER:
-        return Forecaster(scenario, errors, seed)
-    return MeasuredForecasts(scenario)
+        return PaperForecaster(scenario, errors, seed)
+    return MeasuredForecasts(scenario, FORECASTERS[name])
 
 
 class MeasuredForecasts:
@@ -85,15 +90,15 @@ class MeasuredForecasts:
     ----------
     scenario : Scenario
         The day as it comes.
-    model : Seasonal, optional
-        The forecaster.
+    forecaster : Forecaster
+        Who learns from it.
     """
 
-    def __init__(self, scenario: Scenario, model: Seasonal | None = None) -> None:
+    def __init__(self, scenario: Scenario, forecaster: Forecaster) -> None:
         self.scenario = scenario
-        self.model = model or Seasonal()
+        self.forecaster = forecaster
         self.bases: dict[int, str] = {}
-        self._given = Forecaster(scenario, ForecastErrors(), 0)
+        self._given = PaperForecaster(scenario, ForecastErrors(), 0)
         self._before = history_before(scenario)
 
     def at(self, t0: int, steps: range) -> Forecast:
@@ -123,8 +128,8 @@ class MeasuredForecasts:
         grid = self.scenario.grid
         known = self._before.followed_by(
             grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
-        ).last_days(self.model.memory_days + n_steps * grid.dt_h / 24.0 + 1.0)
-        fitted: Fitted = self.model.fit(known)
+        ).last_days(MEMORY_DAYS + n_steps * grid.dt_h / 24.0)
+        fitted: Fitted = self.forecaster.fit(known)
         found = fitted.forecast(grid.start + (t0 + 1) * known.step, n_steps)
         unknown = found.basis in ("recent values", "nothing")
         self.bases[t0] = OWN_SERIES if unknown else found.basis

@@ -40,7 +40,7 @@ class RunOptions:
         What is known of outages ahead; None leaves it to the scenario.
     solver, method : str
         Names in the solver table and of the method.
-    forecaster : {"paper", "seasonal"}
+    forecaster : {"paper", "seasonal", "climatology"}
         Who forecasts load and PV power: the paper's error model, or what was measured before.
     errors : ForecastErrors
         Forecast errors of the paper's forecaster.

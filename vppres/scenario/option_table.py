@@ -219,10 +219,10 @@ OPTIONS: tuple[Option, ...] = (
         str,
         "paper",
         "forecaster of load and PV power",
-        words="paper (the actual day with the errors below) or seasonal (from what was measured "
-        "before)",
+        words="paper (the actual day with the errors below), seasonal (from what was measured "
+        "before) or climatology (the same hours of the last days)",
         page="see {doc}`forecasts`",
-        choices=("paper", "seasonal"),
+        choices=("paper", "seasonal", "climatology"),
         group=FORECAST,
     ),
     Option(

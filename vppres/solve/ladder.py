@@ -35,7 +35,7 @@ from vppres.solve.fleet.rungs import (
     service_then_cost,
     with_modes_of_batteries,
 )
-from vppres.solve.network.decide import enter_network
+from vppres.solve.network.decide import decide_huge, enter_network
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -161,10 +161,9 @@ class WindowSolver:
         task = self._task(data, limits)
         if self.method == "weighted":
             return solve_weighted(task, self.weighted)
-        known = task.certificate
         if self.method == "decomposed":
             climb(task)
-            if not known.nothing_to_find and (not known.answered or worth_the_whole(task)):
+            if worth_no_binaries(task):
                 without_binaries(task)
         if worth_the_whole(task):
             with_binaries(task)
@@ -198,6 +197,8 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
+    if decide_huge(task):
+        return
     if worth_everyone(task):
         everyone_served(task)
     for rung in rungs(task):
@@ -236,13 +237,29 @@ def _by_levels(task: WindowTask, make: Callable[[], Master | None]) -> None:
         service_then_cost(task, master)
 
 
+def worth_no_binaries(task: WindowTask) -> bool:
+    """Whether the whole problem is worth its time without binaries: the last way to an answer."""
+    known = task.certificate
+    if known.nothing_to_find or compiles_nothing(task):
+        return False
+    return not known.answered or worth_the_whole(task)
+
+
+def compiles_nothing(task: WindowTask) -> bool:
+    """Whether the window is a huge one that was decided by arrays alone."""
+    return task.is_huge and task.certificate.ran("network_service")
+
+
 def worth_the_whole(task: WindowTask) -> bool:
     """Whether the whole problem is worth its time: not in a large window known in the network.
 
     There its relaxation says no more than ``network_service``, and its search never ends.
+    In a huge one it cannot even be compiled.
     Nor where the network carries what the search for batteries' modes found: with the network that
     takes longer.
     """
     known = task.certificate
+    if compiles_nothing(task):
+        return False
     decided = known.ran("network_service") and task.is_large
     return task.goes_on and not (known.answered and (decided or known.ran("modes")))

@@ -18,9 +18,9 @@ LARGE = 1500
 """Buses times steps beyond which a window is large: its tie-breakers take seconds to find that
 there is no answer, and the search with all binaries never ends."""
 
-HUGE = 9000
-"""The same beyond which a window is huge: compiling and solving its tie-breakers takes longer than
-all the rest, and gigabytes at 3,000 buses and six steps."""
+HUGE = 1500
+"""Buses beyond which a window is huge: compiling its cheapest dispatch takes longer than all the
+rest, and its tie-breakers gigabytes."""
 
 NETWORK_RESERVE = 0.2
 """Share of the time limit that is kept for the network: a search without it that took all the time
@@ -102,8 +102,8 @@ class WindowTask:
 
     @property
     def is_huge(self) -> bool:
-        """Whether the window is too large for its tie-breakers."""
-        return self.site.network.n_buses * self.data.n_steps > HUGE
+        """Whether the network is too large for anything to be compiled of it."""
+        return self.site.network.n_buses > HUGE
 
     def obeys_rules(self, served: Flags) -> bool:
         """Whether a served set breaks no switching rule."""

@@ -29,11 +29,10 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
 RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
     "timeline": timeline,
     "feeder_maps": feeder_maps,
-    "outage_belief": outage_belief,
 }
 
-# Which of them a run has only sometimes.
-SOMETIMES: dict[str, Callable[[Trajectory], bool]] = {"outage_belief": has_beliefs}
+# Figures of one run that did not know the outages ahead.
+BELIEF_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {"outage_belief": outage_belief}
 
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
@@ -72,8 +71,7 @@ def figure_names(runs: Runs) -> list[str]:
     """Names of the figures that one run, or several side by side, have."""
     if not isinstance(runs, Trajectory):
         return [*FIGURES]
-    left_out = {name for name, has in SOMETIMES.items() if not has(runs)}
-    return [name for name in (*FIGURES, *RUN_FIGURES) if name not in left_out]
+    return [*FIGURES, *RUN_FIGURES, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
 
 
 def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
@@ -81,4 +79,4 @@ def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
     if name in FIGURES:
         return save_figure(FIGURES[name](runs), folder / name)
     assert isinstance(runs, Trajectory)
-    return save_figure(RUN_FIGURES[name](runs), folder / name)
+    return save_figure((RUN_FIGURES | BELIEF_FIGURES)[name](runs), folder / name)

@@ -149,6 +149,7 @@ class Counts:
         self.reach = Reach(model)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
+        self.orders: dict[tuple[int, int], Wholes] = {}
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
@@ -348,9 +349,14 @@ class Counts:
     def _choose(self, served: Flags, layout: _Layout, counts: Wholes) -> None:
         """Leave out all but so many of each weight, those with the smallest demand."""
         for t, weight, count in zip(layout.count_step, layout.weight, counts, strict=True):
+            served[t, self._cheapest_first(t, weight)[count:]] = False
+
+    def _cheapest_first(self, t: int, weight: int) -> Wholes:
+        """Customers of a weight who can be served in a step, by their demand."""
+        if (t, weight) not in self.orders:
             alike = np.flatnonzero(self.able[t] & (self.units == weight))
-            order = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
-            served[t, order[count:]] = False
+            self.orders[t, weight] = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
+        return self.orders[t, weight]
 
     def _completed(self, found: _Found, free: Flags) -> Flags:
         """The set with as many of each weight whose demand takes up the PV power.

@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
+from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
@@ -50,10 +51,37 @@ def enter_network(task: WindowTask) -> None:
     master = network_master(task) if task.is_large else None
     found = None
     if master is None or worth_asking_tie_breakers(master, best):
-        found = carried(task, master, best)
+        found = with_tie_breakers(task, best)
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
+
+
+def decide_huge(task: WindowTask) -> bool:
+    """Decide a huge window by counts and the master in the network; whether it has their form.
+
+    Nothing else is compiled: the cheapest dispatch without the network alone has millions of
+    numbers at 10,000 buses.
+    """
+    master = network_master(task) if task.is_huge else None
+    if master is None:
+        return False
+    known = task.certificate
+    fleet = fleet_master(task, task.search)
+    outcome, _ = fleet.service(task.gap / master.unit)
+    known.note("service", outcome)
+    known.prove(outcome)
+    if outcome.status.has_answer:
+        known.bound_service(master.unit * outcome.bound)
+    if not known.nothing_to_find:
+        known.best = InNetwork(task, master).decide()
+    return True
+
+
+def fleet_master(task: WindowTask, deadline: Deadline) -> Counts:
+    """The master by counts with the fleet that is tried first."""
+    demand = demand_of(task.cache, task.data, fleets_of(task.data)[0])
+    return Counts(demand, task.data, deadline)
 
 
 def network_master(task: WindowTask) -> NetworkMaster | None:
@@ -70,20 +98,6 @@ def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
     asked first: where it carries less than the fleet, they need not be.
     """
     return master.unit * (master.most_units + HALF_UNIT) > best.service
-
-
-def carried(task: WindowTask, master: NetworkMaster | None, best: Candidate) -> Candidate | None:
-    """The dispatch at hand in the network, None if the network forbids its cost.
-
-    In a huge window the tie-breakers are one problem of too many numbers: there the master finds
-    the dispatch of its set, which must be within the gaps.
-    """
-    if master is None or not task.is_huge:
-        return with_tie_breakers(task, best)
-    found = InNetwork(task, master).cheapest(best.dispatch.served)
-    known = task.certificate
-    enough = found is not None and known.limits.met(known.bound, found.value)
-    return found if enough else None
 
 
 def decided_anew(
@@ -129,7 +143,7 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self.cheapest(served)
+        found = self._cheapest(served)
         if found is None:
             return None
         self._bound_cost(found)
@@ -146,7 +160,7 @@ class InNetwork:
         outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, deadline)
         known.note("network_cost_level", outcome)
         known.cost_bound_gbp = max(known.cost_bound_gbp, outcome.bound)
-        other = None if served is None else self.cheapest(served)
+        other = None if served is None else self._cheapest(served)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
@@ -164,7 +178,8 @@ class InNetwork:
         ):
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
-            if known.limits.met(known.bound, found.value) or self.task.deadline.passed:
+            done = known.limits.met(known.bound, found.value) or self.task.deadline.passed
+            if done or self.task.is_huge:
                 break
         served = (found.service - UNITS_TOLERANCE) / unit
         if np.ceil(served) > np.ceil(enough):
@@ -185,10 +200,9 @@ class InNetwork:
     def _fleet(self) -> Counts:
         """The fleet's master; cuts of its first answer serve the second too."""
         task = self.task
-        demand = demand_of(task.cache, task.data, fleets_of(task.data)[0])
         share_s = FLEET_SHARE * task.deadline.left_s
         least_s = min(LEAST_FLEET_S, task.deadline.left_s)
-        return Counts(demand, task.data, task.deadline.within(max(share_s, least_s)))
+        return fleet_master(task, task.deadline.within(max(share_s, least_s)))
 
     def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
         """Least cost of all sets with so many units, without the network."""
@@ -198,7 +212,7 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def cheapest(self, served: Flags) -> Candidate | None:
+    def _cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
         outcome, dispatch = self.master.cheapest(served, task.answer_by())
