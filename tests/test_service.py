@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -502,3 +504,13 @@ def test_the_loop_decides_the_present_step_and_waits_for_the_next(
     with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
         assert Loop(runner)._once() == 50 * 60.0
         assert runner.last is not None and runner.last["start"] == written(NOON)
+
+
+def test_killed_at_random_moments_it_decides_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """By SIGKILL, in the middle of whatever it does; and nothing that it answered is lost."""
+    root = Path(__file__).parents[1]
+    asked = [sys.executable, "-m", "tests.support.killed_service", str(tmp_path), "5", "2", "1"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True, cwd=root)
+    found = json.loads(done.stdout)
+    assert found["kills"] >= 1 and found["shed"] > 0
+    assert (found["different"], found["lost_readings"], found["lost_plans"]) == ([], [], [])
