@@ -13,9 +13,9 @@ from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import PERFECT, RunOptions
 from vppres.forecasts.interface import Fitted, Forecaster, LoadAndPV
+from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
-from vppres.io.quantile_file import read_quantiles
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 

@@ -15,12 +15,12 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.forecasts.seasonal import Seasonal
 from vppres.io.find import load_scenario, packaged_scenarios
 from vppres.io.history import read_history
-from vppres.io.quantile_file import read_quantiles
 from vppres.io.settings import SCENARIO_FILE
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC, is_zone
