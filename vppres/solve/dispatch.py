@@ -19,10 +19,11 @@ from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.numerics import cost_scale, disc_sides
+from vppres.model.reduction import Reduction
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
-from vppres.solve.cache import ModelCache
+from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
@@ -56,6 +57,9 @@ EASED_KWH = 4e-6
 """Energy by which every battery may miss what a set needs: twice what the masters accept in a step
 of an hour. A plan that lives on exactly the energy it has charged misses it by rounding one step
 later, and a set that lacks so little is served."""
+
+VOLTAGE_OVER_PU2 = 1e-6
+"""By how much a squared voltage of a bus that the tie-breakers did not know may miss its limit."""
 
 NETWORK_SHARE = 1.0 / 3.0
 """Share of the time left for the cheapest dispatch in the network. A large network may need long to
@@ -130,12 +134,31 @@ def cheapest(
 def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
     data = task.data.for_service(found.dispatch.served)
-    attempt = polish(task.cache, data, found.dispatch, task.answer_by())
+    attempt = _polished(task, data, found.dispatch)
     task.certificate.note("tie_breakers", attempt.outcome)
     if attempt.dispatch is None:
         return None
     terms = evaluate(task.site, data, attempt.dispatch)
     return replace(found, dispatch=attempt.dispatch, terms=terms, in_network=True)
+
+
+def _polished(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:
+    """The tie-breakers, in a large window without the buses at which nothing happens.
+
+    If one of those then exceeds its limits, all of them are needed.
+    """
+    plain = data.physics is None and data.drawn is None
+    reduction = task.cache.table(Reduction.of) if task.is_large and plain else None
+    if reduction is not None:
+        cache = shared_cache(reduction.site)
+        fewer = reduction.data(data), reduction.reduced(dispatch)
+        attempt = polish(cache, *fewer, task.answer_by())
+        if attempt.dispatch is None:
+            return attempt
+        whole = reduction.expanded(data, attempt.dispatch)
+        if reduction.within_limits(whole, VOLTAGE_OVER_PU2):
+            return replace(attempt, dispatch=whole)
+    return polish(task.cache, data, dispatch, task.answer_by())
 
 
 # Cost.
