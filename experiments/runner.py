@@ -113,4 +113,5 @@ def _expected_work(job: Job) -> float:
     """Rough size of a job: the longest come first, so that no core waits at the end."""
     options = job.options
     steps = 24.0 if options.controller == "full-horizon" else options.horizon_h
-    return steps + 10.0 * (options.thermal != "off")
+    weighted = 100.0 * (options.method == "weighted")
+    return weighted + steps + 10.0 * (options.thermal != "off")

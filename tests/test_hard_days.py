@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.hard_days import KINDS, hard_day
+from experiments.hard_days import KINDS, hard_day, hard_window
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
@@ -153,3 +153,16 @@ def test_batteries_of_no_power_are_as_good_as_the_whole_problem(seed: int) -> No
     scenario = replace(case.scenario, batteries=small)
     data = replace(case.data, grid_limit_kw=np.zeros(case.data.n_steps))
     assert_agree(scenario, data, both_methods(Site.of(scenario), data))
+
+
+# Few customers over many steps.
+
+
+def test_few_customers_over_many_steps_are_searched_by_binaries() -> None:
+    """Nine customers in 40 quarter hours: counts took twelve times as long as the monolith."""
+    window = hard_window("quarters", 10)
+    answer = WindowSolver(window.site).solve(window.data)
+    assert len(window.site.customers) == 9
+    assert answer.status == Status.OPTIMAL
+    assert answer.stages[0].startswith("binary_service[")
+    assert not any(stage.startswith("service[") for stage in answer.stages)
