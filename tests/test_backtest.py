@@ -126,6 +126,15 @@ def test_the_command(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "Load: error (CRPS)" in done.output
     assert (out / "backtest.html").is_file()
+    mine = tmp_path / "mine.csv"
+    rows = [f"{time},load,1,8,20" for time in times]
+    mine.write_text("\n".join(["time,series,q10,q50,q90", *rows]) + "\n")
+    own = call(
+        "backtest", str(tmp_path), "--every", "47", "--horizon", "6", "--forecasts", str(mine),
+        "--out", str(out), "--json",
+    )  # fmt: skip
+    assert own.exit_code == 0, own.output
+    assert json.loads(own.stdout)["summary"]["forecaster"] == "mine"
     wrong = call("backtest", str(tmp_path), "--from", "soon", "--out", str(out))
     assert wrong.exit_code == 2
     assert "from or to = soon: is not a time" in wrong.output

@@ -174,3 +174,55 @@ def test_no_history_is_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="has no measured demand"):
         read_history(tmp_path / "empty")
+
+
+QUANTILES = """issued_at,time,series,q10,q50,q90
+2022-07-19T10:00Z,2022-07-19T11:00Z,load,100,150,200
+2022-07-19T10:00Z,2022-07-19T11:00Z,roof,5,6,7
+2022-07-19T12:00Z,2022-07-19T13:00Z,load,90,90,90
+"""
+
+
+def quantile_file(folder: Path, text: str = QUANTILES) -> Path:
+    file = folder / "mine.csv"
+    file.write_text(text)
+    return file
+
+
+def test_forecasts_of_ones_own_are_used_as_soon_as_they_are_out(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    mine = RunOptions(forecaster="file", forecast_file=str(quantile_file(tmp_path)), horizon_h=3)
+    forecasts = Day(tiny, mine).forecaster
+    now = forecasts.at(0, range(0, 4))
+    # Ten o'clock: the total is shared out like what was measured, the first step alone.
+    np.testing.assert_allclose(now.load_kw[1], 150.0 * tiny.load_kw[0] / tiny.load_kw[0].sum())
+    np.testing.assert_allclose(now.pv_kw[1], [6.0, tiny.pv_kw[1, 1]])
+    # What the file does not cover is the scenario's own.
+    np.testing.assert_array_equal(now.load_kw[[0, 2, 3]], tiny.load_kw[[0, 2, 3]])
+    np.testing.assert_array_equal(forecasts.at(1, range(1, 4)).load_kw[2], tiny.load_kw[3])
+    assert forecasts.at(2, range(2, 4)).load_kw[1].sum() == pytest.approx(90.0)
+    assert run_day(tiny, mine).steps["forecast_basis"].iloc[0] == "model"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (QUANTILES.replace("roof", "rof"), "row 3, series = rof: is neither load nor pv nor"),
+        (QUANTILES.replace("5,6,7", "5,9,7"), "row 3, quantiles: falls from a lower quantile"),
+        (QUANTILES.replace("q10,q50,q90", "a,b,c"), "has no column of a quantile"),
+        (QUANTILES.replace("T10:00Z,2022", "T10:00,2022"), "issued_at = 2022-07-19T10:00: has no"),
+    ],
+)
+def test_mistakes_in_forecasts_are_named(
+    tiny: Scenario, tmp_path: Path, text: str, message: str
+) -> None:
+    options = RunOptions(forecaster="file", forecast_file=str(quantile_file(tmp_path, text)))
+    with pytest.raises(InputError) as error:
+        Day(tiny, options)
+    assert message in str(error.value)
+
+
+def test_a_file_of_forecasts_must_be_given(tiny: Scenario) -> None:
+    with pytest.raises(InputError, match="needs a file of quantiles"):
+        Day(tiny, RunOptions(forecaster="file"))

@@ -33,6 +33,14 @@ Every = Annotated[
         "hour.",
     ),
 ]
+Forecasts = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Quantiles of one's own to score, with the series load and pv; the seasonal "
+        "forecaster if not given.",
+    ),
+]
 First = Annotated[
     str | None,
     typer.Option(

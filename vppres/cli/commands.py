@@ -510,6 +510,7 @@ def serve(
 def backtest(
     history: cli_backtest.HistoryName,
     out: cli_backtest.Out = RESULTS / "backtest",
+    forecasts: cli_backtest.Forecasts = None,
     horizon: cli_backtest.Horizon = 48.0,
     every: cli_backtest.Every = 7.0,
     first: cli_backtest.First = None,
@@ -522,18 +523,21 @@ def backtest(
     """Score forecasts of load and PV power against what came: tables and a page."""
     with _plain_errors(debug):
         from vppres.io.atomic import check_target
-        from vppres.studies.backtest import Plan, measured_in
+        from vppres.studies.backtest import Plan, forecasts_in, measured_in
         from vppres.studies.backtest import backtest as run_backtest
         from vppres.studies.backtest_page import backtest_findings, write_backtest
 
         measured = measured_in(history, zone)
         plan = Plan(horizon, every, cli_backtest.moment(first), cli_backtest.moment(last))
         check_target(out)  # before the work, not after it
+        own = None if forecasts is None else forecasts_in(forecasts, measured)
         with progress_bar(quiet) as bar:
             task = bar.add_task("forecasts", total=None)
             result = run_backtest(
                 measured,
                 plan,
+                own,
+                "seasonal" if forecasts is None else forecasts.stem,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
         summary = write_backtest(result, out, Path(history).name)

@@ -6,12 +6,14 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
+import pandas as pd
 
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import PERFECT, RunOptions
 from vppres.forecasts.interface import Fitted, Forecaster, LoadAndPV
+from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
 from vppres.scenario.history import History
@@ -22,6 +24,7 @@ FORECASTERS: dict[str, Forecaster] = {"seasonal": Seasonal(), "climatology": Cli
 """Those that learn from what was measured, by the name of the option."""
 MEMORY_DAYS = 80
 """Days before the present one that any of them looks at."""
+FILE = "file"
 BASIS = "forecast_basis"
 OWN_SERIES = "the scenario's own series"
 
@@ -69,14 +72,35 @@ def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors
                 value=name,
             )
         )
-    return named_forecasts(scenario, name, errors, options.seed)
+    return named_forecasts(scenario, name, errors, options.seed, options.forecast_file)
 
 
-def named_forecasts(scenario: Scenario, name: str, errors: ForecastErrors, seed: int) -> Forecasts:
-    """Forecasts of a day by the forecaster's name."""
+def named_forecasts(
+    scenario: Scenario, name: str, errors: ForecastErrors, seed: int, file: str | None = None
+) -> Forecasts:
+    """Forecasts of a day by the forecaster's name.
+
+    Raises
+    ------
+    InputError
+        If forecasts are to come from a file and there is none, or with its problems.
+    """
     if name == PAPER:
         return PaperForecaster(scenario, errors, seed)
+    if name == FILE:
+        return MeasuredForecasts(scenario, _given_quantiles(scenario, file))
     return MeasuredForecasts(scenario, FORECASTERS[name])
+
+
+def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
+    """Forecasts of one's own; of the present step's issue they are the forecast of the next."""
+    if file is None:
+        cure = "Give the file: --forecast-file FILE."
+        raise InputError(
+            Problem("options", "needs a file of quantiles", cure, field="forecaster", value=FILE)
+        )
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    return read_quantiles(file, scenario.customers.id, scenario.pv.id, lag=step)
 
 
 class MeasuredForecasts:

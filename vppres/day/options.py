@@ -40,8 +40,10 @@ class RunOptions:
         What is known of outages ahead; None leaves it to the scenario.
     solver, method : str
         Names in the solver table and of the method.
-    forecaster : {"paper", "seasonal", "climatology"}
+    forecaster : {"paper", "seasonal", "climatology", "file"}
         Who forecasts load and PV power: the paper's error model, or what was measured before.
+    forecast_file : str or None
+        File of quantiles for the forecaster ``file``.
     errors : ForecastErrors
         Forecast errors of the paper's forecaster.
     thermal : ThermalScheme
@@ -91,6 +93,7 @@ class RunOptions:
     solver: str = default_of("solver")
     method: str = default_of("method")
     forecaster: str = default_of("forecaster")
+    forecast_file: str | None = default_of("forecast_file")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")

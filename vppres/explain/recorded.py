@@ -171,7 +171,8 @@ class Recorded:
         known = self.options["controller"] == PERFECT
         errors = ForecastErrors(**({} if known else self.options.get("errors", {})))
         name = PAPER if known else self.options.get("forecaster", PAPER)
-        return named_forecasts(self.scenario, name, errors, int(self.options["seed"]))
+        file = self.options.get("forecast_file")
+        return named_forecasts(self.scenario, name, errors, int(self.options["seed"]), file)
 
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""

@@ -220,10 +220,20 @@ OPTIONS: tuple[Option, ...] = (
         "paper",
         "forecaster of load and PV power",
         words="paper (the actual day with the errors below), seasonal (from what was measured "
-        "before) or climatology (the same hours of the last days)",
+        "before), climatology (the same hours of the last days) or file (of one's own)",
         page="see {doc}`forecasts`",
-        choices=("paper", "seasonal", "climatology"),
+        choices=("paper", "seasonal", "climatology", "file"),
         group=FORECAST,
+    ),
+    Option(
+        "forecast-file",
+        "forecast_file",
+        str,
+        None,
+        "CSV or Parquet file of quantiles for the forecaster file",
+        unset="none",
+        group=FORECAST,
+        sweep=False,
     ),
     Option(
         "load-bias",

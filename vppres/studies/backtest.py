@@ -15,6 +15,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.forecasts.seasonal import Seasonal
@@ -133,10 +134,11 @@ class Backtest:
         steps = round(self.plan.horizon_h / self.history.dt_h)
         return np.asarray(np.arange(1, steps + 1) * self.history.dt_h, dtype=float)
 
-    @property
+    @cached_property
     def quantities(self) -> list[str]:
         """What was forecast: a history without PV power has no more than load."""
-        return list(QUANTITIES if self.history.pv_kw.shape[1] else QUANTITIES[:1])
+        there = QUANTITIES if self.history.pv_kw.shape[1] else QUANTITIES[:1]
+        return [name for name in there if not np.isnan(self.scores["crps", name]).all()]
 
     @property
     def recent(self) -> Flags:
@@ -353,6 +355,21 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
     return history if zone is None else replace(history, zone=zone)
 
 
+def forecasts_in(file: str | Path, history: History) -> Forecaster:
+    """Somebody's quantiles of the totals ``load`` and ``pv``, to be scored on a history.
+
+    Raises
+    ------
+    InputError
+        With every problem of the file.
+    """
+    load_ids, pv_ids = (
+        np.array([f"{words} {i}" for i in range(values.shape[1])], dtype=object)
+        for words, values in (("customer", history.load_kw), ("system", history.pv_kw))
+    )
+    return read_quantiles(file, load_ids, pv_ids)
+
+
 def _scored(history: History, found: dict[str, LoadAndPV], row: int) -> dict[tuple[str, str], Any]:
     """All scores of one issue."""
     own = found[FORECAST]
@@ -368,10 +385,13 @@ def _scored(history: History, found: dict[str, LoadAndPV], row: int) -> dict[tup
     for quantity in QUANTITIES:
         paths = totals[FORECAST][quantity]
         true = came[quantity]
-        scores["crps", quantity] = crps(paths, true)
+        own_crps = crps(paths, true)
+        scores["crps", quantity] = own_crps
         for words in REFERENCES:
-            scores[words, quantity] = crps(totals[words][quantity], true)
-        there = counted[quantity] & ~np.isnan(true)
+            scores[words, quantity] = _where(
+                ~np.isnan(own_crps), crps(totals[words][quantity], true)
+            )
+        there = counted[quantity] & ~np.isnan(own_crps)
         scores["pit", quantity] = _where(there, pit(paths, true))
         for share in SHARES:
             ends = interval(paths, share)
@@ -381,7 +401,7 @@ def _scored(history: History, found: dict[str, LoadAndPV], row: int) -> dict[tup
             n = round(hours / history.dt_h)
             energy = true[:n].sum()
             held = holds(interval(paths[:, :n].sum(axis=1), share), energy)
-            known = bool(counted[quantity][:n].any()) and not np.isnan(energy)
+            known = bool(counted[quantity][:n].any()) and not np.isnan(own_crps[:n]).any()
             scores[f"energy {hours} {share}", quantity] = float(held) if known else np.nan
         scores["paths", quantity] = [
             energy_score(totals[words][quantity], true) for words in (FORECAST, "climatology")

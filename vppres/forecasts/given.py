@@ -1,0 +1,113 @@
+"""Forecasts that somebody else made: quantiles by time, behind the same interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.forecasts.interface import Basis, Fitted, LoadAndPV
+from vppres.scenario.history import History
+
+TOTALS = ("load", "pv")
+N_PATHS = 19
+NO_TIME = pd.Timedelta(0)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenQuantiles:
+    """Quantiles of a file; of several issues the last one counts that was out in time.
+
+    Nothing is known of how the errors of two steps or series belong together: path ``i`` is at the
+    same level everywhere, so that sums are as uncertain as they can be. What a file does not cover
+    is NaN.
+
+    Parameters
+    ----------
+    issued, times : DatetimeIndex
+        When each row was issued, and the beginning of its step, n.
+    series : array of str, shape (n,)
+        ``load`` or ``pv`` for a total, which is shared out like the history's means, or an
+        identifier.
+    levels : array, shape (Q,)
+        Ascending levels between 0 and 1.
+    values : array, shape (n, Q)
+        Quantiles in kW.
+    customers, pv : array of str
+        Identifiers in the order of the forecast.
+    lag : Timedelta
+        By how much a row must be older than the forecast that uses it.
+    """
+
+    issued: pd.DatetimeIndex
+    times: pd.DatetimeIndex
+    series: Names
+    levels: Floats
+    values: Floats
+    customers: Names
+    pv: Names
+    lag: pd.Timedelta = NO_TIME
+
+    def fit(self, history: History) -> Fitted:
+        """Take a history, whose means share totals out."""
+        return _FittedQuantiles(self, history)
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedQuantiles:
+    given: GivenQuantiles
+    history: History
+
+    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        given = self.given
+        past = self.history.before(issued_at)
+        times = pd.date_range(issued_at, periods=steps, freq=self.history.step)
+        out = given.issued <= issued_at - given.lag
+        latest = given.issued == given.issued[out].max() if out.any() else out
+        load_kw = self._paths("load", given.customers, past.load_kw, times, latest)
+        pv_kw = self._paths("pv", given.pv, past.pv_kw, times, latest)
+        known = np.isfinite(load_kw).any() or np.isfinite(pv_kw).any()
+        basis: Basis = "model" if known else "nothing"
+        return LoadAndPV(issued_at, self.history.step_minutes, load_kw, pv_kw, basis)
+
+    def _paths(
+        self,
+        total: str,
+        ids: Names,
+        measured: Floats,
+        times: pd.DatetimeIndex,
+        rows: Flags,
+    ) -> Floats:
+        """Paths of all items, (M, W, items): of the total, and of those that are named."""
+        paths = self._of_series(total, times, rows)[:, :, np.newaxis] * _shares(measured)
+        for position, name in enumerate(ids):
+            found = self._of_series(str(name), times, rows)
+            paths[:, :, position] = np.where(np.isnan(found), paths[:, :, position], found)
+        return paths
+
+    def _of_series(
+        self,
+        name: str,
+        times: pd.DatetimeIndex,
+        rows: Flags,
+    ) -> Floats:
+        """Values of a series at the paths' levels, (M, W); NaN where the file has none."""
+        given = self.given
+        at = (np.arange(N_PATHS) + 0.5) / N_PATHS
+        paths = np.full((N_PATHS, len(times)), np.nan)
+        chosen = np.flatnonzero(rows & (given.series == name))
+        step = times.get_indexer(given.times[chosen])
+        for row, w in zip(chosen[step >= 0], step[step >= 0], strict=True):
+            paths[:, w] = np.interp(at, given.levels, given.values[row])
+        return paths
+
+
+def _shares(measured: Floats) -> Floats:
+    """Share of each item in what was measured; equal ones where nothing was."""
+    known = ~np.isnan(measured)
+    mean = np.where(known, measured, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    if not mean.sum() > 0.0:
+        mean = np.ones(measured.shape[1])
+    return np.asarray(mean / mean.sum()) if len(mean) else mean
