@@ -20,7 +20,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.control.guard.check import violations
+from vppres.control.guard.check import Tolerances, violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.mpc import MPCController
@@ -229,6 +229,36 @@ def test_energy_and_missing_batteries_are_refused(tiny: Scenario) -> None:
     ]
     out = replace(step(tiny, 0), online=np.array([False, True]))
     assert violations(decision(tiny, battery_kw=[5.0, 0.0]), out) == ["battery power: big by 5 kVA"]
+
+
+@pytest.mark.parametrize(
+    ("extra_kw", "losses", "refused"),
+    [
+        (0.0, True, []),
+        (2.75, True, []),
+        (6.4, True, []),  # twice the losses, and 1.02 kW of the balance
+        (6.8, True, ["balance: 6.8 kW surplus"]),
+        (0.9, False, []),
+        (2.75, False, ["balance: 2.8 kW surplus"]),
+    ],
+)
+def test_a_plan_sets_aside_what_its_set_points_lose(
+    tiny: Scenario, extra_kw: float, losses: bool, refused: list[str]
+) -> None:
+    """The shop alone, 45 kW and 21.8 kvar, behind 121 ohm at 11 kV: 1 W for each kVA².
+
+    45² + 21.8² lose 2.5 kW, with which the line carries 47.5 kW and loses 2.73 kW, and so on: 2.75.
+    """
+    ohm = [1e-9, 121.0, 1e-9]
+    network = Network([1, 2, 2], [2, 3, 4], ohm, [0.0] * 3, slack_bus=1, base_kv=11.0)
+    islanded = replace(tiny, network=network)
+    done = decision(
+        islanded,
+        served=[False, True, False],
+        curtailed_kw=islanded.pv_kw[3],
+        battery_kw=[-30.0, -15.0 - extra_kw],
+    )
+    assert violations(done, step(islanded, 3, soc=0.8), Tolerances(losses=losses)) == refused
 
 
 # The order of fallbacks.

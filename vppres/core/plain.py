@@ -19,8 +19,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 
-Given = Mapping[type, Any]
-"""Values that are known by their type, and so are not written."""
+Given = Mapping[type, Any]  # values that are known by their type, and so are not written
 
 
 def to_plain(value: Any, given: Given | None = None) -> Any:

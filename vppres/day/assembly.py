@@ -22,9 +22,6 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
 from vppres.solve.ladder import WindowSolver
 
-PLANNED_LOSSES = 0.1
-"""Share of the power flowing beyond which the losses of a physical plan are no losses."""
-
 
 def make_controller(
     scenario: Scenario,
@@ -74,13 +71,13 @@ def make_controller(
         return controller_of(site)
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
     v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
-    losses = PLANNED_LOSSES if options.mode == "physical" else 0.0
+    physical = options.mode == "physical"
     guard = GuardOptions(
         scenario.tiers,
         options.protect_critical,
         options.centre,
-        Tolerances(v_pu=v_pu, loss_share=losses),
-        physical=options.mode == "physical",
+        Tolerances(v_pu=v_pu, losses=physical),
+        physical=physical,
     )
     return GuardedController(controller_of, solver_of, site, guard)
 

@@ -2,7 +2,7 @@
 
 What a weather warning does *not* say is that one feeder will be out: its hit rate is about the
 weather. ``heat`` and ``wind`` therefore multiply the probability of the weather by that of an
-outage here (:data:`OUTAGE_HERE`), which an operator who knows the feeder replaces.
+outage here (``OUTAGE_HERE``), which an operator who knows the feeder replaces.
 """
 
 from __future__ import annotations

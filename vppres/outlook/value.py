@@ -169,7 +169,7 @@ def stored_value(
     Returns
     -------
     StoredValue
-        Concave, 0 for empty batteries, of :data:`vppres.contract.stored_value.PIECES` pieces.
+        Concave, 0 for empty batteries, of ``PIECES`` pieces.
 
     Notes
     -----

@@ -10,7 +10,7 @@ from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
-from vppres.model.formulas import cell_kw, soc_after
+from vppres.model.formulas import bus_injections, cell_kw, lossless_flows, soc_after
 from vppres.model.site import Site
 
 
@@ -26,8 +26,11 @@ class Tolerances:
         On the state of charge at the end of the step, as a share of capacity.
     balance_kw : float
         On the active balance of the step.
-    loss_share : float
-        Share of the power flowing that a plan may set aside for losses; the paper's has none.
+    losses : bool
+        Whether plans set something aside for losses; the paper's have none.
+    loss_kw : float
+        What passes that agree may still be off by. Where the losses themselves are more, a plan
+        may be off by as much as they are, for passes that were used up before they agreed.
     v_pu : float
         On the voltages of the plan.
     """
@@ -36,11 +39,16 @@ class Tolerances:
     power_share: float = 1e-3
     soc: float = 1e-4
     balance_kw: float = 1.0
-    loss_share: float = 0.0
+    losses: bool = False
+    loss_kw: float = 1.0
     v_pu: float = 1e-4
 
 
 PAPER = Tolerances()
+
+LOSS_SWEEPS = 3
+"""Times that losses are computed, each with the flows that the losses before make: each sweep adds
+the losses' share of the power once more, far below a percent."""
 
 
 def violations(
@@ -182,8 +190,11 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     curtailed = np.clip(row.curtailed_kw, forced, forced + usable - own)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
-    losses_kw = within.loss_share * max(taken, given)
-    if state.island and within.loss_share > 0.0:  # what a plan with losses also gives the network
+    losses_kw = 0.0
+    if within.losses:
+        found_kw = _losses_kw(row, curtailed, state)
+        losses_kw = found_kw + max(found_kw, within.loss_kw)
+    if state.island and within.losses:  # what a plan with losses also gives the network
         net = state.site.network
         losses_kw += float(np.abs(net.drawn(np.ones(net.n_buses))[0]).sum())
     short = taken - given - state.grid_limit_kw
@@ -195,6 +206,42 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     if surplus > slack_kw + losses_kw:
         return f"balance: {surplus:.1f} kW surplus"
     return ""
+
+
+def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
+    """Losses of the flows that follow from the set-points, at the voltages of the plan."""
+    site = state.site
+    net = site.network
+    load_kw = state.load_kw * row.served
+    p_kw = bus_injections(
+        site,
+        {
+            "pv": state.pv_kw - curtailed_kw,
+            "batteries": row.discharge_kw - row.charge_kw,
+            "customers": -load_kw,
+        },
+    )
+    q_kvar = bus_injections(
+        site,
+        {
+            "pv": row.pv_q_kvar,
+            "batteries": row.batt_q_kvar,
+            "customers": -load_kw * site.customers.q_per_p,
+        },
+    )
+    # Limited, so that the losses of a plan with nonsense for voltages are still numbers.
+    v_pu = np.clip(row.v_pu, net.v_min_pu, net.v_max_pu) / net.bus_ratio
+    per_v2 = 1.0 / v_pu[net.parent] ** 2
+    loss_kw = np.zeros(net.n_lines)
+    loss_kvar = np.zeros(net.n_lines)
+    for _ in range(LOSS_SWEEPS):
+        # A line's loss is drawn at its far end, as the plan has it.
+        p_flow = lossless_flows(net, p_kw - state.drawn_kw - np.append(0.0, loss_kw))
+        q_flow = lossless_flows(net, q_kvar - state.drawn_kvar - np.append(0.0, loss_kvar))
+        squared = (p_flow**2 + q_flow**2) * per_v2
+        loss_kw = net.r_pu2_per_kw * squared
+        loss_kvar = net.x_pu2_per_kvar * squared
+    return float(loss_kw.sum())
 
 
 def _voltage(row: _Row, limits_pu: tuple[float, float], within: Tolerances) -> str:
