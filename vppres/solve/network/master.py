@@ -343,8 +343,8 @@ class NetworkMaster:
         if not self.is_large:
             return solver
         prices = self.price[1] * self.program.x_upper[self.price[0]]
-        basis = self.root[0].getBasis()
-        if prices.any() or not basis.valid:
+        basis = None if prices.any() else self.root[0].getBasis()
+        if basis is None or not basis.valid:
             self._start(solver)
             return solver
         added = solver.getNumRow() - len(basis.row_status)
