@@ -73,10 +73,11 @@ def steps_of(days: pd.DataFrame) -> pd.DataFrame:
 
 def summary(steps: pd.DataFrame) -> pd.DataFrame:
     """Each kind, and all: days, steps, seconds, and what is left open."""
+    steps = steps.assign(day=steps["kind"] + " " + steps["seed"].astype(str))
     everything = pd.concat([steps.assign(kind="all"), steps])
     groups = everything.groupby("kind", sort=False)
     table = groups.agg(
-        days=("seed", "nunique"),
+        days=("day", "nunique"),
         steps=("seconds", "size"),
         median_s=("seconds", "median"),
         p99_s=("seconds", lambda s: s.quantile(0.99)),

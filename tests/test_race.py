@@ -117,6 +117,7 @@ def test_summary_counts_steps_that_are_left_open() -> None:
     }
     table = summary(steps_of(pd.DataFrame([day, {**day, "kind": "rules", "gap": [0.0, 0.0]}])))
     assert table["kind"].tolist() == ["all", "tight", "rules"]
+    assert table["days"].tolist() == [2, 1, 1]
     assert table["open"].tolist() == [1, 1, 0]
     assert table["fallbacks"].tolist() == [2, 1, 1]
     assert table["steps"].tolist() == [4, 2, 2]

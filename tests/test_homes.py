@@ -1,0 +1,49 @@
+"""The feeder of the homes and the study of what forecasts cost on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.homes.build import HELD_OUT, homes
+from experiments.homes import FORECASTERS, Run, day_of, write_report
+from vppres.io.python_door import check_scenario
+
+
+def test_a_day_of_the_homes() -> None:
+    day = homes(HELD_OUT, 24, (12, 15))
+    check_scenario(day)
+    assert (len(day.customers), len(day.pv), day.network.n_buses) == (17, 17, 19)
+    assert np.flatnonzero(day.outage).tolist() == [12, 13, 14]
+    assert day.history is not None
+    assert day.history.end == day.grid.start
+    assert day.history.n_steps == 100 * 24
+
+
+def test_the_year_ends() -> None:
+    with pytest.raises(ValueError, match="the year has no 24 h from"):
+        homes(pd.Timestamp("2017-08-01T00:00Z"))
+
+
+def test_seeds_are_held_out_days_with_outages() -> None:
+    for seed in (0, 17, 119):
+        day = day_of(seed)
+        assert day.grid.start >= HELD_OUT
+        assert 4 <= day.outage.sum() <= 9
+
+
+def test_the_report_holds_the_differences(tmp_path: Path) -> None:
+    days = [
+        [
+            Run(seed, name, 0.9 - 0.01 * i, 10.0 + i, 1.0, 5.0, 0, 1.0)
+            for i, name in enumerate(FORECASTERS)
+        ]
+        for seed in range(3)
+    ]
+    text = write_report(days, 60.0, tmp_path).read_text()
+    assert "0.0100 [0.0100, 0.0100]" in text
+    assert "2.00 [2.00, 2.00]" in text
+    assert (tmp_path / "homes.svg").is_file()
