@@ -72,7 +72,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         'gurobi = "yes"',
         [
             "scenario.toml, controller.gurobi: is not a known key. Remove it. "
-            "Known: kind, horizon_h, mode, soc_end."
+            "Known: kind, horizon_h, mode, soc_end, outages."
         ],
     ),
     "missing key": (

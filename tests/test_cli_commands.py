@@ -682,6 +682,9 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "seed": 3,
         "max-actions": 4,
         "cold-load-factor": 1.5,
+        "forecaster": "seasonal",
+        "outages": "likely",
+        "solver-seed": 3,
     }
     day, options = small_scenario(), RunOptions()
     for name in sweep_parameters.OPTION_OF:
@@ -723,6 +726,10 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "reserve": {"soc": 0.5, "notice_h": 0.5},
         "soc_end": 0.5,
         "isolate": None,
+        "forecaster": "seasonal",
+        "forecast_file": None,
+        "outages": "likely",
+        "weighted": {"unit_kw": 0.5, "tolerance": 0.5, "seed": 3},
     }
 
 
