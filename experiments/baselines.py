@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import typer
 from matplotlib.figure import Figure
-from scipy import stats
 
 import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
+from experiments.paired import Estimate, by_seed
 from experiments.random_days import DRAWINGS
 from experiments.report import machine
 from experiments.seeds import (
@@ -45,8 +45,6 @@ CONTROLLERS = {
     "idle": "no control",
     "perfect": "perfect information",
 }
-CONFIDENCE = 0.95
-RESAMPLES = 9999
 TABLE_WIDTH = 120
 
 
@@ -114,46 +112,9 @@ def run_seed(seed: int) -> list[Run]:
     return runs
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A mean and its confidence interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Floats) -> Estimate:
-        """By bootstrap over the days; the mean alone where all are equal or there is but one."""
-        mean = float(np.mean(values))
-        if len(values) < 2 or np.ptp(values) == 0.0:
-            return cls(mean, mean, mean)
-        found = stats.bootstrap(
-            (values,),
-            np.mean,
-            n_resamples=RESAMPLES,
-            method="percentile",
-            confidence_level=CONFIDENCE,
-            rng=np.random.default_rng(0),
-        )
-        return cls(
-            mean, float(found.confidence_interval.low), float(found.confidence_interval.high)
-        )
-
-    def text(self, form: str) -> str:
-        """Mean and interval in a format."""
-        return f"{self.mean:{form}} [{self.low:{form}}, {self.high:{form}}]"
-
-
 def column(runs: Sequence[Run], controller: str, value: Callable[[Run], float]) -> Floats:
     """A value of each day of a controller, in the order of the seeds."""
-    return np.array(
-        [
-            value(run)
-            for run in sorted(runs, key=lambda run: run.seed)
-            if run.controller == controller
-        ]
-    )
+    return by_seed(runs, value, controller=controller)
 
 
 def figure(runs: Sequence[Run]) -> Figure:

@@ -16,7 +16,7 @@ import typer
 from matplotlib.figure import Figure
 
 from data.homes.build import HELD_OUT, homes
-from experiments.baselines import Estimate
+from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
     STUDIES,
@@ -120,8 +120,7 @@ def run_seed(seed: int) -> list[Run]:
 
 def column(runs: Sequence[Run], forecaster: str, value: Callable[[Run], float]) -> Floats:
     """A value of each day of a forecaster, in the order of the seeds."""
-    ordered = sorted(runs, key=lambda run: run.seed)
-    return np.array([value(run) for run in ordered if run.forecaster == forecaster])
+    return by_seed(runs, value, forecaster=forecaster)
 
 
 def figure(runs: Sequence[Run]) -> Figure:

@@ -18,8 +18,8 @@ import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
-from experiments.baselines import Estimate
 from experiments.outage_days import OutageDay, biased, draw_outage_day, with_outage_day
+from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
     STUDIES,
@@ -269,8 +269,7 @@ def _run(scenario: Scenario, day: OutageDay, policy: str, wrong: str, seed: int)
 
 def paired(runs: Sequence[Run], policy: str, wrong: str, value: Callable[[Run], Any]) -> Floats:
     """A value of each day of a policy, in the order of the seeds."""
-    of_policy = [run for run in runs if (run.policy, run.wrong) == (policy, wrong)]
-    return np.array([value(run) for run in sorted(of_policy, key=lambda run: run.seed)], float)
+    return by_seed(runs, value, policy=policy, wrong=wrong)
 
 
 def with_outage(runs: Sequence[Run]) -> list[Run]:

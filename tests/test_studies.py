@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from experiments import campaign
-from experiments.baselines import CONTROLLERS, Estimate, Run, column, figure, write_report
+from experiments.baselines import CONTROLLERS, Run, column, figure, write_report
 from experiments.campaign import StepToJudge, judge, run_one
 from experiments.mutations import refuted
+from experiments.paired import Estimate
 from experiments.random_days import RandomDay, random_day, small_day
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller

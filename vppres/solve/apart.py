@@ -28,7 +28,6 @@ SolveStep = Callable[[WindowData, SolveLimits], WindowSolution]
 LEAST_S = 0.01
 """What a step may take where earlier ones have used up the time: its grace is for an answer."""
 
-
 ENDLESS = 1e6
 """Factor of the energy of batteries that are to have no limit of energy."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
@@ -149,7 +149,7 @@ class WindowSolver:
             return better(self._solve(data, left), found, self.limits)
         return self._solve(data, self.limits)
 
-    @property
+    @cached_property
     def _endless(self) -> WindowSolver:
         """Solves windows of the site with batteries that are never full and never empty."""
         site = without_energy_limits(self.site)

@@ -149,6 +149,5 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     attempt = with_modes(task.cache, data, served, modes, task.answer_by())
     known.note("cost", attempt.outcome)
     if attempt.dispatch is not None:
-        slack_gbp = np.inf
-        found = Candidate.of(task.site, data, attempt.dispatch, slack_gbp, in_network=False)
-        known.keep(found)
+        # What the search leaves open of cost is not known.
+        known.keep(Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False))
