@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from vppres.live.door import moment_of
+from vppres.service.clock import written
 
 MOST_SERIES = 2_000
 MOST_VALUES = 2_000
@@ -186,3 +187,16 @@ class ModeRequest(Body):
     mode: Literal["auto", "off"]
     until: Moment | None = None
     reason: str = Field("", max_length=200)
+
+
+def plain(body: Body) -> dict[str, Any]:
+    """A body as it is kept: times with offsets, durations as they were read."""
+    return {name: _plain(value) for name, value in body.model_dump().items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, pd.Timestamp):
+        return written(value)
+    if isinstance(value, pd.Timedelta):
+        return f"PT{round(value.total_seconds())}S"
+    return value
