@@ -29,6 +29,13 @@ WIDE = 100
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
 
 
+HEURISTICS = tuple(
+    f"mip_heuristic_run_{name}"
+    for name in ("feasibility_jump", "rins", "rens", "root_reduced_cost")
+)
+"""Switches of the heuristics of HiGHS that solve a problem within the problem."""
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """Minimise ``cost @ x`` where ``lower <= rows @ x <= upper``, with bounds on x.
@@ -72,18 +79,24 @@ class Program:
         By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
         whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
         """
-        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
-        prices = np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
+        prices = self.allowed(prices)
         limits = np.where(prices > 0.0, self.lower, self.upper)
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
+
+    def allowed(self, prices: Floats) -> Floats:
+        """Prices of rows, without those of a sign that a one-sided row forbids."""
+        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
+        return np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
 
     @property
     def is_wide(self) -> bool:
         """Whether it is a linear problem of hardly any rows."""
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
-    def loaded(self, gap_abs: float = 0.0, most_nodes: int | None = None) -> highspy.Highs:
+    def loaded(
+        self, gap_abs: float = 0.0, most_nodes: int | None = None, heuristics: bool = True
+    ) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
         options: dict[str, Any] = {
@@ -96,6 +109,8 @@ class Program:
             options["presolve"] = "off"
         if most_nodes is not None:
             options["mip_max_nodes"] = most_nodes
+        if not heuristics:
+            options |= dict.fromkeys(HEURISTICS, False)
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.

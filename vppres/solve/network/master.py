@@ -19,6 +19,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid
+from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.injections import Injections, Reactance, Rows
 from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
@@ -60,6 +61,9 @@ the proof that there is nothing cheaper never ends where it does not end soon.""
 
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
+
+FEEDERS_SHARE = 0.5
+"""Share of the time of the search for the most service that feeders' own searches may take."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -176,9 +180,14 @@ class NetworkMaster:
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = _ServiceCuts(self.units)
-        most = self._cut(root, cuts)
-        known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
-        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
+        linear, held = self._by_feeders(deadline) if self.is_large else (root, None)
+        most = self._cut(linear, cuts)
+        known = _Known(np.ones(x.size), self._in_full(linear), np.floor(most + TOLERANCE))
+        patience = Patience(deadline, PATIENCE_NODES)
+        if held is None:
+            self._close(solver, linear, known, cuts, patience)
+        else:
+            self._close_large(solver, linear, known, cuts, patience, held)
         if known.closed(self.units):
             status = Status.OPTIMAL
         else:
@@ -219,6 +228,103 @@ class NetworkMaster:
             nodes = patience.nodes + ROUND_NODES
             patience.saw(float(self.units @ known.best), known.bound, nodes)
             few += self.found[before:] if whole else []
+
+    def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
+        """The linear problem with cuts of its feeders, and what their searches say of customers.
+
+        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries.
+        Its cut makes another fraction of the same worth at most, so each is searched once.
+        """
+        solver, linear = self.root
+        x = self.model.at["x"].ravel()
+        held = np.full(len(x), np.nan)
+        open_ = np.repeat(self.data.grid_limit_kw > 0.0, len(self.site.customers))
+        of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
+        searched: set[int] = set()
+        end = deadline.part(FEEDERS_SHARE)
+        while self.units @ self._in_full(linear) < np.floor(TOLERANCE - linear.bound):
+            program = _limited(self._with_cost(x, -self.units), self.found)
+            feeders = Feeders(program, linear, of_column, x)
+            new = [number for number in feeders.fractional if number not in searched]
+            cuts = []
+            for number in new:
+                if end.passed:
+                    break
+                found = feeders.search(number, end)
+                searched.add(number)
+                places = found.binaries[open_[found.binaries]]
+                held[places] = found.served[open_[found.binaries]]
+                cuts += [] if found.cut is None else [found.cut]
+            if not cuts:
+                break
+            rows = Rows.joined(cuts)
+            self.found.append(rows)
+            _add(solver, rows)
+            tighter = self._until_carried(solver, deadline)
+            if tighter.status != Status.OPTIMAL:
+                break
+            linear = tighter
+        return linear, held
+
+    def _close_large(
+        self,
+        solver: highspy.Highs,
+        linear: ProgramSolution,
+        known: _Known,
+        cuts: _ServiceCuts,
+        patience: Patience,
+        held: Floats,
+    ) -> None:
+        """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
+
+        The best set is put to the discs themselves at the end: one that exceeds many of them by
+        the little that a bound admits has no dispatch. From then on each better one is.
+        """
+        over = DISC
+        while True:
+            while not known.closed(self.units) and not patience.passed:
+                enough = float(self.units @ known.best)
+                found = cuts.most(self._shares(linear), enough + 1.0, patience.end, held)
+                free = bool(np.isnan(held).all())
+                if not free and not known.follow(found, self.units):
+                    held = np.full(len(held), np.nan)
+                    continue
+                if free:
+                    known.take(found, enough)
+                linear = self._tried(solver, known.tried, DISC, enough)
+                if over < DISC and self.units @ self._in_full(linear) > enough:
+                    linear = self._tried(solver, known.tried, over, enough)
+                if linear.status != Status.OPTIMAL:
+                    break
+                self._cut(linear, cuts)
+                known.improve(self._in_full(linear), self.units)
+                nodes = patience.nodes + ROUND_NODES
+                patience.saw(float(self.units @ known.best), known.bound, nodes)
+            if over < DISC:
+                return
+            over = EXACT_DISC
+            carried = self._tried(solver, known.best, over, -np.inf)
+            if carried.status != Status.OPTIMAL:
+                return
+            linear = carried
+            self._cut(linear, cuts)
+            known.best = self._in_full(linear)
+
+    def _tried(
+        self, solver: highspy.Highs, served: Floats, over: float, worth: float
+    ) -> ProgramSolution:
+        """Most service if nobody is served beyond a set; a solver that gives up begins anew."""
+        x = self.model.at["x"].ravel()
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
+        linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        if linear.status == Status.NUMERICAL:
+            self._start(solver)
+            linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        return linear
+
+    def _shares(self, linear: ProgramSolution) -> Floats:
+        """How far customers are served by a linear solution."""
+        return np.asarray(linear.x[self.model.at["x"].ravel()])
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
@@ -459,6 +565,13 @@ class _Known:
             self.tried = np.round(found.x)
         self.bound = max(best, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
+    def follow(self, found: ProgramSolution, units: Floats) -> bool:
+        """Try a set of a search that proves nothing, if it would be the best."""
+        better = found.status.has_answer and units @ np.round(found.x) > units @ self.best
+        if better:
+            self.tried = np.round(found.x)
+        return bool(better)
+
     def improve(self, carried: Floats, units: Floats) -> None:
         """Keep a set that is carried if it is the best."""
         if units @ carried > units @ self.best:
@@ -485,17 +598,23 @@ class _ServiceCuts:
         self.most_units.append(most + TOLERANCE)
         return most + float(self.gains[-1].sum())
 
-    def most(self, shares: Floats, at_least: float, deadline: Deadline) -> ProgramSolution:
+    def most(
+        self, shares: Floats, at_least: float, deadline: Deadline, held: Floats | None = None
+    ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
-        service or lack of it would alone cost too much by the first bound is decided beforehand.
+        service or lack of it would alone cost too much by the first bound is decided beforehand;
+        ``held`` decides more, where it is not NaN: the bound is that of such sets then.
         """
         away = 1.0 - shares
         spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
         low = self.first_left < -spare
         high = self.first_left <= spare
+        if held is not None:
+            low = np.where(np.isnan(held), low, held > 0.5)
+            high = np.where(np.isnan(held), high, held > 0.5)
         program = Program(
             cost,
             low.astype(float),
