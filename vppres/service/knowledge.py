@@ -182,6 +182,11 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     return Known(measurement, heard, {k: v for k, v in soc.items() if np.isfinite(v)})
 
 
+def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
+    """Age of everything that was ever heard of."""
+    return [_heard(reading, time, step_s) for reading in store.latest(time, INSTANT)]
+
+
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
     """How old a reading is."""
     age_s = seconds(time) - reading.time
