@@ -149,7 +149,9 @@ def test_all_text_stands_out_and_everything_has_a_name(
         page = watcher.page
         page.wait_for_selector("#chart svg")
         for level in ("fine", "warning", "alarm"):
-            page.evaluate("level => { document.getElementById('verdict').className = level; }", level)
+            page.evaluate(
+                "level => { document.getElementById('verdict').className = level; }", level
+            )
             assert page.evaluate(CONTRAST) == []
         assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
         page.focus("#mode-change")
@@ -204,7 +206,9 @@ def test_nothing_fails_and_nothing_leaves_the_machine(calm: Watcher) -> None:
     assert [one for one in calm.addresses if not one.startswith(calm.address)] == []
     assert f"{calm.address}v1/overview" in calm.addresses
     # The browser itself would stop what a stranger smuggles in.
-    script = "document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.evil = 1\">')"
+    script = (
+        "document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.evil = 1\">')"
+    )
     calm.page.evaluate(script)
     assert calm.page.evaluate("window.evil") is None
     calm.messages.clear()

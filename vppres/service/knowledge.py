@@ -74,6 +74,11 @@ class Known:
     heard: list[Heard]
     soc: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def limits_kw(self) -> pd.Series[float]:
+        """Limits of import over the window, infinite where there are none."""
+        return pd.Series(self.measurement.grid_limit_kw)
+
 
 def assets_of(scenario: Scenario) -> dict[str, list[str]]:
     """Assets of each quantity."""

@@ -204,7 +204,9 @@ class Overview:
 
     def _summary(self, plan: Mapping[str, Any]) -> dict[str, Any]:
         """A step in a few numbers."""
-        on = {one["asset"]: one["served"] for one in plan["setpoints"] if one["kind"] == "customers"}
+        on = {
+            one["asset"]: one["served"] for one in plan["setpoints"] if one["kind"] == "customers"
+        }
         solve = plan["solve"] or {}
         expected = plan["expected"]
         return {

@@ -73,7 +73,7 @@ def plan_of(
             "v_min_pu": _number(v_pu.min()),
             "v_max_pu": _number(v_pu.max()),
             "v_min_bus": _at_lowest(v_pu),
-            "grid_limit_kw": _number(known.measurement.grid_limit_kw.iloc[0]),
+            "grid_limit_kw": _number(known.limits_kw.iloc[0]),
         },
         "ahead": _ahead(decision, known),
     }
@@ -114,7 +114,7 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
     foreseen = decision.foreseen
     times = foreseen.import_kw.index[:MOST_AHEAD]
-    limits_kw = known.measurement.grid_limit_kw.reindex(times)
+    limits_kw = known.limits_kw.reindex(times)
     return {
         "times": [written(time) for time in times],
         "grid_limit_kw": _numbers(limits_kw),
