@@ -26,6 +26,7 @@ from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
 from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
+from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.live.past import Past
@@ -67,6 +68,8 @@ class SetPoints:
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
+    foreseen : Foreseen
+        What the plan that it is taken from foresees for the steps after it.
     """
 
     time: pd.Timestamp
@@ -77,6 +80,7 @@ class SetPoints:
     import_kw: float
     solve: Mapping[str, Any]
     feeding: Feeding
+    foreseen: Foreseen
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
         """Write the set-points into a pandapower net.
@@ -374,7 +378,7 @@ class Controller:
             start = self._step_before
         try:
             start[0].restore()
-            scenario, record, past = self._decided(seen, start[1])
+            points, past = self._decided(seen, start[1])
         except VppresError:
             latest.restore()
             raise
@@ -386,10 +390,10 @@ class Controller:
             raise
         self._past = past
         self._step_before = start
-        return _set_points(scenario, record)
+        return points
 
-    def _decided(self, seen: Seen, past: Past) -> tuple[Scenario, StepRecord, Past]:
-        """The window as it is believed to be, what was decided, and what to remember of it."""
+    def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
+        """What was decided for the window as it is believed to be, and what to remember of it."""
         t = seen.t + self._forgotten
         switching, cold_load = past.held_until(t)
         window = self._window(seen.t)
@@ -438,8 +442,7 @@ class Controller:
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
         return (
-            scenario,
-            record,
+            _set_points(scenario, record, Foreseen.of(decision, scenario)),
             Past(
                 t,
                 day.operating_point,
@@ -457,7 +460,7 @@ def _first_row(rows: Floats, row: Floats) -> Floats:
     return np.vstack([row, rows[1:]])
 
 
-def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
+def _set_points(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> SetPoints:
     """The tables of a step."""
     c = scenario.customers
     pv = scenario.pv
@@ -515,6 +518,7 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
             str(step.steps["mode"]),
             np.asarray(step.buses["v_ac_pu"], dtype=float),
         ),
+        foreseen=foreseen,
     )
 
 

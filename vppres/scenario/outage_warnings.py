@@ -57,11 +57,9 @@ class OnsetShares:
     def begun(self, hours: ArrayLike) -> Floats:
         """Probability that it has begun some hours after the start."""
         edges = self.interval_h * np.arange(len(self.probability) + 1)
-        return np.interp(
-            np.asarray(hours, dtype=float),
-            edges,
-            np.concatenate([[0.0], np.cumsum(self.probability)]),
-        )
+        begun = np.concatenate([[0.0], np.cumsum(self.probability)])
+        found: Floats = np.interp(np.asarray(hours, dtype=float), edges, begun).astype(float)
+        return found
 
 
 @dataclass(frozen=True)

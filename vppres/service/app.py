@@ -10,14 +10,14 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
-from vppres.service.routes import events, forecasts, health, operation, plans, telemetry
+from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
 MOST_BYTES = 8_000_000
 """Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
 
-GUARDED = (telemetry, forecasts, events, plans, operation)
+GUARDED = (telemetry, forecasts, events, plans, operation, page)
 
 
 def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) -> FastAPI:

@@ -102,6 +102,11 @@ class Known:
     estimated: list[str]
     soc: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def limits_kw(self) -> pd.Series[float]:
+        """Limits of import over the window, infinite where there are none."""
+        return pd.Series(self.measurement.grid_limit_kw)
+
 
 def assets_of(scenario: Scenario) -> dict[str, list[str]]:
     """Assets of each quantity."""
@@ -275,6 +280,11 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
         known_by = "profile"
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits)
+
+
+def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
+    """Age of everything that was ever heard of."""
+    return [_heard(reading, time, step_s) for reading in store.latest(time, INSTANT)]
 
 
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:

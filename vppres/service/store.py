@@ -181,6 +181,7 @@ class Store:
         self.folder = folder
         self._lock = _locked(folder)
         self._writing = threading.Lock()
+        self.changes = 0  # transactions so far: who shows what is stored sees what is new
         self._engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -366,6 +367,12 @@ class Store:
             chosen = chosen.where(_steps.c.time <= seconds(until))
         return self._plan(chosen)
 
+    def plans(self, since: pd.Timestamp) -> list[dict[str, Any]]:
+        """The plans of all steps from a time on."""
+        chosen = sa.select(_steps.c.plan).where(_steps.c.time >= seconds(since))
+        with self._reads() as db:
+            return [json.loads(text) for (text,) in db.execute(chosen.order_by(_steps.c.time))]
+
     def _plan(self, chosen: Any) -> dict[str, Any] | None:
         with self._reads() as db:
             text = db.execute(chosen).scalar()
@@ -445,6 +452,7 @@ class Store:
         """A transaction that writes."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             yield db
+        self.changes += 1
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
