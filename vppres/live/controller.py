@@ -31,6 +31,7 @@ from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.live.state import Standing, restored, state_of
+from vppres.outlook.outlook import OutageOutlook
 from vppres.plant.plant import BatteryState
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -237,13 +238,15 @@ class Controller:
         stop = max(row + grid.steps_in_horizon(LOOKAHEAD_H), window.stop)
         return range(row, min(stop, grid.n_steps))
 
-    def warn(self, *warnings: OutageWarning) -> None:
+    def warn(self, *warnings: OutageWarning, replacing: bool = False) -> None:
         """Take up messages about outages, for controllers that are not told of them otherwise.
 
         Parameters
         ----------
         *warnings : OutageWarning
             Messages, in any order; of each outage the last one that is issued counts.
+        replacing : bool, optional
+            Whether they are all that is said, in place of every message before.
 
         Examples
         --------
@@ -258,7 +261,49 @@ class Controller:
         1
         """
         with self._turn:
-            self.scenario = replace(self.scenario, warnings=(*self.scenario.warnings, *warnings))
+            before = () if replacing else self.scenario.warnings
+            self.scenario = replace(self.scenario, warnings=(*before, *warnings))
+
+    def out_probability(self, time: Any) -> pd.Series:
+        """Probability that each step from a time on is one of an outage, 48 h ahead at most.
+
+        It rests on what was said by then and seen up to the step that was decided last: of a step
+        that is not decided yet nobody has seen whether there is grid. Where the options take
+        outages for known it is 0 or 1, as the scenario says.
+
+        Examples
+        --------
+        >>> import vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> controller = Controller.of(day, vppres.RunOptions(isolate=False))
+        >>> controller.out_probability(day.grid.times[11]).head(3).tolist()
+        [0.0, 1.0, 1.0]
+        """
+        with self._turn:
+            grid = self.scenario.grid
+            row = step_at(grid, time)
+            times = grid.times[row : row + grid.steps_in_horizon(LOOKAHEAD_H)]
+            if self.options.outages == KNOWN:
+                out = self.scenario.grid_limit_kw[row : row + len(times)] <= 0.0
+                return pd.Series(out.astype(float), times)
+            decided = self._past.t - self._forgotten
+            seen_last = min(decided, row) if self._past.t >= 0 else row - 1
+            ahead = range(row - seen_last, row - seen_last + len(times))
+            return pd.Series(self._believed(seen_last, row)[ahead], times)
+
+    def _believed(self, seen_last: int, said_last: int) -> Floats:
+        """Probability of an outage in the steps from the one on that was seen last."""
+        scenario = self.scenario
+        step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+        then = scenario.grid.start + seen_last * step
+        told = [
+            replace(one, issued_at=min(one.issued_at, then))
+            for one in scenario.warnings
+            if one.issued_at <= scenario.grid.start + said_last * step
+        ]
+        outlook = OutageOutlook(told, scenario.outage_statistics, scenario.grid.dt_h)
+        n_steps = said_last - seen_last + scenario.grid.steps_in_horizon(LOOKAHEAD_H)
+        return outlook.at(then, n_steps, self._past.grid_seen.outages).out_probability
 
     def extend(
         self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True

@@ -94,7 +94,7 @@ class Overview:
             "mode": runner.mode,
             "ahead_s": None if plan is None else runner.ahead_s,
             "steps": runner.outcomes,
-            "events": {name: body for name, (_, body) in runner.store.events().items()},
+            "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(now),
             "measured": self._measured(now),
             "plan": None if plan is None else self._told(plan, now),

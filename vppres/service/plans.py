@@ -64,7 +64,11 @@ def plan_of(
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,
         },
-        "estimated": [words for words in str(solve["estimated"]).split("; ") if words],
+        "grid": {"available": known.grid.available, "known_by": known.grid.known_by},
+        "estimated": [
+            *(words for words in str(solve["estimated"]).split("; ") if words),
+            *known.estimated,
+        ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "setpoints": _set_points(decision, scenario, refused, reason),
         "expected": {

@@ -150,6 +150,28 @@ class Written:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A version of an event.
+
+    Parameters
+    ----------
+    version : int
+        Its number, from 1.
+    body : dict
+        What it says; empty where it was withdrawn.
+    made_at : int
+        When it was written.
+    since : int
+        When the first version was, after it was withdrawn last.
+    """
+
+    version: int
+    body: dict[str, Any]
+    made_at: int
+    since: int
+
+
+@dataclass(frozen=True)
 class Token:
     """Who may do what, until when in seconds; of the secret only the hash is kept."""
 
@@ -271,14 +293,45 @@ class Store:
             _note(db, now, actor, action, f"{identifier} {text or ''}")
         return version
 
-    def events(self) -> dict[str, tuple[int, dict[str, Any]]]:
-        """Latest version of each event that holds, with its number."""
+    def events(self) -> dict[str, Event]:
+        """The latest version of each event that holds."""
         e = _events.c
         newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
-        both = sa.and_(e.id == newest.c.id, e.version == newest.c.version)
+        gone = (
+            sa.select(e.id, sa.func.max(e.version).label("version"))
+            .where(e.body.is_(None))
+            .group_by(e.id)
+            .subquery()
+        )
+        since = (
+            sa.select(e.id, sa.func.min(e.made_at).label("made_at"))
+            .outerjoin(gone, e.id == gone.c.id)
+            .where(sa.or_(gone.c.version.is_(None), e.version > gone.c.version))
+            .group_by(e.id)
+            .subquery()
+        )
+        chosen = (
+            sa.select(_events, since.c.made_at.label("since"))
+            .join(newest, sa.and_(e.id == newest.c.id, e.version == newest.c.version))
+            .join(since, e.id == since.c.id)
+            .order_by(e.id)
+        )
         with self._reads() as db:
-            rows = db.execute(sa.select(_events).join(newest, both).order_by(e.id)).all()
-        return {row.id: (row.version, json.loads(row.body)) for row in rows if row.body}
+            rows = db.execute(chosen).all()
+        return {r.id: Event(r.version, json.loads(r.body), r.made_at, r.since) for r in rows}
+
+    def event_versions(self, identifier: str) -> list[Event]:
+        """All versions of an event, in their order; those that withdrew it have no body."""
+        chosen = sa.select(_events).where(_events.c.id == identifier).order_by(_events.c.version)
+        with self._reads() as db:
+            rows = db.execute(chosen).all()
+        found: list[Event] = []
+        for row in rows:
+            again = not found or not found[-1].body
+            since = row.made_at if again else found[-1].since
+            body = json.loads(row.body) if row.body else {}
+            found.append(Event(row.version, body, row.made_at, since))
+        return found
 
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str

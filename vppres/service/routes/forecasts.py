@@ -9,9 +9,9 @@ from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.knowledge import check_forecast
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
+from vppres.service.window import check_forecast
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
