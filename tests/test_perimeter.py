@@ -269,7 +269,7 @@ def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     write_scenario(site().scenario, tmp_path / "site")
-    command = [sys.executable, "-m", "vppres", "serve", "site", "--horizon", "0", "--port", str(port),
+    command = [sys.executable, "-m", "vppres", "serve", "site", "--controller", "idle", "--port", str(port),
                "--certificate", str(certificate[0]), "--key", str(certificate[1])]  # fmt: skip
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     try:
