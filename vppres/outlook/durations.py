@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from vppres.core.arrays import Floats
+from vppres.scenario.outage_warnings import OutageLength
 
 Z90 = 1.2815515655446004
 """Quantile of the standard normal distribution at 90 %."""
@@ -57,6 +58,22 @@ def discrete(
     for length, weight in zip(hours, probability, strict=True):
         found += weight * known(length, dt_h, n_steps)
     return np.asarray(found / found.sum())
+
+
+def of_length(length: OutageLength, dt_h: float, n_steps: int) -> Floats:
+    """A length as a message gives it; what is beyond its longest counts as that.
+
+    >>> of_length(OutageLength("lognormal", 2.0, 1.0, max_h=3.0), 1.0, 5).round(2)
+    array([0.39, 0.2 , 0.41, 0.  , 0.  ])
+    """
+    if length.family == "discrete":
+        found = discrete(length.hours, length.probability, dt_h, n_steps)
+    elif length.family == "weibull":
+        found = weibull(length.scale_h, length.shape, dt_h, n_steps)
+    else:
+        found = lognormal(length.scale_h, length.shape, dt_h, n_steps)
+    last = int(np.clip(np.ceil(length.max_h / dt_h), 1, n_steps)) - 1
+    return np.concatenate([found[:last], [found[last:].sum()], np.zeros(n_steps - 1 - last)])
 
 
 def spread(p10_h: float, p90_h: float) -> float:
