@@ -24,6 +24,13 @@ WHOLE_TOLERANCE = 1e-6
 """By how much a bound may exceed a whole number and still be worth no more than it."""
 
 
+STOPPED = (
+    highspy.HighsModelStatus.kInterrupt,
+    highspy.HighsModelStatus.kSolutionLimit,
+    highspy.HighsModelStatus.kObjectiveTarget,
+)
+"""Ends of a search that somebody asked for."""
+
 WIDE = 100
 """Columns for each row beyond which a linear problem is not presolved. HiGHS compares them with
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
@@ -249,6 +256,6 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-    if status in (highspy.HighsModelStatus.kInterrupt, highspy.HighsModelStatus.kSolutionLimit):
+    if status in STOPPED:
         return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)

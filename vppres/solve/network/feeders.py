@@ -119,7 +119,7 @@ class Feeders:
         values = self.x[self.binaries]
         fraction = np.abs(values - np.round(values)) > FRACTION
         feeders = np.unique(self.feeder[self.binaries[fraction]])
-        return feeders[feeders != SHARED]
+        return np.asarray(feeders[feeders != SHARED])
 
     def search(self, number: int, deadline: Deadline) -> Found:
         """Search one feeder with its binaries, the shared rows by their prices.

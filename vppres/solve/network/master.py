@@ -35,6 +35,14 @@ where few discs bind, and sharper ones take several times as many rounds."""
 EXACT_DISC = 5e-6
 """The same in a dispatch, whose discs are checked."""
 
+VERIFIED_DISC = 1e-4
+"""The same of the best set of a large window's search, which has to have a dispatch: ten times as
+many rounds lead to the discs themselves, and a set that misses so little of them has one."""
+
+SETTLED = 1e-3
+"""By how much a relaxation of a large window must still change for its limits to be looked for on:
+most of the rounds add a handful of tangents that change nothing."""
+
 INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
 solutions leave them, the second is for sets that need all of the inverters."""
@@ -64,6 +72,12 @@ ROUND_NODES = 25
 
 FEEDERS_SHARE = 0.5
 """Share of the time of the search for the most service that feeders' own searches may take."""
+
+CLOSE = 0.03
+"""Of the units for which a set may be preferred, how many a set may lack that ends a search."""
+
+SUN_OVER_PRICE = 10.0
+"""By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -284,7 +298,9 @@ class NetworkMaster:
         while True:
             while not known.closed(self.units) and not patience.passed:
                 enough = float(self.units @ known.best)
-                found = cuts.most(self._shares(linear), enough + 1.0, patience.end, held)
+                found = cuts.most(
+                    self._shares(linear), enough + 1.0, patience.end, held, known.bound
+                )
                 free = bool(np.isnan(held).all())
                 if not free and not known.follow(found, self.units):
                     held = np.full(len(held), np.nan)
@@ -302,13 +318,40 @@ class NetworkMaster:
                 patience.saw(float(self.units @ known.best), known.bound, nodes)
             if over < DISC:
                 return
-            over = EXACT_DISC
+            over = VERIFIED_DISC
             carried = self._tried(solver, known.best, over, -np.inf)
             if carried.status != Status.OPTIMAL:
                 return
             linear = carried
             self._cut(linear, cuts)
             known.best = self._in_full(linear)
+
+    def carries(self, served: Flags) -> bool:
+        """Whether the relaxation in the network serves a set in full."""
+        solver, root = self.root
+        if root.status != Status.OPTIMAL:
+            return True
+        x = self.model.at["x"].ravel()
+        wanted = served.ravel().astype(float)
+        linear = self._tried(solver, wanted, DISC, -np.inf)
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), np.ones(len(x)))
+        # The limits that were added have no price in the first solution.
+        none = np.zeros(solver.getNumRow() - len(root.row_dual))
+        self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
+        done = linear.status == Status.OPTIMAL
+        return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
+
+    def nobody(self) -> Dispatch | None:
+        """Everyone off and every battery idle, None where the network forbids even that."""
+        idle = np.zeros(self.model.size)
+        idle[self.model.at["energy"]] = self.data.soc * self.site.batteries.energy_kwh
+        net = self.site.network
+        u = self.model.u_pu2(idle)[:, 1:]
+        low = (u < net.u_min_pu2[1:] - VOLTAGE_PU2).any()
+        high = (u > net.u_max_pu2[1:] + VOLTAGE_PU2).any()
+        if low or high or self.data.drawn is not None:
+            return None
+        return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
 
     def _tried(
         self, solver: highspy.Highs, served: Floats, over: float, worth: float
@@ -407,9 +450,14 @@ class NetworkMaster:
         watch = Stopwatch()
         known = self.found
         program = self._of_set(served)
+        if self.is_large:
+            program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
+        begin = None
         for inside in LARGE_INSIDE if self.is_large else INSIDE:
             self.found = list(known)
-            solver = self._started(self._loaded(program))
+            solver = self._loaded(program)
+            if self.is_large:
+                begin = self._begun(solver, begin, deadline)
             answer = self._until_carried(solver, deadline, EXACT_DISC, inside)
             stricter = len(self.found) > len(known)
             self.found = known  # tangents within the discs hold for no other problem
@@ -440,23 +488,39 @@ class NetworkMaster:
         basis.valid = True
         solver.setBasis(basis)
 
-    def _started(self, solver: highspy.Highs) -> highspy.Highs:
-        """A solver of a set's cost; where nothing costs anything, it begins with the service.
+    @property
+    def _worth_of_sun(self) -> float:
+        """What a kW of PV power is worth in a dispatch, in GBP: more than any saving by losing it.
 
-        There any dispatch is the cheapest. Where import has its price, the service's is far from
-        it, and the way back takes longer than one from the start.
+        Without it, any dispatch would be the cheapest where nothing has a price.
         """
-        if not self.is_large:
-            return solver
+        return float(
+            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.price[1]).max(initial=0.0))
+        )
+
+    def _begun(
+        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
+    ) -> highspy.HighsBasis:
+        """Let a solver of a set's cost begin at a basis, or find the one without tangents.
+
+        Where nothing costs anything, that of the service is near. Where import has its price, it
+        is far, and the way back takes longer than one from the start.
+        """
+        if begin is not None:
+            solver.setBasis(begin)
+            return begin
         prices = self.price[1] * self.program.x_upper[self.price[0]]
         basis = None if prices.any() else self.root[0].getBasis()
         if basis is None or not basis.valid:
             self._start(solver)
-            return solver
-        added = solver.getNumRow() - len(basis.row_status)
-        basis.row_status = [*basis.row_status, *[highspy.HighsBasisStatus.kBasic] * added]
-        solver.setBasis(basis)
-        return solver
+        else:
+            added = solver.getNumRow() - len(basis.row_status)
+            basic = highspy.HighsBasisStatus.kBasic
+            basis.row_status = [*basis.row_status, *[basic] * added]
+            solver.setBasis(basis)
+        ProgramSolution.of(solver, deadline)
+        found: highspy.HighsBasis = solver.getBasis()
+        return found
 
     def _both_ways(self, answer: ProgramSolution) -> Flags:
         """Steps in which a solution imports and exports, (W,)."""
@@ -524,13 +588,19 @@ class NetworkMaster:
     ) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
 
-        Or until no more than so many units are served in full. A solver that meets limits only
-        within a tolerance may violate the same ones for ever: then time ends it.
+        Or until no more than so many units are served in full, or a large relaxation has settled. A
+        solver that meets limits only within a tolerance may violate the same ones for ever: then
+        time ends it.
         """
+        settled = SETTLED if self.is_large and over >= DISC else 0.0
+        before = np.inf
         while True:
             answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
+            if abs(answer.value - before) < settled:
+                return answer
+            before = answer.value
             x = self._columns(answer)
             found = [
                 *self.model.voltage_rows(x, VOLTAGE_PU2),
@@ -599,13 +669,19 @@ class _ServiceCuts:
         return most + float(self.gains[-1].sum())
 
     def most(
-        self, shares: Floats, at_least: float, deadline: Deadline, held: Floats | None = None
+        self,
+        shares: Floats,
+        at_least: float,
+        deadline: Deadline,
+        held: Floats | None = None,
+        at_most: float = np.inf,
     ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
         service or lack of it would alone cost too much by the first bound is decided beforehand;
-        ``held`` decides more, where it is not NaN: the bound is that of such sets then.
+        ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
+        of the units that no set exceeds ends the search.
         """
         away = 1.0 - shares
         spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
@@ -624,7 +700,10 @@ class _ServiceCuts:
             np.array(self.most_units),
             np.arange(len(cost)),
         )
-        found = ProgramSolution.of(program.loaded(1.0 - 2.0 * NEAR), deadline)
+        solver = program.loaded(1.0 - 2.0 * NEAR)
+        if np.isfinite(at_most):
+            solver.setOptionValue("objective_target", CLOSE - at_most)
+        found = ProgramSolution.of(solver, deadline)
         return replace(found, bound=found.bound - NEAR)
 
 
