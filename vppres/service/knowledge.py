@@ -1,7 +1,7 @@
 """From what is stored to the measurement of a step: what is heard, late, or lost.
 
-A reading holds for its own resolution, and for a step at least. What is older is left to the guard,
-which estimates it; a battery that has been silent for three times as long, or was never heard of,
+A reading holds for its own resolution and for a step at least, a state of charge for a tenth of one
+at least: it moves. What is older is left to the guard, which estimates it; a battery that has been silent for three times as long, or was never heard of,
 is left out of the plan.
 """
 
@@ -30,6 +30,12 @@ from vppres.service.window import CAUTIOUS, Window
 INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
 GRID = "grid"
+EARLY_SHARE = 0.1
+"""Share of a step that a reading may be ahead of it: clocks are off."""
+
+SOC_SHARE = 0.1
+"""Share of a step for which a state of charge holds: what moved since is reckoned by the guard."""
+
 LOST_AFTER = 3
 """Multiples of the time for which a reading holds."""
 
@@ -243,7 +249,7 @@ class _Readings:
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
         step_s = round(scenario.grid.step_minutes * 60)
-        found = store.latest(time, INSTANT)
+        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
         heard = [_heard(reading, time, step_s) for reading in found]
         values = {
             (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
@@ -289,18 +295,20 @@ def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
 
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
     """How old a reading is."""
-    age_s = seconds(time) - reading.time
-    holds_s = max(reading.resolution_s, step_s)
-    state = "ok" if age_s <= holds_s else "stale" if age_s <= LOST_AFTER * holds_s else "lost"
+    age_s = max(seconds(time) - reading.time, 0)
+    lost_s = LOST_AFTER * max(reading.resolution_s, step_s)
+    holds_s = max(reading.resolution_s, SOC_SHARE * step_s if reading.quantity == "soc" else step_s)
+    state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
 def _means(store: Store, time: pd.Timestamp, step: pd.Timedelta) -> dict[tuple[str, str], float]:
-    """Means of the step that is over, of the readings that begin in it."""
+    """Means of the step that is over, of the readings whose middle lies in it."""
     begun = time - step
     values: dict[tuple[str, str], list[float]] = {}
-    for reading in store.between(begun, time, MEAN):
-        if reading.value is not None:
+    for reading in store.between(begun - step, time + step, MEAN):
+        middle = moment(reading.time) + pd.Timedelta(seconds=reading.resolution_s / 2)
+        if reading.value is not None and begun <= middle < time:
             values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
     return {key: sum(each) / len(each) for key, each in values.items()}
 
