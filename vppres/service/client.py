@@ -12,6 +12,8 @@ from urllib.parse import urlsplit
 from vppres.core.errors import InputError, Problem
 
 TIMEOUT_S = 120.0
+TOO_MANY = 429
+TOO_MANY_S = 0.2
 ATTEMPTS = 2
 """An idle connection may have been closed; requests that do no harm twice are sent again."""
 
@@ -95,6 +97,9 @@ class Client:
             With what the service says against it.
         """
         answer = self.ask(method, path, body)
+        while answer.status == TOO_MANY:
+            time.sleep(TOO_MANY_S)
+            answer = self.ask(method, path, body)
         if answer.status >= 400:
             said = answer.body.get("detail") if isinstance(answer.body, dict) else answer.body
             raise InputError(f"{method} {path} at {self.url}: {answer.status}, {said}")

@@ -10,7 +10,10 @@ from __future__ import annotations
 import random
 import time as machine
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,7 +23,14 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.client import Client
 from vppres.service.clock import written
 from vppres.service.payloads import read_moment
+from vppres.service.runner import Service
+from vppres.service.started import started
 from vppres.service.world import Series, World, critical_off, energy_allowed
+
+Progress = Callable[[int, int], None]
+
+LOOKS = 8
+"""How often the size of its own service is looked at."""
 
 LATEST_STEPS = 3
 """By how many steps a delayed reading is late at most."""
@@ -195,7 +205,7 @@ class Player:
         self._told: list[dict[str, Any]] = []
         self._announcements = list(announcements(world.scenario, play.notice_h))
 
-    def play(self, progress: Callable[[int, int], None] | None = None) -> Tally:
+    def play(self, progress: Progress | None = None) -> Tally:
         """From the scenario's first step to its last."""
         scenario = self.world.scenario
         begin = machine.monotonic()
@@ -247,6 +257,79 @@ class Player:
     def _wait_until(self, begin: float, t: int) -> None:
         if self.how.speed:
             machine.sleep(max(begin + self._real_s(t) - machine.monotonic(), 0.0))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the service is that is played against.
+
+    Parameters
+    ----------
+    url : str or None
+        Of one that runs, with its clock to be set; None for one of its own.
+    token : str or None
+        For the one that runs.
+    port : int or None
+        Of its own one; a free one if not given.
+    state : Path or None
+        State of its own one; a folder that is dropped in the end if not given.
+    """
+
+    url: str | None = None
+    token: str | None = None
+    port: int | None = None
+    state: Path | None = None
+
+
+def simulate(
+    service: Service,
+    scenario: Scenario,
+    play: Play,
+    place: Place,
+    told: Callable[[str], None] = lambda _: None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Play a scenario against a service, and say in numbers what happened.
+
+    Parameters
+    ----------
+    service : Service
+        What is served, where the service is one of its own; how the plant behaves in any case.
+    scenario : Scenario
+        What comes.
+    play : Play
+        How it is played.
+    place : Place
+        Where the service is.
+    told : callable, optional
+        Is told in a line where it can be watched.
+    progress : callable, optional
+        Called as ``progress(steps done, steps in all)`` after every step.
+
+    Returns
+    -------
+    dict
+        Figures that JSON can hold.
+    """
+    world = World(scenario, service.options)
+    if place.url is not None:
+        with closing(Client(place.url, place.token)) as client:
+            return Player(world, client, play).play(progress).summary()
+    with ExitStack() as stack:
+        folder = place.state or Path(stack.enter_context(TemporaryDirectory(prefix="vppres-")))
+        own = stack.enter_context(started(service, folder, place.port))
+        client = stack.enter_context(closing(Client(own.url)))
+        told(f"Watch it at {own.url}")
+        player = Player(world, client, play)
+        sizes = []
+
+        def look(done: int, total: int) -> None:
+            if done % max(total // LOOKS, 1) == 0:
+                sizes.append({"step": done, **own.size()})
+            if progress is not None:
+                progress(done, total)
+
+        return {**player.play(look).summary(), "size": sizes}
 
 
 def announcements(

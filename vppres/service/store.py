@@ -249,6 +249,7 @@ class Store:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
                 _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        self._items |= {(row["asset"], row["quantity"]) for row in rows}
         return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
@@ -259,7 +260,8 @@ class Store:
             return []
         named = sa.values(
             sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
-        ).data(items)
+        )
+        named = named.data(items).cte("items")
         t = _telemetry.c
         earlier = _telemetry.alias("earlier")
         last = (

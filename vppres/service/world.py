@@ -99,10 +99,11 @@ class World:
 
         def values(kind: str, name: str, default: float) -> Floats:
             ids = getattr(self.scenario, kind).id
-            return np.array([[told.get((kind, str(i)), {}).get(name, default) for i in ids]])
+            row = [float(told.get((kind, str(i)), {}).get(name, default)) for i in ids]
+            return np.array([row], dtype=np.float64)
 
         p_kw = values("batteries", "p_kw", 0.0)
-        served: Flags = values("customers", "served", True).astype(bool)
+        served = values("customers", "served", 1.0) > 0.0
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
@@ -130,7 +131,8 @@ KINDS = ("customers", "batteries", "pv")
 def critical_off(scenario: Scenario, record: StepRecord) -> Flags:
     """Which customers of the first tier were off in a step, (C,)."""
     first = np.asarray(scenario.customers.tier == scenario.tiers[0])
-    return first & ~np.asarray(record.customers["served"], dtype=bool)
+    off = ~np.asarray(record.customers["served"], dtype=bool)
+    return np.asarray(first & off, dtype=bool)
 
 
 def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
