@@ -361,7 +361,7 @@ def test_tokens_open_their_scopes_and_nothing_else(tiny: Scenario, tmp_path: Pat
         assert http.get("/v1/status", **read).json()["step"] is None  # nothing was decided
     check_address("127.0.0.1", Access(), False)
     check_address("0.0.0.0", Access([token]), True)
-    with pytest.raises(InputError, match=r"needs a token .* and a proxy in front that does TLS"):
+    with pytest.raises(InputError, match=r"needs a token .* and TLS .*, or a proxy in front"):
         check_address("0.0.0.0", Access(), False)
     with pytest.raises(InputError, match=r"add-token = x:all: is not a name with scopes"):
         new_token("x:all")

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fastapi import FastAPI
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
+from vppres.service.limits import RATES, Limits
+from vppres.service.perimeter import Perimeter
 from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
@@ -20,7 +21,9 @@ MOST_BYTES = 8_000_000
 GUARDED = (telemetry, forecasts, events, plans, operation, page)
 
 
-def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) -> FastAPI:
+def make_app(
+    runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK, encrypted: bool = False
+) -> FastAPI:
     """The service's routes around a runner.
 
     Parameters
@@ -32,6 +35,8 @@ def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) ->
     hosts : sequence of str
         Names under which the service answers; a page of a stranger that calls it by its own name
         gets nothing.
+    encrypted : bool
+        Whether it listens with TLS itself.
     """
     app = FastAPI(
         title="vppres",
@@ -41,10 +46,11 @@ def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) ->
         redoc_url=None,
         max_body_size=MOST_BYTES,
     )
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
+    app.add_middleware(Perimeter, hosts=hosts, encrypted=encrypted)
     answer_errors(app)
     app.include_router(health.routes(runner))
-    guarded = Guard(access)
+    # Who rehearses asks for one step after another.
+    guarded = Guard(access, Limits({} if runner.rehearsal else RATES))
     for subject in GUARDED:
         app.include_router(subject.routes(runner, guarded))
     return app
