@@ -179,12 +179,12 @@ class OutageOutlook:
         high_h = message.duration_p90_h
         if low_h is None and high_h is None:
             return durations.known(median_h, self.step_h, length)
+        # One side alone speaks for both.
         low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
         high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
         assert low_h is not None
         assert high_h is not None
-        sigma = durations.spread(low_h, high_h)
-        return durations.lognormal(median_h, sigma, self.step_h, length)
+        return durations.between_quantiles(low_h, median_h, high_h, self.step_h, length)
 
 
 def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:

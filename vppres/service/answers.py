@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,7 @@ TITLES = {
     412: "It has changed since",
     413: "The request is too large",
     422: "The request has mistakes",
+    429: "Too many requests",
     500: "Something broke",
     503: "The service is not ready",
 }
@@ -55,11 +57,16 @@ def answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(Denied)
     async def denied(_: Request, error: Denied) -> Response:
-        return problem_answer(error.status, str(error))
+        return denied_answer(error)
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: HTTPException) -> Response:
         return problem_answer(error.status_code, str(error.detail))
+
+    @app.exception_handler(Exception)
+    async def unforeseen(_: Request, error: Exception) -> Response:
+        # What it was stands in the log of the service, and nowhere else.
+        return problem_answer(500, "The service has a mistake. Its log says which.")
 
 
 def problem_answer(status: int, detail: str, problems: Sequence[Problem] = ()) -> Response:
@@ -73,6 +80,14 @@ def problem_answer(status: int, detail: str, problems: Sequence[Problem] = ()) -
     }
     headers = {"WWW-Authenticate": "Bearer"} if status == 401 else None
     return JSONResponse(body, status, headers, media_type=PROBLEM)
+
+
+def denied_answer(error: Denied) -> Response:
+    """To who may not; with the time to wait where that would help."""
+    answer = problem_answer(error.status, str(error))
+    if error.wait_s > 0.0:
+        answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    return answer
 
 
 def listed(problems: Sequence[Problem]) -> list[dict[str, Any]]:

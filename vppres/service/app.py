@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from fastapi import FastAPI
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
+from vppres.service.limits import RATES, Limits, Rate
+from vppres.service.perimeter import Perimeter
 from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
-MOST_BYTES = 8_000_000
-"""Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
-
 GUARDED = (telemetry, forecasts, events, plans, operation, page)
 
 
-def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) -> FastAPI:
+def make_app(
+    runner: Runner,
+    access: Access,
+    hosts: Sequence[str] = LOOPBACK,
+    encrypted: bool = False,
+    rates: Mapping[str, Rate] = RATES,
+) -> FastAPI:
     """The service's routes around a runner.
 
     Parameters
@@ -32,6 +36,10 @@ def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) ->
     hosts : sequence of str
         Names under which the service answers; a page of a stranger that calls it by its own name
         gets nothing.
+    encrypted : bool
+        Whether it listens with TLS itself.
+    rates : mapping of str to Rate
+        How often may be asked, by scope; a rehearsal has no limit.
     """
     app = FastAPI(
         title="vppres",
@@ -39,12 +47,13 @@ def make_app(runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK) ->
         description="A controller of a virtual power plant that runs day and night.",
         docs_url=None,
         redoc_url=None,
-        max_body_size=MOST_BYTES,
+        redirect_slashes=False,
     )
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
     answer_errors(app)
     app.include_router(health.routes(runner))
-    guarded = Guard(access)
+    # Who rehearses asks for one step after another.
+    guarded = Guard(access, Limits({} if runner.rehearsal else rates))
+    app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
     for subject in GUARDED:
         app.include_router(subject.routes(runner, guarded))
     return app

@@ -21,6 +21,9 @@ from vppres.service.clock import written
 
 MOST_SERIES = 2_000
 MOST_VALUES = 2_000
+MOST_READINGS = 20_000
+"""Of a batch: what is kept in a transaction of a second or so."""
+
 LONGEST_NAME = 100
 LARGEST_SUM_ERROR = 1e-3
 
@@ -104,6 +107,12 @@ class Telemetry(Body):
     """A batch of readings; to send it twice does no harm."""
 
     series: list[Readings] = Field(min_length=1, max_length=MOST_SERIES)
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> Telemetry:
+        if sum(len(one.values) for one in self.series) > MOST_READINGS:
+            raise ValueError(f"has more than {MOST_READINGS} readings. Send them in parts")
+        return self
 
 
 class Interval(Body):
@@ -264,6 +273,12 @@ class StepRequest(Body):
     """The step to decide on; the present one if no time is given."""
 
     time: Moment | None = None
+
+
+class ClockRequest(Body):
+    """What time it is, for services whose clock is set."""
+
+    now: Moment
 
 
 class ModeRequest(Body):

@@ -18,6 +18,7 @@ from typing import Any
 
 import pandas as pd
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.core.errors import InputError, Problem, StorageError
 
@@ -92,7 +93,26 @@ _tokens = sa.Table(
     sa.Column("name", sa.String, primary_key=True),
     sa.Column("sha256", sa.String, nullable=False),
     sa.Column("scopes", sa.String, nullable=False),
+    sa.Column("expires", sa.Integer),  # none: never
 )
+
+# What is written down stays as it was written, whatever this program comes to do.
+for _verb in ("UPDATE", "DELETE"):
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE TRIGGER audit_no_{_verb.lower()} BEFORE {_verb} ON audit "
+            "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
+        ).execute_if(dialect="sqlite"),
+    )
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE RULE audit_no_{_verb.lower()} AS ON {_verb} TO audit DO INSTEAD NOTHING"
+        ).execute_if(dialect="postgresql"),
+    )
 
 
 def seconds(time: pd.Timestamp) -> int:
@@ -153,11 +173,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Token:
-    """Who may do what; of the secret only the hash is kept."""
+    """Who may do what, until when in seconds; of the secret only the hash is kept."""
 
     name: str
     sha256: str
     scopes: str
+    expires: int | None = None
 
 
 class Store:
@@ -189,6 +210,15 @@ class Store:
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
+        self._items = self._known_items()
+
+    def _known_items(self) -> set[tuple[str, str]]:
+        """Assets and quantities that were ever heard of."""
+        with self._reads() as db:
+            t = _telemetry.c
+            return {
+                (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
+            }
 
     def close(self) -> None:
         """Let go of database and lock."""
@@ -206,37 +236,48 @@ class Store:
 
     # Telemetry
 
-    def write_readings(self, readings: Iterable[Reading], now: pd.Timestamp) -> Written:
+    def write_readings(
+        self, readings: Iterable[Reading], now: pd.Timestamp, actor: str | None = None
+    ) -> Written:
         """Keep readings; those that are there with the same value count as duplicates."""
-        accepted = 0
-        duplicates = 0
+        rows = [vars(reading) for reading in readings]
+        if not rows:
+            return Written(0, 0)
         with self._changes() as db:
-            for reading in readings:
-                row = dict(vars(reading))
-                key = _where(_telemetry, row)
-                before = db.execute(sa.select(_telemetry.c.value).where(key)).first()
-                if before is not None and before[0] == reading.value:
-                    duplicates += 1
-                else:
-                    accepted += 1
-                    _put(db, _telemetry, **row)
-                _put(db, _contacts, source=reading.source, last_contact=seconds(now))
-        return Written(accepted, duplicates)
+            accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
+            for source in {row["source"] for row in rows}:
+                _put(db, _contacts, source=source, last_contact=seconds(now))
+            if actor is not None:
+                _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        self._items |= {(row["asset"], row["quantity"]) for row in rows}
+        return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
+        wanted = set(quantities)
+        items = sorted(item for item in self._items if item[1] in wanted)
+        if not items:
+            return []
+        named = sa.values(
+            sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
+        )
+        named = named.data(items).cte("items")
         t = _telemetry.c
-        rank = (
-            sa.func.row_number()
-            .over(partition_by=(t.asset, t.quantity), order_by=(t.time.desc(), t.source))
-            .label("rank")
+        earlier = _telemetry.alias("earlier")
+        last = (
+            sa.select(sa.func.max(earlier.c.time))
+            .where(
+                earlier.c.asset == named.c.asset,
+                earlier.c.quantity == named.c.quantity,
+                earlier.c.time <= seconds(until),
+            )
+            .scalar_subquery()
         )
-        ranked = (
-            sa.select(_telemetry, rank)
-            .where(t.time <= seconds(until), t.quantity.in_(list(quantities)))
-            .subquery()
-        )
-        return self._readings(sa.select(ranked).where(ranked.c.rank == 1))
+        same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+        chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+        # Of two sources that speak at once the first by name counts.
+        found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
+        return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
@@ -314,11 +355,15 @@ class Store:
             found.append(Event(row.version, body, row.made_at, since))
         return found
 
-    def put_forecast(self, quantity: str, issued_at: pd.Timestamp, body: dict[str, Any]) -> None:
+    def put_forecast(
+        self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
         """Keep a forecast beside older ones."""
+        issued_at = pd.Timestamp(body["issued_at"])
         with self._changes() as db:
             text = json.dumps(body, sort_keys=True)
             _put(db, _forecasts, quantity=quantity, issued_at=seconds(issued_at), body=text)
+            _note(db, now, actor, "forecast", f"{quantity} {body['issued_at']}")
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
@@ -415,11 +460,19 @@ class Store:
             _put(db, _tokens, **vars(token))
             _note(db, now, "command line", "token", f"{token.name} {token.scopes}")
 
+    def remove_token(self, name: str, now: pd.Timestamp) -> bool:
+        """Let somebody in no longer; whether there was such a token."""
+        with self._changes() as db:
+            found = bool(db.execute(_tokens.delete().where(_tokens.c.name == name)).rowcount)
+            if found:
+                _note(db, now, "command line", "token removed", name)
+        return found
+
     def tokens(self) -> list[Token]:
         """Everybody who may come in."""
         with self._reads() as db:
             rows = db.execute(sa.select(_tokens).order_by(_tokens.c.name)).all()
-        return [Token(row.name, row.sha256, row.scopes) for row in rows]
+        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in rows]
 
     def audit(self) -> list[tuple[str, str, str]]:
         """Who did what, in order: actor, action, detail."""
@@ -464,6 +517,19 @@ def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
     db.execute(table.delete().where(_where(table, row)))
     db.execute(table.insert().values(**row))
+
+
+def _upsert(db: sa.Connection, table: sa.Table, value: str) -> Any:
+    """Insert rows, replacing those whose value is another one; others are not counted."""
+    dialect = {"sqlite": sqlite, "postgresql": postgresql}[db.dialect.name]
+    insert = dialect.insert(table)
+    keys = [column.name for column in table.primary_key.columns]
+    rest = [column.name for column in table.columns if column.name not in keys]
+    return insert.on_conflict_do_update(
+        index_elements=keys,
+        set_={name: insert.excluded[name] for name in rest},
+        where=table.c[value].is_distinct_from(insert.excluded[value]),
+    )
 
 
 def _where(table: sa.Table, row: dict[str, Any]) -> Any:

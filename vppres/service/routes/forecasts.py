@@ -20,13 +20,13 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.put("/v1/forecasts/{quantity}")
     def forecast(
-        quantity: str, body: payloads.Forecasts, _: str = guarded("events")
+        quantity: str, body: payloads.Forecasts, actor: str = guarded("events")
     ) -> dict[str, Any]:
         """What is expected of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
         if quantity not in ("load_kw", "pv_kw"):
             raise HTTPException(404, "There are forecasts of load_kw and pv_kw.")
         check_forecast(quantity, body.assets, body.start, body.resolution, runner.scenario)
-        runner.store.put_forecast(quantity, body.issued_at, payloads.plain(body))
+        runner.store.put_forecast(quantity, payloads.plain(body), runner.clock.now(), actor)
         return {"quantity": quantity, "issued_at": written(body.issued_at)}
 
     return router

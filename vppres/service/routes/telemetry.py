@@ -18,14 +18,14 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     router = APIRouter()
 
     @router.post("/v1/telemetry")
-    def telemetry(body: payloads.Telemetry, _: str = guarded("telemetry")) -> Response:
+    def telemetry(body: payloads.Telemetry, actor: str = guarded("telemetry")) -> Response:
         """Readings; to send them twice does no harm."""
         now = runner.clock.now()
         until = runner.begun(now) + 2 * runner.length
         good, problems = readings_of(body.series, runner.scenario, until)
         if problems and not good:
             raise InputError(problems)
-        kept = runner.store.write_readings(good, now)
+        kept = runner.store.write_readings(good, now, actor)
         return JSONResponse(
             {
                 "accepted": kept.accepted,
