@@ -90,6 +90,7 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.uncertain --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.outage_ceiling --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.homes --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.islands --out results/studies/islands $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.precision --results results/studies $(call COUNT,--quick)

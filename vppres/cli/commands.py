@@ -468,6 +468,16 @@ def serve(
             help="Make a token, print it and end; scopes: read, telemetry, events, operator.",
         ),
     ] = None,
+    token_days: Annotated[
+        float | None, typer.Option(min=0.0, help="With --add-token: days after which it ends.")
+    ] = None,
+    remove_token: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Remove a token and end.")
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Certificate for TLS, a PEM file; needs --key.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option(help="Its private key, a PEM file.")] = None,
     behind_proxy: Annotated[
         bool, typer.Option(help="A proxy in front does TLS, without which others may not call.")
     ] = False,
@@ -500,9 +510,13 @@ def serve(
         served = Service(day, run_options(day, context.obj), rehearse)
         folder = state or Path(f"{day.name}.live")
         if add_token is not None:
-            typer.echo(service.add_token(served, folder, add_token))
+            typer.echo(service.add_token(served, folder, add_token, token_days))
             return
-        address = service.Address(host, port, behind_proxy, tuple(name or ()))
+        if remove_token is not None:
+            service.remove_token(served, folder, remove_token)
+            return
+        names = tuple(name or ())
+        address = service.Address(host, port, behind_proxy, names, certificate, key)
         service.serve(served, folder, address, typer.echo)
 
 

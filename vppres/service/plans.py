@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -23,6 +23,9 @@ SCHEMA_VERSION = "1.0.0"
 
 OVERLAP = 0.1
 """Share of a step for which set-points hold beyond its end, while the next ones are made."""
+
+MOST_AHEAD = 48
+"""Steps that a plan tells of beside its own."""
 
 DECIDED = ("ok", "fallback")
 """Outcomes of steps in which the controller decided."""
@@ -61,7 +64,11 @@ def plan_of(
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,
         },
-        "estimated": [words for words in str(solve["estimated"]).split("; ") if words],
+        "grid": {"available": known.grid.available, "known_by": known.grid.known_by},
+        "estimated": [
+            *(words for words in str(solve["estimated"]).split("; ") if words),
+            *known.estimated,
+        ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "setpoints": _set_points(decision, scenario, refused, reason),
         "expected": {
@@ -69,7 +76,10 @@ def plan_of(
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
             "v_min_pu": _number(v_pu.min()),
             "v_max_pu": _number(v_pu.max()),
+            "v_min_bus": _at_lowest(v_pu),
+            "grid_limit_kw": _number(known.limits_kw.iloc[0]),
         },
+        "ahead": _ahead(decision, known),
     }
 
 
@@ -94,6 +104,7 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
             for name, values in each.items()
         ],
         "expected": None,
+        "ahead": None,
     }
 
 
@@ -101,6 +112,22 @@ def etag(plan: Mapping[str, Any]) -> str:
     """Name of the content."""
     text = json.dumps(plan, sort_keys=True)
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+
+
+def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
+    """What is foreseen of the steps after this one; it is decided anew when they begin."""
+    foreseen = decision.foreseen
+    times = foreseen.import_kw.index[:MOST_AHEAD]
+    limits_kw = known.limits_kw.reindex(times)
+    return {
+        "times": [written(time) for time in times],
+        "grid_limit_kw": _numbers(limits_kw),
+        "import_kw": _numbers(foreseen.import_kw[times]),
+        "soc": {name: _numbers(values[times]) for name, values in foreseen.soc_end.items()},
+        "served": {
+            name: [bool(on) for on in values[times]] for name, values in foreseen.served.items()
+        },
+    }
 
 
 def inputs_digest(measured: Measurement) -> str:
@@ -195,6 +222,15 @@ def _default(scenario: Scenario, kind: str, name: str) -> dict[str, Any]:
         return {"p_kw": 0.0, "q_kvar": 0.0}
     place = [str(each) for each in scenario.pv.id].index(name)
     return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0}
+
+
+def _at_lowest(v_pu: pd.Series[float]) -> str | None:
+    """The bus of the lowest voltage; none in the dark."""
+    return None if v_pu.isna().all() else str(v_pu.idxmin())
+
+
+def _numbers(values: Iterable[Any]) -> list[float | None]:
+    return [_number(value) for value in values]
 
 
 def _number(value: Any) -> float | None:

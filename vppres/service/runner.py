@@ -15,10 +15,12 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
 from vppres.live.profile import Profile
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import warnings
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
-from vppres.service.knowledge import Heard, known_at
+from vppres.service.knowledge import Heard, Known, known_at
 from vppres.service.plans import DECIDED, defaults_of, plan_of
 from vppres.service.store import Store
 
@@ -171,6 +173,7 @@ class Runner:
         """The plan of the controller, or of nobody if it fails."""
         try:
             self._feed(time)
+            self._controller.warn(*self._warnings(time), replacing=True)
             known = known_at(time, self._controller, self.store)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
@@ -181,6 +184,7 @@ class Runner:
             return self._without(time, "failed", str(error).splitlines()[0])
         plan = {
             **plan_of(decision, self.scenario, known, refused),
+            "outage_probability": self._believed(known),
             "generated_at": written(self.clock.now()),
         }
         state = self._controller.state()
@@ -227,6 +231,18 @@ class Runner:
         missing = round((time - end) / self.length) + self._ahead
         if missing > 0:
             self._controller.extend(self.profile.steps(end, missing))
+
+    def _warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
+        """Messages of outages: those of events, and the scenario's own where it is rehearsed."""
+        own = self.scenario.warnings if self.rehearsal else ()
+        return [*own, *warnings(self.store.events(), time, self.length)]
+
+    def _believed(self, known: Known) -> list[float]:
+        """Probability of an outage in the present step and those behind it."""
+        if self.options.outages == KNOWN:
+            return [float(limit_kw <= 0.0) for limit_kw in known.grid.limits_kw]
+        found = self._controller.out_probability(known.measurement.time)
+        return [round(float(each), 6) for each in found]
 
     @property
     def _ahead(self) -> int:

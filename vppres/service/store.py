@@ -18,6 +18,7 @@ from typing import Any
 
 import pandas as pd
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.core.errors import InputError, Problem, StorageError
 
@@ -92,7 +93,26 @@ _tokens = sa.Table(
     sa.Column("name", sa.String, primary_key=True),
     sa.Column("sha256", sa.String, nullable=False),
     sa.Column("scopes", sa.String, nullable=False),
+    sa.Column("expires", sa.Integer),  # none: never
 )
+
+# What is written down stays as it was written, whatever this program comes to do.
+for _verb in ("UPDATE", "DELETE"):
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE TRIGGER audit_no_{_verb.lower()} BEFORE {_verb} ON audit "
+            "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
+        ).execute_if(dialect="sqlite"),
+    )
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE RULE audit_no_{_verb.lower()} AS ON {_verb} TO audit DO INSTEAD NOTHING"
+        ).execute_if(dialect="postgresql"),
+    )
 
 
 def seconds(time: pd.Timestamp) -> int:
@@ -130,12 +150,35 @@ class Written:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A version of an event.
+
+    Parameters
+    ----------
+    version : int
+        Its number, from 1.
+    body : dict
+        What it says; empty where it was withdrawn.
+    made_at : int
+        When it was written.
+    since : int
+        When the first version was, after it was withdrawn last.
+    """
+
+    version: int
+    body: dict[str, Any]
+    made_at: int
+    since: int
+
+
+@dataclass(frozen=True)
 class Token:
-    """Who may do what; of the secret only the hash is kept."""
+    """Who may do what, until when in seconds; of the secret only the hash is kept."""
 
     name: str
     sha256: str
     scopes: str
+    expires: int | None = None
 
 
 class Store:
@@ -159,6 +202,7 @@ class Store:
         self.folder = folder
         self._lock = _locked(folder)
         self._writing = threading.Lock()
+        self.changes = 0  # transactions so far: who shows what is stored sees what is new
         self._engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -183,22 +227,20 @@ class Store:
 
     # Telemetry
 
-    def write_readings(self, readings: Iterable[Reading], now: pd.Timestamp) -> Written:
+    def write_readings(
+        self, readings: Iterable[Reading], now: pd.Timestamp, actor: str | None = None
+    ) -> Written:
         """Keep readings; those that are there with the same value count as duplicates."""
-        accepted = 0
-        duplicates = 0
+        rows = [vars(reading) for reading in readings]
+        if not rows:
+            return Written(0, 0)
         with self._changes() as db:
-            for reading in readings:
-                row = dict(vars(reading))
-                key = _where(_telemetry, row)
-                before = db.execute(sa.select(_telemetry.c.value).where(key)).first()
-                if before is not None and before[0] == reading.value:
-                    duplicates += 1
-                else:
-                    accepted += 1
-                    _put(db, _telemetry, **row)
-                _put(db, _contacts, source=reading.source, last_contact=seconds(now))
-        return Written(accepted, duplicates)
+            accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
+            for source in {row["source"] for row in rows}:
+                _put(db, _contacts, source=source, last_contact=seconds(now))
+            if actor is not None:
+                _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
@@ -251,20 +293,55 @@ class Store:
             _note(db, now, actor, action, f"{identifier} {text or ''}")
         return version
 
-    def events(self) -> dict[str, tuple[int, dict[str, Any]]]:
-        """Latest version of each event that holds, with its number."""
+    def events(self) -> dict[str, Event]:
+        """The latest version of each event that holds."""
         e = _events.c
         newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
-        both = sa.and_(e.id == newest.c.id, e.version == newest.c.version)
+        gone = (
+            sa.select(e.id, sa.func.max(e.version).label("version"))
+            .where(e.body.is_(None))
+            .group_by(e.id)
+            .subquery()
+        )
+        since = (
+            sa.select(e.id, sa.func.min(e.made_at).label("made_at"))
+            .outerjoin(gone, e.id == gone.c.id)
+            .where(sa.or_(gone.c.version.is_(None), e.version > gone.c.version))
+            .group_by(e.id)
+            .subquery()
+        )
+        chosen = (
+            sa.select(_events, since.c.made_at.label("since"))
+            .join(newest, sa.and_(e.id == newest.c.id, e.version == newest.c.version))
+            .join(since, e.id == since.c.id)
+            .order_by(e.id)
+        )
         with self._reads() as db:
-            rows = db.execute(sa.select(_events).join(newest, both).order_by(e.id)).all()
-        return {row.id: (row.version, json.loads(row.body)) for row in rows if row.body}
+            rows = db.execute(chosen).all()
+        return {r.id: Event(r.version, json.loads(r.body), r.made_at, r.since) for r in rows}
 
-    def put_forecast(self, quantity: str, issued_at: pd.Timestamp, body: dict[str, Any]) -> None:
+    def event_versions(self, identifier: str) -> list[Event]:
+        """All versions of an event, in their order; those that withdrew it have no body."""
+        chosen = sa.select(_events).where(_events.c.id == identifier).order_by(_events.c.version)
+        with self._reads() as db:
+            rows = db.execute(chosen).all()
+        found: list[Event] = []
+        for row in rows:
+            again = not found or not found[-1].body
+            since = row.made_at if again else found[-1].since
+            body = json.loads(row.body) if row.body else {}
+            found.append(Event(row.version, body, row.made_at, since))
+        return found
+
+    def put_forecast(
+        self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
         """Keep a forecast beside older ones."""
+        issued_at = pd.Timestamp(body["issued_at"])
         with self._changes() as db:
             text = json.dumps(body, sort_keys=True)
             _put(db, _forecasts, quantity=quantity, issued_at=seconds(issued_at), body=text)
+            _note(db, now, actor, "forecast", f"{quantity} {body['issued_at']}")
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
@@ -313,6 +390,12 @@ class Store:
             chosen = chosen.where(_steps.c.time <= seconds(until))
         return self._plan(chosen)
 
+    def plans(self, since: pd.Timestamp) -> list[dict[str, Any]]:
+        """The plans of all steps from a time on."""
+        chosen = sa.select(_steps.c.plan).where(_steps.c.time >= seconds(since))
+        with self._reads() as db:
+            return [json.loads(text) for (text,) in db.execute(chosen.order_by(_steps.c.time))]
+
     def _plan(self, chosen: Any) -> dict[str, Any] | None:
         with self._reads() as db:
             text = db.execute(chosen).scalar()
@@ -355,11 +438,19 @@ class Store:
             _put(db, _tokens, **vars(token))
             _note(db, now, "command line", "token", f"{token.name} {token.scopes}")
 
+    def remove_token(self, name: str, now: pd.Timestamp) -> bool:
+        """Let somebody in no longer; whether there was such a token."""
+        with self._changes() as db:
+            found = bool(db.execute(_tokens.delete().where(_tokens.c.name == name)).rowcount)
+            if found:
+                _note(db, now, "command line", "token removed", name)
+        return found
+
     def tokens(self) -> list[Token]:
         """Everybody who may come in."""
         with self._reads() as db:
             rows = db.execute(sa.select(_tokens).order_by(_tokens.c.name)).all()
-        return [Token(row.name, row.sha256, row.scopes) for row in rows]
+        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in rows]
 
     def audit(self) -> list[tuple[str, str, str]]:
         """Who did what, in order: actor, action, detail."""
@@ -392,6 +483,7 @@ class Store:
         """A transaction that writes."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             yield db
+        self.changes += 1
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
@@ -403,6 +495,19 @@ def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
     db.execute(table.delete().where(_where(table, row)))
     db.execute(table.insert().values(**row))
+
+
+def _upsert(db: sa.Connection, table: sa.Table, value: str) -> Any:
+    """Insert rows, replacing those whose value is another one; others are not counted."""
+    dialect = {"sqlite": sqlite, "postgresql": postgresql}[db.dialect.name]
+    insert = dialect.insert(table)
+    keys = [column.name for column in table.primary_key.columns]
+    rest = [column.name for column in table.columns if column.name not in keys]
+    return insert.on_conflict_do_update(
+        index_elements=keys,
+        set_={name: insert.excluded[name] for name in rest},
+        where=table.c[value].is_distinct_from(insert.excluded[value]),
+    )
 
 
 def _where(table: sa.Table, row: dict[str, Any]) -> Any:

@@ -1,0 +1,42 @@
+"""Routes of how the service is, and what it is told to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+
+from vppres.service import payloads
+from vppres.service.clock import written
+from vppres.service.knowledge import last_heard
+from vppres.service.routes.guard import Guard
+from vppres.service.runner import Runner
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Status is looked at, the mode set."""
+    router = APIRouter()
+
+    @router.get("/v1/status")
+    def status(_: str = guarded("read")) -> dict[str, Any]:
+        """Sources, what is late, steps so far, and the mode."""
+        last = runner.last
+        return {
+            "now": written(runner.clock.now()),
+            "site": runner.scenario.name,
+            "mode": runner.mode,
+            "rehearsal": runner.rehearsal,
+            "step": None if last is None else {"start": last["start"], "status": last["status"]},
+            "steps": runner.outcomes,
+            "sources": last_heard(runner.store),
+            "heard": [vars(one) for one in runner.heard],
+        }
+
+    @router.put("/v1/mode")
+    def mode(body: payloads.ModeRequest, actor: str = guarded("operator")) -> dict[str, Any]:
+        """Decide (``auto``), or give defaults only (``off``), from the next step on."""
+        asked = payloads.plain(body)
+        runner.store.put_setting("mode", asked, runner.clock.now(), actor)
+        return runner.mode
+
+    return router
