@@ -198,9 +198,10 @@ def climb(task: WindowTask) -> None:
     Dispatches are first found without the network; the best one is then put into it.
     """
     everyone = worth_everyone(task)
-    at_once = task.is_huge or (task.is_wide and not everyone)
-    master = network_master(task) if task.is_large else None
-    if at_once and master is not None and decide_at_once(task, master):
+    plain = not task.data.physical and task.data.switching is None
+    at_once = plain and (task.is_huge or (task.is_wide and not everyone))
+    master = network_master(task) if at_once else None
+    if master is not None and decide_at_once(task, master):
         return
     if everyone:
         everyone_served(task)
