@@ -275,6 +275,12 @@ class StepRequest(Body):
     time: Moment | None = None
 
 
+class ClockRequest(Body):
+    """What time it is, for services whose clock is set."""
+
+    now: Moment
+
+
 class ModeRequest(Body):
     """What the service does: decide, or give defaults only."""
 

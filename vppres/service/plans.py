@@ -174,7 +174,11 @@ def _set_points(
         for name, row in decision.batteries.iterrows()
     }
     pv = {
-        str(name): {"p_kw": float(row.p_kw), "q_kvar": float(row.q_kvar)}
+        str(name): {
+            "p_kw": float(row.p_kw),
+            "q_kvar": float(row.q_kvar),
+            "curtailed_kw": float(row.curtailed_kw),
+        }
         for name, row in decision.pv.iterrows()
     }
     customers = {str(name): {"served": bool(on)} for name, on in decision.customers.served.items()}
@@ -221,7 +225,7 @@ def _default(scenario: Scenario, kind: str, name: str) -> dict[str, Any]:
     if kind == "batteries":
         return {"p_kw": 0.0, "q_kvar": 0.0}
     place = [str(each) for each in scenario.pv.id].index(name)
-    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0}
+    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0, "curtailed_kw": 0.0}
 
 
 def _at_lowest(v_pu: pd.Series[float]) -> str | None:

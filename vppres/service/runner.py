@@ -45,11 +45,14 @@ class Service:
         How it decides.
     rehearsal : bool
         Whether the scenario's own steps are played, at the pace of whoever asks for them.
+    paced : bool
+        Whether the clock is set over HTTP, in place of the machine's; that of a rehearsal is.
     """
 
     scenario: Scenario
     options: RunOptions
     rehearsal: bool = False
+    paced: bool = False
 
 
 class Runner:
@@ -80,8 +83,8 @@ class Runner:
         self._controller = self._restored()
         # One thread decides all steps, so that there is one process that solves.
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
-        if service.rehearsal and isinstance(clock, SetClock) and self.last is not None:
-            clock.set(pd.Timestamp(self.last["start"]))
+        if isinstance(clock, SetClock) and self.last is not None:
+            clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
 
     def close(self) -> None:
         """End the thread, after the step that it is in."""
@@ -103,6 +106,29 @@ class Runner:
             If it could not be kept: then nothing was decided.
         """
         return self._thread.submit(self._step, time).result()
+
+    def set_clock(self, time: pd.Timestamp) -> None:
+        """Let it be a later time.
+
+        Raises
+        ------
+        InputError
+            If it is the machine's clock that counts, or the time is over.
+        """
+        problem = None
+        if not isinstance(self.clock, SetClock):
+            problem = ("is the machine's", "Start the service with --paced or --rehearse.")
+        elif time < self.clock.now():
+            problem = ("does not go back", f"It is {written(self.clock.now())}.")
+        if problem is not None:
+            raise InputError(Problem("clock", *problem, field="now", value=written(time)))
+        self._thread.submit(self._set_clock, time).result()
+
+    def _set_clock(self, time: pd.Timestamp) -> None:
+        assert isinstance(self.clock, SetClock)
+        self.clock.set(time)
+        if self._state is None:  # nothing was decided yet: it begins here
+            self._controller = self._restored()
 
     def begun(self, time: pd.Timestamp) -> pd.Timestamp:
         """Beginning of the step that covers a time."""

@@ -210,6 +210,15 @@ class Store:
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
+        self._items = self._known_items()
+
+    def _known_items(self) -> set[tuple[str, str]]:
+        """Assets and quantities that were ever heard of."""
+        with self._reads() as db:
+            t = _telemetry.c
+            return {
+                (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
+            }
 
     def close(self) -> None:
         """Let go of database and lock."""
@@ -240,22 +249,35 @@ class Store:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
                 _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        self._items |= {(row["asset"], row["quantity"]) for row in rows}
         return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
+        wanted = set(quantities)
+        items = sorted(item for item in self._items if item[1] in wanted)
+        if not items:
+            return []
+        named = sa.values(
+            sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
+        )
+        named = named.data(items).cte("items")
         t = _telemetry.c
-        rank = (
-            sa.func.row_number()
-            .over(partition_by=(t.asset, t.quantity), order_by=(t.time.desc(), t.source))
-            .label("rank")
+        earlier = _telemetry.alias("earlier")
+        last = (
+            sa.select(sa.func.max(earlier.c.time))
+            .where(
+                earlier.c.asset == named.c.asset,
+                earlier.c.quantity == named.c.quantity,
+                earlier.c.time <= seconds(until),
+            )
+            .scalar_subquery()
         )
-        ranked = (
-            sa.select(_telemetry, rank)
-            .where(t.time <= seconds(until), t.quantity.in_(list(quantities)))
-            .subquery()
-        )
-        return self._readings(sa.select(ranked).where(ranked.c.rank == 1))
+        same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+        chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+        # Of two sources that speak at once the first by name counts.
+        found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
+        return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]

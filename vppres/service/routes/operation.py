@@ -39,4 +39,10 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         runner.store.put_setting("mode", asked, runner.clock.now(), actor)
         return runner.mode
 
+    @router.put("/v1/clock")
+    def clock(body: payloads.ClockRequest, _: str = guarded("operator")) -> dict[str, str]:
+        """Set the clock of a service that is played: it never goes back."""
+        runner.set_clock(body.now)
+        return {"now": written(runner.clock.now())}
+
     return router
