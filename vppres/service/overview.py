@@ -39,7 +39,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "title": day.title,
         "time_zone": day.grid.zone,
         "step_s": round(day.grid.step_minutes * 60),
-        "rehearsal": runner.rehearsal,
+        "played": runner.played,
         "modes": list(get_args(ModeRequest.model_fields["mode"].annotation)),
         "tiers": list(day.tiers),
         "v_min_pu": day.network.v_min_ac_pu,
@@ -77,7 +77,7 @@ class Overview:
         self._made: tuple[Any, bytes] | None = None
 
     def text(self) -> bytes:
-        """The overview as JSON; the same one while nothing has changed and a second lasts."""
+        """The overview as JSON; the same for a second, if there are only readings that are new."""
         with self._turn:
             key = (self.runner.store.changes, self.runner.clock.now().floor(f"{REFRESH_S}s"))
             if self._made is None or self._made[0] != key:

@@ -202,7 +202,7 @@ class Store:
         self.folder = folder
         self._lock = _locked(folder)
         self._writing = threading.Lock()
-        self.changes = 0  # transactions so far: who shows what is stored sees what is new
+        self.changes = 0  # whoever shows what is stored looks again when it has grown
         self._engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -228,7 +228,7 @@ class Store:
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
         try:
-            with self._changes() as db:
+            with self._changes(routine=True) as db:
                 _put(db, _meta, key="checked", value="")
         except StorageError:
             return False
@@ -243,7 +243,7 @@ class Store:
         rows = [vars(reading) for reading in readings]
         if not rows:
             return Written(0, 0)
-        with self._changes() as db:
+        with self._changes(routine=True) as db:
             accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
             for source in {row["source"] for row in rows}:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
@@ -501,11 +501,11 @@ class Store:
                 )
 
     @contextmanager
-    def _changes(self) -> Iterator[sa.Connection]:
-        """A transaction that writes."""
+    def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             yield db
-        self.changes += 1
+        self.changes += not routine
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
