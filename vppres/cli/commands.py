@@ -381,8 +381,8 @@ def new(
     """Make an editable scenario folder from a network."""
     with _plain_errors(debug):
         from vppres.feeders import import_network
-        from vppres.feeders.new_options import NewScenarioOptions, first_day, parse_outage
-        from vppres.feeders.new_scenario import write_new_scenario
+        from vppres.feeders.new.options import NewScenarioOptions, first_day, parse_outage
+        from vppres.feeders.new.scenario import write_new_scenario
         from vppres.io.atomic import check_target
 
         check_target(folder)  # before the work, not after it

@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from vppres.core.errors import InputError, Problem, StorageError
 
 LAYOUT = "1"
 STATES_KEPT = 3
+REFUSED = ("rejected", "aborted")
 BUSY_S = 5
 
 _tables = sa.MetaData()
@@ -77,6 +78,25 @@ _states = sa.Table(
     _tables,
     sa.Column("time", sa.Integer, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
+)
+_acks = sa.Table(
+    "acks",
+    _tables,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("actor", sa.String, nullable=False),
+    sa.Column("setpoint", sa.String, nullable=False, index=True),
+    sa.Column("kind", sa.String, nullable=False),
+    sa.Column("asset", sa.String, nullable=False),
+    sa.Column("status", sa.String, nullable=False),
+    sa.Column("value", sa.Float),
+    sa.Column("reason", sa.String, nullable=False),
+)
+_keys = sa.Table(
+    "idempotency_keys",
+    _tables,
+    sa.Column("key", sa.String, primary_key=True),
+    sa.Column("time", sa.Integer, nullable=False),
 )
 _audit = sa.Table(
     "audit",
@@ -437,6 +457,57 @@ class Store:
             text = db.execute(chosen).scalar()
         state: dict[str, Any] | None = None if text is None else json.loads(text)
         return state
+
+    def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
+        """The step that was asked for with a key: the first one, whatever is asked for now."""
+        with self._changes() as db:
+            found = db.execute(sa.select(_keys.c.time).where(_keys.c.key == key)).scalar()
+            if found is None:
+                db.execute(_keys.insert().values(key=key, time=seconds(time)))
+        return time if found is None else moment(found)
+
+    # Acknowledgements
+
+    def put_ack(
+        self, setpoint: Mapping[str, Any], said: Mapping[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
+        """Keep what became of a set-point; what was said last is not kept twice."""
+        values = {name: setpoint[name] for name in ("kind", "asset")}
+        with self._changes() as db:
+            a = _acks.c
+            last = (
+                sa.select(a.status, a.value, a.reason)
+                .where(a.setpoint == setpoint["id"])
+                .order_by(a.number.desc())
+                .limit(1)
+            )
+            before = db.execute(last).first()
+            if before is None or before._asdict() != dict(said):
+                row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
+                db.execute(_acks.insert().values(**row, **said))
+
+    def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """What was said last of each set-point of which anything was."""
+        a = _acks.c
+        chosen = sa.select(_acks).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
+        with self._reads() as db:
+            return {
+                row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
+                for row in db.execute(chosen)
+            }
+
+    def refusing(self, kind: str) -> dict[str, int]:
+        """Devices of a kind that did not do what they were told last, and since when."""
+        a = _acks.c
+        newest = (
+            sa.select(sa.func.max(a.number))
+            .where(a.kind == kind)
+            .group_by(a.asset)
+            .scalar_subquery()
+        )
+        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
+        with self._reads() as db:
+            return {row.asset: row.at for row in db.execute(chosen)}
 
     # Settings, people
 

@@ -174,6 +174,26 @@ class ProgramSolution:
         solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
         return cls.of(solver, patience.end)
 
+    @classmethod
+    def of_short_search(
+        cls, solver: highspy.Highs, deadline: Deadline, most_asked: int
+    ) -> ProgramSolution:
+        """Run a search that may be asked so often at its root whether it is to go on.
+
+        Cuts and heuristics of the root may take longer than all nodes; HiGHS asks between them.
+        """
+        asked = 0
+
+        def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
+            """HiGHS asks whether to go on."""
+            nonlocal asked
+            asked += int(now.mip_node_count <= 1)
+            answer.user_interrupt = asked > most_asked
+
+        solver.setCallback(ask, None)
+        solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
+        return cls.of(solver, deadline)
+
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)

@@ -18,6 +18,7 @@ from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import TOLERANCE, NetworkMaster, applies
+from vppres.solve.network.rules import RuleModel
 from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
 
@@ -48,7 +49,7 @@ UNITS_TOLERANCE = 1e-9
 def enter_network(task: WindowTask) -> None:
     """Put the best dispatch into the network, at a higher cost or with others where it must be."""
     best = task.certificate.best
-    if best is None:
+    if best is None or best.in_network:
         return
     # A small window asks the tie-breakers first, and most need no master then.
     master = network_master(task) if task.is_large else None
@@ -66,7 +67,8 @@ def decide_huge(task: WindowTask) -> bool:
     Nothing else is compiled: the cheapest dispatch without the network alone has millions of
     numbers at 10,000 buses.
     """
-    master = network_master(task) if task.is_huge else None
+    plain = not task.data.physical and task.data.switching is None
+    master = network_master(task) if task.is_huge and plain else None
     if master is None:
         return False
     known = task.certificate
@@ -91,7 +93,11 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if not applies(task.site, task.data):
         return None
-    return NetworkMaster(task.site, task.cache.table(Reactance), task.data, task.deadline)
+    data = task.data
+    rules = None
+    if data.switching is not None:
+        rules = task.cache.problem(RuleModel, n_steps=data.n_steps, steps=data.switching.steps)
+    return NetworkMaster(task.site, task.cache.table(Reactance), data, task.deadline, rules)
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
@@ -171,22 +177,22 @@ class InNetwork:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
         Where the fleet's bound is not enough, that of shares of customers in the network may be.
+        With switching rules it is the only one: the fleet's, by binaries, takes seconds here.
         """
         known = self.task.certificate
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
         enough = (needed - UNITS_TOLERANCE) / unit
-        for name, least in (
-            ("cost_level", self._fleet_cost),
-            ("network_least_cost", self._network_cost),
-        ):
+        by_counts = self.task.data.switching is None
+        bounds = [("cost_level", self._fleet_cost)] if by_counts else []
+        for name, least in (*bounds, ("network_least_cost", self._network_cost)):
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             done = known.limits.met(known.bound, found.value) or self.task.deadline.passed
             if done or self.task.is_huge:
                 break
         served = (found.service - UNITS_TOLERANCE) / unit
-        if np.ceil(served) > np.ceil(enough):
+        if by_counts and np.ceil(served) > np.ceil(enough):
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
@@ -223,17 +229,24 @@ class InNetwork:
         task.certificate.note("network_dispatch", outcome)
         if dispatch is None:
             return None
-        netted, fits = net_modes(task.site, task.data, dispatch)
+        data = task.data.for_service(served)
+        netted, fits = net_modes(task.site, data, dispatch)
         if not fits:
             return None
-        carried = Candidate.of(task.site, task.data, netted, 0.0, in_network=True)
+        carried = Candidate.of(task.site, data, netted, 0.0, in_network=True)
         polished = None if task.is_large else with_tie_breakers(task, carried)
         return polished or self._with_least_reactive(carried)
 
     def _with_least_reactive(self, found: Candidate) -> Candidate:
-        """A dispatch with the least reactive power that its active power needs."""
+        """A dispatch with the least reactive power that its active power needs.
+
+        In physical mode it stays as it is: the next pass finds losses and reactive power anew.
+        """
         task = self.task
-        attempt = least_reactive(task.cache, task.data, found.dispatch, task.answer_by())
+        if task.data.physical:
+            return found
+        data = task.data.for_service(found.dispatch.served)
+        attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
         task.certificate.note("reactive_power", attempt.outcome)
         assert attempt.dispatch is not None
-        return Candidate.of(task.site, task.data, attempt.dispatch, 0.0, in_network=True)
+        return Candidate.of(task.site, data, attempt.dispatch, 0.0, in_network=True)

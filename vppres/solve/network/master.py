@@ -18,8 +18,9 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
-from vppres.solve.fleet.relaxation import weight_grid
+from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.injections import Injections, Reactance, Rows
+from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -58,6 +59,9 @@ COST_NODES = 100
 """Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
 the proof that there is nothing cheaper never ends where it does not end soon."""
 
+COST_ASKED = 100
+"""How often its root may ask whether to go on: 3 to 4 s where that takes longer than all nodes."""
+
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
 
@@ -70,16 +74,21 @@ TOLERANCE = 1e-6
 
 
 def applies(site: Site, data: WindowData) -> bool:
-    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
+    """Whether a window has this form: weights and the price of switching on a grid.
 
-    Service is counted in whole units here, so none of it may be later service.
+    Service is counted in whole units here, so none of it may be later service. With rules all sets
+    come from the search with binaries.
     """
-    plain = not data.physical and data.switching is None and not data.keeps_service
-    return plain and weight_grid(site.customers.weight * site.dt_h) > 0.0
+    unit = weight_grid(site.customers.weight * site.dt_h)
+    if unit == 0.0 or data.keeps_service:
+        return False
+    if data.switching is None:
+        return True
+    return whole_price(data, unit) and data.load_kw.size <= SMALL
 
 
 class NetworkMaster:
-    """The master in the network of one window, in the paper's mode without switching rules.
+    """The master in the network of one window.
 
     Parameters
     ----------
@@ -91,18 +100,29 @@ class NetworkMaster:
         The window.
     deadline : Deadline
         When everything must be done but for what gets a deadline of its own.
+    rules : RuleModel, optional
+        The rules of a window that has some.
     """
 
     def __init__(
-        self, site: Site, reactance: Reactance, data: WindowData, deadline: Deadline
+        self,
+        site: Site,
+        reactance: Reactance,
+        data: WindowData,
+        deadline: Deadline,
+        rules: RuleModel | None = None,
     ) -> None:
         self.deadline = deadline
         self.site = site
         self.data = data
-        self.model = Injections(site, reactance, data)
+        ruled = None if rules is None else rules.rows(data)
+        self.model = Injections(site, reactance, data, ruled)
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
+        self.pair = 0.0
+        if data.switching is not None:
+            self.pair = float(np.round(data.switching.price_of_pair / self.unit))
         self.found: list[Rows] = []
         self.is_large = self.units.size > SMALL
         lower, upper = self.model.bounds()
@@ -152,7 +172,7 @@ class NetworkMaster:
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
-        solver = self._loaded(self._with_cost(self.model.at["x"].ravel(), -self.units))
+        solver = self._loaded(self._with_cost(*self.lack))
         if self.is_large:
             self._start(solver)
         return solver, self._until_carried(solver, self.deadline)
@@ -177,15 +197,17 @@ class NetworkMaster:
             return root.outcome(watch.spent_s), None
         cuts = _ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
+        known = _Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
+        known.improve(*self._carried(root))
         self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
-        if known.closed(self.units):
+        if known.best is None:
+            ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
+            return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
+        if known.closed():
             status = Status.OPTIMAL
         else:
             status = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
-        outcome = Outcome(
-            status, float(self.units @ known.best), float(known.bound), watch.spent_s, DIRECT
-        )
+        outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
     def _close(
@@ -196,34 +218,43 @@ class NetworkMaster:
         cuts: _ServiceCuts,
         patience: Patience,
     ) -> None:
-        """Try sets until the best has as much as the bound, or nothing improves any more."""
+        """Try sets until the best has as much as the bound, or nothing improves any more.
+
+        Prices know sets that are carried in part, which rules may forbid: there all sets come from
+        the search with binaries.
+        """
         x = self.model.at["x"].ravel()
         few = list(self.found)
         rounds = 0
-        while not known.closed(self.units) and not patience.passed:
+        while not known.closed() and not patience.passed:
             rounds = rounds + 1
             before = len(self.found)
-            whole = len(x) <= SMALL and rounds > ROUNDS
-            enough = float(self.units @ known.best)
+            ruled = self.data.switching is not None
+            whole = ruled or (len(x) <= SMALL and rounds > ROUNDS)
+            enough = known.most
             if whole:
                 found = self._searched(few, patience)
             else:
                 found = cuts.most(linear.x[x], enough + 1.0, patience.end)
-            known.take(found, enough)
+            known.take(found)
+            if known.closed():
+                return
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
             linear = self._until_carried(solver, self.deadline, worth=enough)
-            if linear.status != Status.OPTIMAL:
+            learnt = self.found[before:]
+            if linear.status == Status.OPTIMAL:
+                self._cut(linear, cuts)
+                known.improve(*self._carried(linear))
+            elif not (whole and learnt):
                 return
-            self._cut(linear, cuts)
-            known.improve(self._in_full(linear), self.units)
             nodes = patience.nodes + ROUND_NODES
-            patience.saw(float(self.units @ known.best), known.bound, nodes)
-            few += self.found[before:] if whole else []
+            patience.saw(known.most, known.bound, nodes)
+            few += learnt if whole else []
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
-        program = _limited(self._with_cost(x, -self.units), self.found)
+        program = _limited(self._with_cost(*self.lack), self.found)
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
@@ -233,10 +264,29 @@ class NetworkMaster:
         """Who is served in full by a linear solution."""
         return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
 
+    def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
+        """Who is served in full by a linear solution, and what that is worth in units."""
+        carried = self._in_full(linear)
+        units = float(self.units @ carried)
+        rules = self.data.switching
+        if rules is None:
+            return carried, units
+        served = carried.reshape(self.data.load_kw.shape) > 0.5
+        if rules.broken(served).any():
+            return carried, -np.inf
+        return carried, units - self.pair * float(rules.changes(served)[1].sum())
+
+    @property
+    def lack(self) -> tuple[Wholes, Floats]:
+        """Columns of service and of switching off, and what of them is minimised, in units."""
+        off = self.model.at["off"].ravel()
+        columns = np.append(self.model.at["x"].ravel(), off)
+        return columns, np.append(-self.units, np.full(len(off), self.pair))
+
     def _searched(self, rows: list[Rows], patience: Patience) -> ProgramSolution:
         """Search with binaries in the network, with some of its limits."""
         x = self.model.at["x"].ravel()
-        program = replace(self._with_cost(x, -self.units), integer=x)
+        program = replace(self._with_cost(*self.lack), integer=x)
         solver = _limited(program, rows).loaded(1.0 - TOLERANCE)
         found = ProgramSolution.of_search(solver, patience)
         return replace(found, x=found.x[x] if found.status.has_answer else found.x)
@@ -264,7 +314,8 @@ class NetworkMaster:
         while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
             limited = _limited(program, self.found)
-            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp, COST_NODES), deadline)
+            solver = limited.loaded(0.5 * gap_gbp, COST_NODES)
+            found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:
@@ -274,15 +325,17 @@ class NetworkMaster:
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
                 best = served > 0.5
+            if carried.status == Status.OPTIMAL and found.status != Status.OPTIMAL:
+                break  # another search would not end either
         ended = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""
-        x = self.model.at["x"].reshape(1, -1)
+        columns, lack = self.lack
         size = len(self.program.cost)
-        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, size)
+        enough = Rows.of(columns[None, :], -lack, units_min - TOLERANCE, np.inf, size)
         return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
 
     def _of_set(self, served: Floats | Flags) -> Program:
@@ -296,9 +349,14 @@ class NetworkMaster:
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
-        Tangents are put well within the discs first, which ends sooner, or else at them.
+        Tangents are put well within the discs first, which ends sooner, or else at them. With the
+        set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
+        if self.data.switching is not None:
+            data = replace(self.data.for_service(served), switching=None)
+            plain = NetworkMaster(self.site, self.model.reactance, data, self.deadline)
+            return plain.cheapest(served, deadline)
         known = self.found
         program = self._of_set(served)
         for inside in LARGE_INSIDE if self.is_large else INSIDE:
@@ -441,28 +499,30 @@ class NetworkMaster:
 
 @dataclass
 class _Known:
-    """The set last tried, the best set that is carried, and the bound on all, in units."""
+    """The set last tried, the bound on all, and the best set that is carried, in units."""
 
     tried: Floats
-    best: Floats
     bound: float
+    best: Floats | None = None
+    most: float = -np.inf
 
-    def closed(self, units: Floats) -> bool:
+    def closed(self) -> bool:
         """Whether the best set has as much as the bound."""
-        return bool(units @ self.best >= self.bound)
+        return self.most >= self.bound
 
-    def take(self, found: ProgramSolution, best: float) -> None:
+    def take(self, found: ProgramSolution) -> None:
         """The next set to try, and what its search proves."""
         if found.status == Status.INFEASIBLE:
-            self.bound = best
+            self.bound = self.most
         elif found.status.has_answer:
             self.tried = np.round(found.x)
-        self.bound = max(best, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
+        self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
-    def improve(self, carried: Floats, units: Floats) -> None:
+    def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
-        if units @ carried > units @ self.best:
+        if units > self.most:
             self.best = carried
+            self.most = units
 
 
 class _ServiceCuts:

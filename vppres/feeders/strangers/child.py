@@ -1,7 +1,7 @@
 """The process in which a library reads what a stranger wrote.
 
 Run by its path, without the package around it: it gets a job as JSON on its input, loads the engine
-that the job names from this folder, gives up what it does not need, and answers in JSON. It ends
+that the job names, gives up what it does not need, and answers in JSON. It ends
 with the process that asks.
 """
 
@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ENGINES = {"dss_engine": (), "mat_engine": (), "dss_day": ("dss_engine",)}
-"""Engines, and the modules beside them that each needs."""
+ENGINES = {"dss/engine": (), "matpower/binary": (), "dss/day": ("dss/engine",)}
+"""Engines of the room around this one, and others that each needs."""
 
 MEMORY_BYTES = 2 * 2**30
 """Of addresses: libraries and a feeder of some thousand buses take less than half of it."""
@@ -28,7 +28,7 @@ def main() -> None:
     out = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     job = json.load(sys.stdin)
-    _loaded(Path(__file__).parents[1] / "core" / "parent.py").end_with(*job["parent"])
+    _loaded(Path(__file__).parents[2] / "core" / "parent.py").end_with(*job["parent"])
     engine = _engine(job["engine"])
     _confine(float(job["limit_s"]))
     answer = engine.answer(job)
@@ -37,10 +37,10 @@ def main() -> None:
 
 
 def _engine(name: str) -> Any:
-    """One of the modules beside this one; another that it needs is among the loaded ones."""
+    """An engine by its name; another that it needs is among the loaded ones."""
     for needed in ENGINES[name]:
         sys.modules[needed] = _engine(needed)
-    return _loaded(Path(__file__).with_name(f"{name}.py"))
+    return _loaded(Path(__file__).parents[1] / f"{name}.py")
 
 
 def _loaded(file: Path) -> Any:

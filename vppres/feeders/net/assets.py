@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.units import mw_to_kw
-from vppres.feeders.elements import NetCase, few, label, supplied
 from vppres.feeders.feeder import Generators, Loads, Storages
+from vppres.feeders.net.elements import NetCase, few, label, supplied
 from vppres.scenario.network import BusId
 
 HOURS_OF_STORAGE = 2.0

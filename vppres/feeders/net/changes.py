@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vppres.feeders.balance import balance_net
-from vppres.feeders.grids import one_grid
-from vppres.feeders.loops import open_loops
-from vppres.feeders.reduce import open_named
+from vppres.feeders.net.balance import balance_net
+from vppres.feeders.net.grids import one_grid
+from vppres.feeders.net.loops import open_loops
+from vppres.feeders.net.reduce import open_named
 from vppres.scenario.network import BusId
 
 

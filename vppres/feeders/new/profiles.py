@@ -10,12 +10,12 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.clocks import in_utc
-from vppres.feeders.elements import few as few_names
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.new_assets import NewAssets, generator_table
-from vppres.feeders.profile_files import units_missing
-from vppres.feeders.resample import OnGrid, on_grid
+from vppres.feeders.net.elements import few as few_names
+from vppres.feeders.new.assets import NewAssets, generator_table
+from vppres.feeders.series.clocks import in_utc
+from vppres.feeders.series.files import units_missing
+from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
 from vppres.scenario.network import BusId

@@ -1,7 +1,7 @@
 """The steps of a day in OpenDSS, on the circuit as it was written: all phases, no balancing.
 
-Runs in the process of :mod:`vppres.feeders.child`, where the engine that builds circuits is loaded
-before it.
+Runs in the process of :mod:`vppres.feeders.strangers.child`, where the engine that builds circuits
+is loaded before it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     voltage.
     """
     # Loaded by child.py: a package is not known there.
-    engine: Any = sys.modules["dss_engine"]
+    engine: Any = sys.modules["dss/engine"]
     problems = engine.build(job["commands"])
     if problems:
         return {"problems": problems}

@@ -10,12 +10,12 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.confined import confined
-from vppres.feeders.m_arithmetic import tables_of
-from vppres.feeders.m_names import ALL
-from vppres.feeders.m_text import Refused, parse
-from vppres.feeders.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
-from vppres.feeders.strangers import read_bytes, read_text
+from vppres.feeders.matpower.arithmetic import tables_of
+from vppres.feeders.matpower.names import ALL
+from vppres.feeders.matpower.text import Refused, parse
+from vppres.feeders.net.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
+from vppres.feeders.strangers.confined import confined
+from vppres.feeders.strangers.files import read_bytes, read_text
 
 LARGEST_BYTES = 10 * 2**20
 """The largest case that comes with MATPOWER, of 82,000 buses, has some 20 MB; a feeder has 1."""
@@ -68,7 +68,7 @@ def read_mat(path: Path) -> Any:
         With what the reader stumbles over.
     """
     content = base64.b64encode(read_bytes(path, LARGEST_BYTES)).decode("ascii")
-    found = confined("mat_engine", {"content": content}, path.name)
+    found = confined("matpower/binary", {"content": content}, path.name)
     if "error" in found:
         raise ValueError(found["error"])
     tables = found["tables"].items()

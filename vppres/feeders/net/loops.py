@@ -17,8 +17,8 @@ import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import mw_to_kw
-from vppres.feeders.elements import label
-from vppres.feeders.reduce import BRANCHES, case_of, without_stubs
+from vppres.feeders.net.elements import label
+from vppres.feeders.net.reduce import BRANCHES, case_of, without_stubs
 from vppres.scenario.network import find_loops
 
 MOST_FLOWS = 30

@@ -17,12 +17,12 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
-from vppres.feeders import dss_text
-from vppres.feeders.changes import Changes, changed
-from vppres.feeders.confined import TIME_LIMIT_S, confined
-from vppres.feeders.elements import few
-from vppres.feeders.opendss import located, read_opendss
-from vppres.feeders.reduce import feeder_of
+from vppres.feeders.dss import text as dss_text
+from vppres.feeders.dss.circuit import located, read_opendss
+from vppres.feeders.net.changes import Changes, changed
+from vppres.feeders.net.elements import few
+from vppres.feeders.net.reduce import feeder_of
+from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
@@ -137,7 +137,7 @@ def _groups(source: Path) -> dict[str, str]:
 
 def _day(job: dict[str, Any], script: dss_text.Script, name: str) -> dict[str, Any]:
     limit_s = TIME_LIMIT_S + len(job["steps"]) / STEPS_PER_S
-    found = confined("dss_day", job, name, limit_s)
+    found = confined("dss/day", job, name, limit_s)
     if found["problems"]:
         raise InputError([located(problem, script, name) for problem in found["problems"]])
     return found

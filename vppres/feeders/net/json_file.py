@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.strangers import MOST_PROBLEMS, read_text
+from vppres.feeders.strangers.files import MOST_PROBLEMS, read_text
 
 LARGEST_BYTES = 32 * 2**20
 """A net of 10,000 buses has some 10 MB."""

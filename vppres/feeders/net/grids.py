@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.elements import few, in_service, label
+from vppres.feeders.net.elements import few, in_service, label
 from vppres.scenario.network import BusId
 
 ALL = "all"

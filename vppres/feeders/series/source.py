@@ -12,9 +12,9 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.core.units import KW_PER_MW
-from vppres.feeders.clocks import in_utc
-from vppres.feeders.elements import in_service, label
 from vppres.feeders.feeder import Profile
+from vppres.feeders.net.elements import in_service, label
+from vppres.feeders.series.clocks import in_utc
 
 SIMBENCH_ZONE = "Europe/Berlin"
 """SimBench's times are those of clocks in Germany: an hour in March is missing, one comes twice."""

@@ -18,7 +18,7 @@ class NetCase:
     """pandapower's internal case: supplied buses and branches in service, in pu.
 
     ``bus_at`` gives the row of ``bus_kv`` for each supplied bus of the source; ``branches`` has the
-    columns of :mod:`vppres.feeders.branches`, and ``table`` and ``element`` of the source;
+    columns of :mod:`vppres.feeders.net.branches`, and ``table`` and ``element`` of the source;
     ``shunts`` are the admittances of the rows.
     """
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vppres.feeders.m_names import ALL, FUNCTIONS
-from vppres.feeders.m_text import (
+from vppres.feeders.matpower.names import ALL, FUNCTIONS
+from vppres.feeders.matpower.text import (
     Assign,
     Call,
     Colon,
@@ -62,7 +62,7 @@ def tables_of(program: Program) -> dict[str, _Matrix]:
 
     Examples
     --------
-    >>> from vppres.feeders.m_text import parse
+    >>> from vppres.feeders.matpower.text import parse
     >>> tables_of(parse("mpc.bus = [1 5e3; 2 7e3];\nmpc.bus(:, 2) = mpc.bus(:, 2) / 1e3;"))["bus"]
     array([[1., 5.],
            [2., 7.]])

@@ -21,12 +21,12 @@ from vppres.feeders.closeness import (
     told_causes,
     told_deviation,
 )
-from vppres.feeders.elements import few
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.new_assets import TIER_WEIGHTS, NewAssets, new_assets, written
-from vppres.feeders.new_options import NewScenarioOptions, PriceRule, check_options, outages_of
-from vppres.feeders.profile_files import Reading, read_profiles
-from vppres.feeders.profiles import Series, place_profiles, timed
+from vppres.feeders.net.elements import few
+from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
+from vppres.feeders.new.options import NewScenarioOptions, PriceRule, check_options, outages_of
+from vppres.feeders.new.profiles import Series, place_profiles, timed
+from vppres.feeders.series.files import Reading, read_profiles
 from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.scenario_writer import fill_scenario_folder

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import mw_to_kw
-from vppres.feeders.elements import in_service
+from vppres.feeders.net.elements import in_service
 
 PHASES = ("a", "b", "c")
 # Table of phases, the balanced one in its place, and what it holds.

@@ -1,7 +1,7 @@
 """An OpenDSS circuit as a pandapower net: its balanced positive-sequence equivalent.
 
-The script is checked and written anew (:mod:`vppres.feeders.dss_text`). OpenDSS builds the circuit
-in a process of its own (:mod:`vppres.feeders.dss_engine`), in an empty folder that is thrown away,
+The script is checked and written anew (:mod:`vppres.feeders.dss.text`). OpenDSS builds the circuit
+in a process of its own (:mod:`vppres.feeders.dss.engine`), in an empty folder that is thrown away,
 and only numbers and names come back.
 """
 
@@ -17,12 +17,12 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
-from vppres.feeders import dss_text
-from vppres.feeders.balance import PHASES, PhasePowers
 from vppres.feeders.closeness import largest_difference
-from vppres.feeders.confined import TIME_LIMIT_S, confined
+from vppres.feeders.dss import text as dss_text
 from vppres.feeders.feeder import ImportedFeeder
-from vppres.feeders.ratings import NO_LIMIT_KA
+from vppres.feeders.net.balance import PHASES, PhasePowers
+from vppres.feeders.net.ratings import NO_LIMIT_KA
+from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
 
 A_PER_KA = 1000.0
@@ -65,7 +65,7 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
     """
     script = dss_text.read_script(path)
     job = {"commands": [command.text for command in script.commands]}
-    found = confined("dss_engine", job, path.name, time_limit_s)
+    found = confined("dss/engine", job, path.name, time_limit_s)
     if found["problems"]:
         raise InputError([located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
@@ -163,7 +163,7 @@ class OpenDSSFlow:
             "v_slack_pu": None,
         }
         job = {**self.job, "state": state}
-        return self._by_index(confined("dss_engine", job, self.name, self.time_limit_s)["v_pu"])
+        return self._by_index(confined("dss/engine", job, self.name, self.time_limit_s)["v_pu"])
 
     def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:
         """Voltages by the index of the bus in the net."""

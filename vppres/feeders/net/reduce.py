@@ -3,7 +3,7 @@
 pandapower's own conversion to its branch model does the work: it joins buses over closed switches,
 opens what is open, leaves out what has no supply, and models every kind of transformer. What is
 left here is to make one branch of parallel ones and one bus of the ends of next to no impedance
-(:mod:`vppres.feeders.branches`), to refuse what the model cannot hold, and to say what was
+(:mod:`vppres.feeders.net.branches`), to refuse what the model cannot hold, and to say what was
 simplified.
 """
 
@@ -20,7 +20,10 @@ import pandas as pd
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kva_to_a, kw_at_1_pu_to_us, mw_to_kw
-from vppres.feeders.branches import (
+from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
+from vppres.feeders.feeder import Generators, ImportedFeeder
+from vppres.feeders.net.assets import generators_of, loads_of, motors_as_loads, storages_of
+from vppres.feeders.net.branches import (
     EVEN,
     Stub,
     closed_switches,
@@ -28,12 +31,9 @@ from vppres.feeders.branches import (
     parallel_as_one,
     split_stubs,
 )
-from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
-from vppres.feeders.elements import NetCase, few, in_service, label, supplied
-from vppres.feeders.feeder import Generators, ImportedFeeder
-from vppres.feeders.net_assets import generators_of, loads_of, motors_as_loads, storages_of
-from vppres.feeders.notes import notes_of
-from vppres.feeders.ratings import rating_mva
+from vppres.feeders.net.elements import NetCase, few, in_service, label, supplied
+from vppres.feeders.net.notes import notes_of
+from vppres.feeders.net.ratings import rating_mva
 from vppres.io.messages import did_you_mean
 from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
 from vppres.scenario.network import BusId, Network, find_loops

@@ -13,7 +13,7 @@ from zoneinfo import ZoneInfo
 import pandas as pd
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.clocks import check_zone, grid_from, local_midnight, time_of_day
+from vppres.feeders.series.clocks import check_zone, grid_from, local_midnight, time_of_day
 from vppres.io import schema
 from vppres.scenario.timegrid import UTC, TimeGrid
 

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes
-from vppres.feeders.elements import few
 from vppres.feeders.feeder import ImportedFeeder
-from vppres.feeders.kinds import PV, burns_fuel, kind_of
-from vppres.feeders.new_options import (
+from vppres.feeders.net.elements import few
+from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
+from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
     PV_SHARE_OF_BUSES,
     PV_SHARE_OF_PEAK,

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
-from vppres.feeders.ratings import shared_rating
+from vppres.feeders.net.ratings import shared_rating
 
 LEAST_PU = 1e-6
 """Impedance in pu of 1 MVA below which a branch counts as a closed switch: 1 MVA drops at most a

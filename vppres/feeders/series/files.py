@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.clocks import in_utc
 from vppres.feeders.feeder import Profile
+from vppres.feeders.series.clocks import in_utc
 from vppres.io.messages import few
 from vppres.io.tables import Table, read_table
 

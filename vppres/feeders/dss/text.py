@@ -1,7 +1,7 @@
 """An OpenDSS script checked before OpenDSS sees it, and written anew.
 
 OpenDSS never gets the text of a file. Each command is taken apart, held against the words that a
-network needs (:mod:`vppres.feeders.dss_words`), and written again with values that are numbers or
+network needs (:mod:`vppres.feeders.dss.words`), and written again with values that are numbers or
 names and nothing else. What OpenDSS and this module might read differently, comments, quotes and
 continued lines, is gone from what it gets.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.dss_words import (
+from vppres.feeders.dss.words import (
     IDLE,
     IDLE_OPTIONS,
     LIBRARIES,
@@ -24,7 +24,7 @@ from vppres.feeders.dss_words import (
     POSITIONS,
     SKIPPED,
 )
-from vppres.feeders.strangers import MOST_PROBLEMS, read_text
+from vppres.feeders.strangers.files import MOST_PROBLEMS, read_text
 from vppres.io.messages import did_you_mean
 
 MOST_FILES = 100

@@ -31,7 +31,7 @@ def confined(
     Parameters
     ----------
     engine : str
-        A module of :mod:`vppres.feeders.child`.
+        One of :mod:`vppres.feeders.strangers.child`.
     job : dict
         What JSON can hold.
     name : str

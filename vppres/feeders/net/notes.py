@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.units import mw_to_kw
-from vppres.feeders.branches import LEAST_PU, Stub
 from vppres.feeders.closeness import causes_of
-from vppres.feeders.elements import NetCase, few, in_service, label, supplied
 from vppres.feeders.feeder import Generators
+from vppres.feeders.net.branches import LEAST_PU, Stub
+from vppres.feeders.net.elements import NetCase, few, in_service, label, supplied
 
 TABLES_OF_BUSES = ("load", "sgen", "gen")
 TAP_TOLERANCE = 1e-9
