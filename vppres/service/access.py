@@ -52,6 +52,33 @@ class Access:
     tokens: Sequence[Token] = ()
     now: Callable[[], float] = time.time
 
+    def known(self, authorization: str | None) -> Token | None:
+        """The token of whoever asks; none where nobody needs one.
+
+        Parameters
+        ----------
+        authorization : str or None
+            Header of the request.
+
+        Raises
+        ------
+        Denied
+            If it is no token of ours, or has expired.
+        """
+        if not self.tokens:
+            return None
+        kind, _, secret = (authorization or "").partition(" ")
+        given = digest(secret)
+        found = None
+        for token in self.tokens:  # all of them, so that the time says nothing
+            if hmac.compare_digest(token.sha256, given):
+                found = token
+        if found is None or kind.lower() != "bearer":
+            raise Denied(401, "Give a token: Authorization: Bearer TOKEN.")
+        if found.expires is not None and self.now() >= found.expires:
+            raise Denied(401, f"The token of {found.name} has expired. Ask for another one.")
+        return found
+
     def actor(self, authorization: str | None, scope: str) -> str:
         """Name of whoever asks.
 
@@ -67,18 +94,9 @@ class Access:
         Denied
             If it may not.
         """
-        if not self.tokens:
+        found = self.known(authorization)
+        if found is None:
             return "anybody here"
-        kind, _, secret = (authorization or "").partition(" ")
-        given = digest(secret)
-        found = None
-        for token in self.tokens:  # all of them, so that the time says nothing
-            if hmac.compare_digest(token.sha256, given):
-                found = token
-        if found is None or kind.lower() != "bearer":
-            raise Denied(401, "Give a token: Authorization: Bearer TOKEN.")
-        if found.expires is not None and self.now() >= found.expires:
-            raise Denied(401, f"The token of {found.name} has expired. Ask for another one.")
         if scope not in found.scopes.split():
             raise Denied(403, f"The token of {found.name} has no scope {scope}.")
         return found.name

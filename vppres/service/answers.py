@@ -57,10 +57,7 @@ def answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(Denied)
     async def denied(_: Request, error: Denied) -> Response:
-        answer = problem_answer(error.status, str(error))
-        if error.wait_s > 0.0:
-            answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
-        return answer
+        return denied_answer(error)
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: HTTPException) -> Response:
@@ -83,6 +80,14 @@ def problem_answer(status: int, detail: str, problems: Sequence[Problem] = ()) -
     }
     headers = {"WWW-Authenticate": "Bearer"} if status == 401 else None
     return JSONResponse(body, status, headers, media_type=PROBLEM)
+
+
+def denied_answer(error: Denied) -> Response:
+    """To who may not; with the time to wait where that would help."""
+    answer = problem_answer(error.status, str(error))
+    if error.wait_s > 0.0:
+        answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    return answer
 
 
 def listed(problems: Sequence[Problem]) -> list[dict[str, Any]]:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from fastapi import FastAPI
 
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
-from vppres.service.limits import RATES, Limits
+from vppres.service.limits import RATES, Limits, Rate
 from vppres.service.perimeter import Perimeter
 from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
-MOST_BYTES = 8_000_000
-"""Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
-
 GUARDED = (telemetry, forecasts, events, plans, operation, page)
 
 
 def make_app(
-    runner: Runner, access: Access, hosts: Sequence[str] = LOOPBACK, encrypted: bool = False
+    runner: Runner,
+    access: Access,
+    hosts: Sequence[str] = LOOPBACK,
+    encrypted: bool = False,
+    rates: Mapping[str, Rate] = RATES,
 ) -> FastAPI:
     """The service's routes around a runner.
 
@@ -37,6 +38,8 @@ def make_app(
         gets nothing.
     encrypted : bool
         Whether it listens with TLS itself.
+    rates : mapping of str to Rate
+        How often may be asked, by scope; a rehearsal has no limit.
     """
     app = FastAPI(
         title="vppres",
@@ -44,13 +47,13 @@ def make_app(
         description="A controller of a virtual power plant that runs day and night.",
         docs_url=None,
         redoc_url=None,
-        max_body_size=MOST_BYTES,
+        redirect_slashes=False,
     )
-    app.add_middleware(Perimeter, hosts=hosts, encrypted=encrypted)
     answer_errors(app)
     app.include_router(health.routes(runner))
     # Who rehearses asks for one step after another.
-    guarded = Guard(access, Limits({} if runner.rehearsal else RATES))
+    guarded = Guard(access, Limits({} if runner.rehearsal else rates))
+    app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
     for subject in GUARDED:
         app.include_router(subject.routes(runner, guarded))
     return app

@@ -1,8 +1,9 @@
 """From what is stored to the measurement of a step: what is heard, late, or lost.
 
-A reading holds for its own resolution, and for a step at least. What is older is left to the guard,
-which estimates it; a battery that has been silent for three times as long, or was never heard of,
-is left out of the plan.
+A reading holds for its own resolution and for a step at least; a state of charge, and whether there
+is grid, for a tenth of a step. What is older is left to the guard, which estimates it; a battery
+that has been silent in everything for three steps, or whose state of charge was never heard of, is
+left out of the plan.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.core.errors import Problem
+from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
 from vppres.live.door import RANGES, Range
@@ -23,13 +24,22 @@ from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, outages, prices
 from vppres.service.clock import written
-from vppres.service.payloads import Readings
+from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.store import Event, Reading, Store, moment, seconds
 from vppres.service.window import CAUTIOUS, Window
 
 INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
+OF_BATTERIES = ("soc", "online", "battery_kw")
 GRID = "grid"
+EARLY_SHARE = 0.1
+"""Share of a step that a reading may be ahead of it: clocks are off."""
+
+MOVING = ("soc", "grid_on")
+MOVING_SHARE = 0.1
+"""Share of a step for which readings hold that may have changed since, whatever their resolution:
+what moved a battery the guard reckons, and whether there is grid must not be an old story."""
+
 LOST_AFTER = 3
 """Multiples of the time for which a reading holds."""
 
@@ -67,7 +77,7 @@ class Grid:
     ----------
     available : bool
         Whether there is.
-    known_by : {"reading", "event", "belief", "profile"}
+    known_by : {"reading", "event", "last reading", "belief", "profile"}
         Who says so.
     limits_kw : array, shape (W,)
         Largest import in the window, 0 in outages.
@@ -171,6 +181,24 @@ def readings_of(
     return good, problems
 
 
+def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:
+    """Whether an operator asks something of devices that there are.
+
+    Raises
+    ------
+    InputError
+        With everybody who is not at the site.
+    """
+    problems = []
+    for one in asked:
+        known = [str(name) for name in getattr(scenario, one.kind).id]
+        if one.asset not in known:
+            cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
+            problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
+    if problems:
+        raise InputError(problems)
+
+
 def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     """What is known at the beginning of a step.
 
@@ -208,7 +236,11 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     means = _means(store, time, window.length)
     power = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
     soc = readings.now("soc")
-    out = readings.lost("soc") | {name for name in batteries if name not in soc}
+    out = readings.silent | {name for name in batteries if name not in soc}
+    # Who did not do what it was told is taken back when it says how it is.
+    out |= {
+        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
+    }
     off = {name for name, value in readings.now("online").items() if value == 0.0}
     measurement = Measurement(
         time,
@@ -225,6 +257,12 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     return Known(measurement, readings.heard, grid, estimated, known_soc)
 
 
+def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
+    """States of charge that were read."""
+    found = _Readings.at(time, scenario, store).now("soc")
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
 @dataclass(frozen=True, eq=False)
 class _Readings:
     """Last readings of a step.
@@ -235,25 +273,50 @@ class _Readings:
         All that was ever heard.
     values : dict
         By asset and quantity; NaN where it is too old, or known to be missing.
+    last : dict
+        The same with what is too old, but not lost.
+    silent : set of str
+        Batteries of which nothing at all is heard any more.
+    times : dict
+        When readings that hold were taken, in seconds, by asset and quantity.
     """
 
     heard: list[Heard]
     values: dict[tuple[str, str], float]
+    last: dict[tuple[str, str], float | None]
+    silent: set[str]
+    times: dict[tuple[str, str], int]
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
         step_s = round(scenario.grid.step_minutes * 60)
-        found = store.latest(time, INSTANT)
+        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
         heard = [_heard(reading, time, step_s) for reading in found]
         values = {
             (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
             for r, h in zip(found, heard, strict=True)
         }
-        return cls(heard, values)
+        last = {
+            (r.asset, r.quantity): r.value
+            for r, h in zip(found, heard, strict=True)
+            if h.state != "lost"
+        }
+        power = [_heard(reading, time, step_s) for reading in store.latest(time, ("battery_kw",))]
+        told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
+        alive = {one.asset for one in told if one.state != "lost"}
+        silent = {one.asset for one in told} - alive
+        times = {
+            (r.asset, r.quantity): r.time for r in found if np.isfinite(values[r.asset, r.quantity])
+        }
+        return cls(heard, values, last, silent, times)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
         return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
+
+    def heard_until(self, battery: str) -> int:
+        """Time of the last state of charge that is of now, in seconds; 0 if there is none."""
+        return self.times.get((battery, "soc"), 0)
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
@@ -263,8 +326,10 @@ class _Readings:
 def _grid(controller: Controller, window: Window, readings: _Readings, events: list[Event]) -> Grid:
     """Whether there is grid: by its own reading, else by what is announced or believed."""
     limits = limits_kw(events, window)
-    out = outages(events, window)
+    out = outages(events, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)
+    last = readings.last.get((GRID, "grid_on"))
+    known_by = "profile"
     if np.isfinite(read):
         known_by = "reading"
         if read == 0.0 and not out[0]:
@@ -273,34 +338,34 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
         out[0] = read == 0.0
     elif out[0]:
         known_by = "event"
-    elif limits[0] > 0.0 and controller.out_probability(window.times[0]).iloc[0] >= HALF:
+    elif last == 0.0:
+        known_by = "last reading"
+        out[:] = True
+    elif controller.out_probability(window.times[0]).iloc[0] >= HALF:
         known_by = "belief"
         out[0] = True
-    else:
-        known_by = "profile"
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
-def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
-    """Age of everything that was ever heard of."""
-    return [_heard(reading, time, step_s) for reading in store.latest(time, INSTANT)]
-
-
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
     """How old a reading is."""
-    age_s = seconds(time) - reading.time
-    holds_s = max(reading.resolution_s, step_s)
-    state = "ok" if age_s <= holds_s else "stale" if age_s <= LOST_AFTER * holds_s else "lost"
+    held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
+    age_s = max(seconds(time) - held, 0)
+    lost_s = LOST_AFTER * max(reading.resolution_s, step_s)
+    moves = reading.quantity in MOVING
+    holds_s = MOVING_SHARE * step_s if moves else max(reading.resolution_s, step_s)
+    state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
 def _means(store: Store, time: pd.Timestamp, step: pd.Timedelta) -> dict[tuple[str, str], float]:
-    """Means of the step that is over, of the readings that begin in it."""
+    """Means of the step that is over, of the readings whose middle lies in it."""
     begun = time - step
     values: dict[tuple[str, str], list[float]] = {}
-    for reading in store.between(begun, time, MEAN):
-        if reading.value is not None:
+    for reading in store.between(begun - step, time + step, MEAN):
+        middle = moment(reading.time) + pd.Timedelta(seconds=reading.resolution_s / 2)
+        if reading.value is not None and begun <= middle < time:
             values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
     return {key: sum(each) / len(each) for key, each in values.items()}
 

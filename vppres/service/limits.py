@@ -7,6 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from vppres.service.access import Denied
+
 MOST_KNOWN = 1_000
 """Buckets that are remembered; the one that was not used for longest is forgotten."""
 
@@ -52,6 +54,18 @@ class Limits:
         self.rates = dict(rates)
         self.now = now
         self._left: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
+
+    def check(self, who: str, kind: str) -> None:
+        """Take one.
+
+        Raises
+        ------
+        Denied
+            If there is none.
+        """
+        wait_s = self.wait_s(who, kind)
+        if wait_s > 0.0:
+            raise Denied(429, "Too many requests: slow down.", wait_s)
 
     def wait_s(self, who: str, kind: str) -> float:
         """Take one; 0 if there was one, else how long to wait for the next."""

@@ -114,7 +114,8 @@ def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterat
         The machine's, or the scenario's in a rehearsal, if not given.
     """
     if clock is None:
-        clock = SetClock(service.scenario.grid.start) if service.rehearsal else SystemClock()
+        played = service.rehearsal or service.paced
+        clock = SetClock(service.scenario.grid.start) if played else SystemClock()
     store = Store(folder, Site.of(service.scenario).key)
     try:
         runner = Runner(service, store, clock)
@@ -199,7 +200,7 @@ def serve(service: Service, folder: Path, address: Address, told: Callable[[str]
             timeout_graceful_shutdown=GRACE_S,
         )
         told(f"Serving {service.scenario.name} at {address.url}, state in {folder}.")
-        loop = None if service.rehearsal else Loop(runner)
+        loop = None if isinstance(runner.clock, SetClock) else Loop(runner)
         if loop is not None:
             loop.start()
         try:

@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from vppres.core.errors import InputError, Problem, StorageError
 
 LAYOUT = "1"
 STATES_KEPT = 3
+REFUSED = ("rejected", "aborted")
 BUSY_S = 5
 
 _tables = sa.MetaData()
@@ -77,6 +78,25 @@ _states = sa.Table(
     _tables,
     sa.Column("time", sa.Integer, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
+)
+_acks = sa.Table(
+    "acks",
+    _tables,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("actor", sa.String, nullable=False),
+    sa.Column("setpoint", sa.String, nullable=False, index=True),
+    sa.Column("kind", sa.String, nullable=False),
+    sa.Column("asset", sa.String, nullable=False),
+    sa.Column("status", sa.String, nullable=False),
+    sa.Column("value", sa.Float),
+    sa.Column("reason", sa.String, nullable=False),
+)
+_keys = sa.Table(
+    "idempotency_keys",
+    _tables,
+    sa.Column("key", sa.String, primary_key=True),
+    sa.Column("time", sa.Integer, nullable=False),
 )
 _audit = sa.Table(
     "audit",
@@ -202,7 +222,7 @@ class Store:
         self.folder = folder
         self._lock = _locked(folder)
         self._writing = threading.Lock()
-        self.changes = 0  # transactions so far: who shows what is stored sees what is new
+        self.changes = 0  # whoever shows what is stored looks again when it has grown
         self._engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -210,6 +230,15 @@ class Store:
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
+        self._items = self._known_items()
+
+    def _known_items(self) -> set[tuple[str, str]]:
+        """Assets and quantities that were ever heard of."""
+        with self._reads() as db:
+            t = _telemetry.c
+            return {
+                (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
+            }
 
     def close(self) -> None:
         """Let go of database and lock."""
@@ -219,7 +248,7 @@ class Store:
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
         try:
-            with self._changes() as db:
+            with self._changes(routine=True) as db:
                 _put(db, _meta, key="checked", value="")
         except StorageError:
             return False
@@ -234,28 +263,41 @@ class Store:
         rows = [vars(reading) for reading in readings]
         if not rows:
             return Written(0, 0)
-        with self._changes() as db:
+        with self._changes(routine=True) as db:
             accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
             for source in {row["source"] for row in rows}:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
                 _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        self._items |= {(row["asset"], row["quantity"]) for row in rows}
         return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
+        wanted = set(quantities)
+        items = sorted(item for item in self._items if item[1] in wanted)
+        if not items:
+            return []
+        named = sa.values(
+            sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
+        )
+        named = named.data(items).cte("items")
         t = _telemetry.c
-        rank = (
-            sa.func.row_number()
-            .over(partition_by=(t.asset, t.quantity), order_by=(t.time.desc(), t.source))
-            .label("rank")
+        earlier = _telemetry.alias("earlier")
+        last = (
+            sa.select(sa.func.max(earlier.c.time))
+            .where(
+                earlier.c.asset == named.c.asset,
+                earlier.c.quantity == named.c.quantity,
+                earlier.c.time <= seconds(until),
+            )
+            .scalar_subquery()
         )
-        ranked = (
-            sa.select(_telemetry, rank)
-            .where(t.time <= seconds(until), t.quantity.in_(list(quantities)))
-            .subquery()
-        )
-        return self._readings(sa.select(ranked).where(ranked.c.rank == 1))
+        same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+        chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+        # Of two sources that speak at once the first by name counts.
+        found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
+        return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
@@ -416,6 +458,57 @@ class Store:
         state: dict[str, Any] | None = None if text is None else json.loads(text)
         return state
 
+    def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
+        """The step that was asked for with a key: the first one, whatever is asked for now."""
+        with self._changes() as db:
+            found = db.execute(sa.select(_keys.c.time).where(_keys.c.key == key)).scalar()
+            if found is None:
+                db.execute(_keys.insert().values(key=key, time=seconds(time)))
+        return time if found is None else moment(found)
+
+    # Acknowledgements
+
+    def put_ack(
+        self, setpoint: Mapping[str, Any], said: Mapping[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
+        """Keep what became of a set-point; what was said last is not kept twice."""
+        values = {name: setpoint[name] for name in ("kind", "asset")}
+        with self._changes() as db:
+            a = _acks.c
+            last = (
+                sa.select(a.status, a.value, a.reason)
+                .where(a.setpoint == setpoint["id"])
+                .order_by(a.number.desc())
+                .limit(1)
+            )
+            before = db.execute(last).first()
+            if before is None or before._asdict() != dict(said):
+                row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
+                db.execute(_acks.insert().values(**row, **said))
+
+    def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """What was said last of each set-point of which anything was."""
+        a = _acks.c
+        chosen = sa.select(_acks).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
+        with self._reads() as db:
+            return {
+                row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
+                for row in db.execute(chosen)
+            }
+
+    def refusing(self, kind: str) -> dict[str, int]:
+        """Devices of a kind that did not do what they were told last, and since when."""
+        a = _acks.c
+        newest = (
+            sa.select(sa.func.max(a.number))
+            .where(a.kind == kind)
+            .group_by(a.asset)
+            .scalar_subquery()
+        )
+        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
+        with self._reads() as db:
+            return {row.asset: row.at for row in db.execute(chosen)}
+
     # Settings, people
 
     def put_setting(self, key: str, value: Any, now: pd.Timestamp, actor: str) -> None:
@@ -479,11 +572,11 @@ class Store:
                 )
 
     @contextmanager
-    def _changes(self) -> Iterator[sa.Connection]:
-        """A transaction that writes."""
+    def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             yield db
-        self.changes += 1
+        self.changes += not routine
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import Depends, Header, Request
+from fastapi import Depends, Header
 
 from vppres.service.access import Access, Denied
 from vppres.service.limits import Limits
@@ -29,21 +29,23 @@ class Guard:
         """The name of who asks, in a route for a scope."""
 
         # Not in a thread: it waits for nothing.
-        async def actor(
-            request: Request, authorization: Annotated[str | None, Header()] = None
-        ) -> str:
-            try:
-                found = self.access.actor(authorization, scope)
-            except Denied:
-                address = request.client.host if request.client else ""
-                self._count(address, "denied")
-                raise
-            self._count(found, scope)
+        async def actor(authorization: Annotated[str | None, Header()] = None) -> str:
+            found = self.access.actor(authorization, scope)
+            self.limits.check(found, scope)
             return found
 
         return Depends(actor)
 
-    def _count(self, who: str, kind: str) -> None:
-        wait_s = self.limits.wait_s(who, kind)
-        if wait_s > 0.0:
-            raise Denied(429, "Too many requests: slow down.", wait_s)
+    def check(self, authorization: str | None, address: str) -> None:
+        """Whether somebody is known, before anything else of the request is read.
+
+        Raises
+        ------
+        Denied
+            If not; 429 for an address that tries too often.
+        """
+        try:
+            self.access.known(authorization)
+        except Denied:
+            self.limits.check(address, "denied")
+            raise
