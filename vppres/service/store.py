@@ -216,7 +216,7 @@ class Store:
         self._database = opened_database(place)
         self._engine = self._database.engine
         self._writing = threading.Lock()
-        self.changes = 0  # transactions so far: who shows what is stored sees what is new
+        self.changes = 0  # whoever shows what is stored looks again when it has grown
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
@@ -242,7 +242,7 @@ class Store:
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
         try:
-            with self._changes() as db:
+            with self._changes(routine=True) as db:
                 _put(db, _meta, key="checked", value="")
         except StorageError:
             return False
@@ -257,7 +257,7 @@ class Store:
         rows = [vars(reading) for reading in readings]
         if not rows:
             return Written(0, 0)
-        with self._changes() as db:
+        with self._changes(routine=True) as db:
             written = _upsert(db, _telemetry, "value")
             accepted = db.execute(written, rows, execution_options=COUNTED).rowcount
             for source in {row["source"] for row in rows}:
@@ -567,12 +567,12 @@ class Store:
                 )
 
     @contextmanager
-    def _changes(self) -> Iterator[sa.Connection]:
-        """A transaction that writes."""
+    def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             self._database.check(db)
             yield db
-        self.changes += 1
+        self.changes += not routine
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
