@@ -348,11 +348,6 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
     return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
-def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
-    """Age of everything that was ever heard of."""
-    return [_heard(reading, time, step_s) for reading in store.latest(time, INSTANT)]
-
-
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
     """How old a reading is."""
     held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)

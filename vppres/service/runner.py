@@ -79,6 +79,7 @@ class Runner:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
+        self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
         self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
         self.profile = None if service.rehearsal else Profile.of(service.scenario)
