@@ -201,12 +201,13 @@ class NetworkMaster:
         root = self.root[1]
         return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
+    def service(self, deadline: Deadline, verify: bool = True) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
 
         The linear problem in which nobody is served beyond a set bounds the service of all sets by
         its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
-        one is carried in full.
+        one is carried in full. In a large window the best is put to the discs themselves if it is
+        to be verified.
         """
         watch = Stopwatch()
         x = self.model.at["x"]
@@ -222,7 +223,7 @@ class NetworkMaster:
         if held is None:
             self._close(solver, linear, known, cuts, patience)
         else:
-            self._close_large(solver, linear, known, cuts, patience, held)
+            self._close_large(solver, linear, known, cuts, patience, held, verify)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -319,6 +320,7 @@ class NetworkMaster:
         cuts: _ServiceCuts,
         patience: Patience,
         held: Floats,
+        verify: bool,
     ) -> None:
         """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
 
@@ -348,7 +350,7 @@ class NetworkMaster:
                 self._cut(linear, cuts)
                 known.improve(*self._carried(linear))
                 patience.saw(known.most, known.bound, patience.nodes + ROUND_NODES)
-            if over < DISC or known.best is None:
+            if over < DISC or known.best is None or not verify:
                 return
             over = VERIFIED_DISC
             carried = self._tried(solver, known.best, over, -np.inf)
@@ -372,6 +374,13 @@ class NetworkMaster:
         self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
         done = linear.status == Status.OPTIMAL
         return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
+
+    def fewer(self, served: Flags) -> Flags:
+        """Those of a set who are served in full within the discs."""
+        linear = self._tried(self.root[0], served.ravel().astype(float), VERIFIED_DISC, -np.inf)
+        if linear.status != Status.OPTIMAL:
+            return served
+        return self._in_full(linear).reshape(served.shape) > 0.5
 
     def nobody(self) -> Dispatch | None:
         """Everyone off and every battery idle, None where the network forbids even that."""
