@@ -278,8 +278,8 @@ class NetworkMaster:
     def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
         """The linear problem with cuts of its feeders, and what their searches say of customers.
 
-        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries.
-        Its cut makes another fraction of the same worth at most, so each is searched once.
+        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries,
+        once: a second search at the prices with its cut takes next to nothing more.
         """
         solver, linear = self.root
         x = self.model.at["x"].ravel()
@@ -291,11 +291,10 @@ class NetworkMaster:
         while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
             program = _limited(self._with_cost(*self.lack), self.found)
             feeders = Feeders(program, linear, of_column, x)
-            new = [number for number in feeders.fractional if number not in searched]
             cuts = []
-            for number in new:
-                if end.passed:
-                    break
+            for number in feeders.fractional:
+                if number in searched or end.passed:
+                    continue
                 found = feeders.search(number, end)
                 searched.add(number)
                 places = found.binaries[open_[found.binaries]]
@@ -342,9 +341,9 @@ class NetworkMaster:
                     known.take(found)
                     if known.closed():
                         break
-                linear = self._tried(solver, known.tried, DISC, enough)
+                linear = self._tried(solver, known.tried, DISC, enough, patience.end)
                 if over < DISC and self.units @ self._in_full(linear) > enough:
-                    linear = self._tried(solver, known.tried, over, enough)
+                    linear = self._tried(solver, known.tried, over, enough, patience.end)
                 if linear.status != Status.OPTIMAL:
                     break
                 self._cut(linear, cuts)
@@ -353,7 +352,7 @@ class NetworkMaster:
             if over < DISC or known.best is None or not verify:
                 return
             over = VERIFIED_DISC
-            carried = self._tried(solver, known.best, over, -np.inf)
+            carried = self._tried(solver, known.best, over, -np.inf, self.deadline)
             if carried.status != Status.OPTIMAL:
                 return
             linear = carried
@@ -396,15 +395,23 @@ class NetworkMaster:
         return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
 
     def _tried(
-        self, solver: highspy.Highs, served: Floats, over: float, worth: float
+        self,
+        solver: highspy.Highs,
+        served: Floats,
+        over: float,
+        worth: float,
+        again: Deadline | None = None,
     ) -> ProgramSolution:
-        """Most service if nobody is served beyond a set; a solver that gives up begins anew."""
+        """Most service if nobody is served beyond a set.
+
+        A solver that gives up begins anew, which takes long, where there is a deadline for it.
+        """
         x = self.model.at["x"].ravel()
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
-        if linear.status == Status.NUMERICAL:
+        if linear.status == Status.NUMERICAL and again is not None:
             self._start(solver)
-            linear = self._until_carried(solver, self.deadline, over, worth=worth)
+            linear = self._until_carried(solver, again, over, worth=worth)
         return linear
 
     def _shares(self, linear: ProgramSolution) -> Floats:
