@@ -38,6 +38,7 @@ NOON = pd.Timestamp("2026-11-21T12:00Z")
 STEP_EVERY = 250
 """Requests between two steps."""
 
+ROUNDS = 8
 ALWAYS_OPEN = ("/livez", "/readyz", "/metrics", "/openapi.json", "/", "/page/")
 
 
@@ -213,7 +214,7 @@ def study(served: Service, generated: int, hostile: int, seed: int) -> dict[str,
     with begun(served) as runner:
         description = make_app(runner, Access()).openapi()
         requests = [
-            *generated_requests(description, generated, seed),
+            *generated_requests(description, generated, seed, ROUNDS),
             *hostile_requests(runner.scenario, NOON, hostile, seed),
         ]
         found["open"] = attack(runner, requests, Access()).summary()

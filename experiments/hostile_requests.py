@@ -32,8 +32,13 @@ class Request:
 LEAST_OF_A_KIND = 5
 
 
-def generated_requests(description: dict[str, Any], count: int, seed: int) -> Iterator[Request]:
-    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones."""
+def generated_requests(
+    description: dict[str, Any], count: int, seed: int, rounds: int = 1
+) -> list[Request]:
+    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones.
+
+    What has few ways to be asked gives fewer than its share; further rounds make up for it.
+    """
     import schemathesis
 
     described: Any = schemathesis.openapi.from_dict(description)
@@ -41,9 +46,13 @@ def generated_requests(description: dict[str, Any], count: int, seed: int) -> It
     kinds = [(one, mode) for one in found for mode in schemathesis.GenerationMode]
     # A kind costs its time even for one request: of few requests, some kinds.
     kinds = Random(seed).sample(kinds, min(len(kinds), max(1, count // LEAST_OF_A_KIND)))
-    for number, (operation, mode) in enumerate(kinds):
-        share = (number + 1) * count // len(kinds) - number * count // len(kinds)
-        yield from _cases(operation, mode, share, seed + number)
+    made: list[Request] = []
+    for turn in range(rounds):
+        each = -(-(count - len(made)) // len(kinds))
+        for number, (operation, mode) in enumerate(kinds):
+            if len(made) < count:
+                made += _cases(operation, mode, each, seed + turn * len(kinds) + number)
+    return made[:count]
 
 
 def _cases(operation: Any, mode: Any, count: int, seed: int) -> list[Request]:

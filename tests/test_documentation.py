@@ -49,12 +49,14 @@ NOT_RUN = {
     "python -m experiments.baselines --days 50": "takes minutes",
     "python -m experiments.homes --days 60": "takes minutes",
     "python -m experiments.uncertain --days 240": "takes half an hour",
+    "python -m experiments.outage_ceiling --days 300": "takes minutes",
     "python -m experiments.precision": "takes hours",
     "python -m experiments.cluster --days 100": "takes minutes",
     "python -m experiments.islands --days 200": "takes minutes",
     "python -m experiments.mutations": "takes minutes",
     "python -m experiments.kills": "takes minutes",
     "python -m experiments.hostile": "takes minutes",
+    "python -m experiments.polling": "takes a minute",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
 }
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.core.errors import Problem
+from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
 from vppres.live.door import RANGES, Range
@@ -24,7 +24,7 @@ from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, outages, prices
 from vppres.service.clock import written
-from vppres.service.payloads import Readings
+from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.store import Event, Reading, Store, moment, seconds
 from vppres.service.window import CAUTIOUS, Window
 
@@ -181,6 +181,24 @@ def readings_of(
     return good, problems
 
 
+def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:
+    """Whether an operator asks something of devices that there are.
+
+    Raises
+    ------
+    InputError
+        With everybody who is not at the site.
+    """
+    problems = []
+    for one in asked:
+        known = [str(name) for name in getattr(scenario, one.kind).id]
+        if one.asset not in known:
+            cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
+            problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
+    if problems:
+        raise InputError(problems)
+
+
 def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     """What is known at the beginning of a step.
 
@@ -219,6 +237,10 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     power = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
     soc = readings.now("soc")
     out = readings.silent | {name for name in batteries if name not in soc}
+    # Who did not do what it was told is taken back when it says how it is.
+    out |= {
+        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
+    }
     off = {name for name, value in readings.now("online").items() if value == 0.0}
     measurement = Measurement(
         time,
@@ -235,6 +257,12 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     return Known(measurement, readings.heard, grid, estimated, known_soc)
 
 
+def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
+    """States of charge that were read."""
+    found = _Readings.at(time, scenario, store).now("soc")
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
 @dataclass(frozen=True, eq=False)
 class _Readings:
     """Last readings of a step.
@@ -249,12 +277,15 @@ class _Readings:
         The same with what is too old, but not lost.
     silent : set of str
         Batteries of which nothing at all is heard any more.
+    times : dict
+        When readings that hold were taken, in seconds, by asset and quantity.
     """
 
     heard: list[Heard]
     values: dict[tuple[str, str], float]
     last: dict[tuple[str, str], float | None]
     silent: set[str]
+    times: dict[tuple[str, str], int]
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
@@ -273,11 +304,19 @@ class _Readings:
         power = [_heard(reading, time, step_s) for reading in store.latest(time, ("battery_kw",))]
         told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
         alive = {one.asset for one in told if one.state != "lost"}
-        return cls(heard, values, last, {one.asset for one in told} - alive)
+        silent = {one.asset for one in told} - alive
+        times = {
+            (r.asset, r.quantity): r.time for r in found if np.isfinite(values[r.asset, r.quantity])
+        }
+        return cls(heard, values, last, silent, times)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
         return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
+
+    def heard_until(self, battery: str) -> int:
+        """Time of the last state of charge that is of now, in seconds; 0 if there is none."""
+        return self.times.get((battery, "soc"), 0)
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
@@ -307,11 +346,6 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
         out[0] = True
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits)
-
-
-def heard_at(time: pd.Timestamp, store: Store, step_s: int) -> list[Heard]:
-    """Age of everything that was ever heard of."""
-    return [_heard(reading, time, step_s) for reading in store.latest(time, INSTANT)]
 
 
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:

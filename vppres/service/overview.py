@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.service.clock import written
-from vppres.service.knowledge import GRID, INSTANT, MEAN, heard_at, last_heard
+from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans import at
 from vppres.service.runner import Runner
+from vppres.service.store import Reading, moment, seconds
 
 PAST_H = 12.0
 """How much of what was is told."""
@@ -39,7 +40,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "title": day.title,
         "time_zone": day.grid.zone,
         "step_s": round(day.grid.step_minutes * 60),
-        "rehearsal": runner.rehearsal,
+        "played": runner.played,
         "modes": list(get_args(ModeRequest.model_fields["mode"].annotation)),
         "tiers": list(day.tiers),
         "v_min_pu": day.network.v_min_ac_pu,
@@ -76,27 +77,37 @@ class Overview:
         self._past: dict[str, dict[str, Any]] = {}
         self._made: tuple[Any, bytes] | None = None
 
+    def fresh(self) -> bytes | None:
+        """What was made already, if it holds still, or is just being made anew."""
+        if self._made is None:
+            return None
+        return self._made[1] if self._made[0] == self._key() or self._turn.locked() else None
+
     def text(self) -> bytes:
-        """The overview as JSON; the same one while nothing has changed and a second lasts."""
+        """The overview as JSON; the same for a second, if there are only readings that are new."""
         with self._turn:
-            key = (self.runner.store.changes, self.runner.clock.now().floor(f"{REFRESH_S}s"))
+            key = self._key()
             if self._made is None or self._made[0] != key:
                 content = json.dumps(self._now(), allow_nan=False, separators=(",", ":"))
                 self._made = (key, content.encode())
             return self._made[1]
 
+    def _key(self) -> Any:
+        return self.runner.store.changes, self.runner.clock.now().floor(f"{REFRESH_S}s")
+
     def _now(self) -> dict[str, Any]:
         runner = self.runner
         now = runner.clock.now()
         plan = runner.last
+        readings = runner.store.latest(now, INSTANT)
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,
             "ahead_s": None if plan is None else runner.ahead_s,
             "steps": runner.outcomes,
             "events": {name: event.body for name, event in runner.store.events().items()},
-            "sources": self._sources(now),
-            "measured": self._measured(now),
+            "sources": self._sources(readings, now),
+            "measured": self._measured(readings, now),
             "plan": None if plan is None else self._told(plan, now),
             "past": self._recent(now),
         }
@@ -152,36 +163,37 @@ class Overview:
             tiers.setdefault(tier, []).append(name)
         return tiers
 
-    def _sources(self, now: pd.Timestamp) -> list[dict[str, Any]]:
-        """Each source: when it was last heard from, and how much of what it tells is late."""
-        heard = heard_at(now, self.runner.store, round(self.runner.length.total_seconds()))
-        return [
-            {
-                "source": source,
-                "last_contact": contact,
-                **{
-                    state: [f"{h.quantity} of {h.asset}" for h in heard
-                            if h.source == source and h.state == state]
-                    for state in ("stale", "lost")
-                },
-                "ok": sum(h.source == source and h.state == "ok" for h in heard),
-            }
+    def _sources(self, readings: Iterable[Reading], now: pd.Timestamp) -> list[dict[str, Any]]:
+        """Each source: when it was last heard from, and what of what it tells is late."""
+        step_s = self.runner.length.total_seconds()
+        found: dict[str, dict[str, Any]] = {
+            source: {"source": source, "last_contact": contact, "stale": [], "lost": [], "ok": 0}
             for source, contact in last_heard(self.runner.store).items()
-        ]  # fmt: skip
+        }
+        for one in readings:
+            holds_s = max(one.resolution_s, step_s)
+            age_s = seconds(now) - one.time
+            source = found[one.source]
+            if age_s <= holds_s:
+                source["ok"] += 1
+            else:
+                state = "stale" if age_s <= LOST_AFTER * holds_s else "lost"
+                source[state].append(f"{one.quantity} of {one.asset}")
+        return list(found.values())
 
-    def _measured(self, now: pd.Timestamp) -> dict[str, Any]:
+    def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:
         """The last readings of batteries and of the import."""
-        store = self.runner.store
         begun = self.runner.begun(now) - self.runner.length
-        found = [r for r in store.latest(now, INSTANT) if r.quantity in ("soc", "online")]
-        found += [r for r in store.between(begun, now, MEAN) if r.asset == GRID]
+        found = [one for one in readings if one.quantity in ("soc", "online")]
+        means = self.runner.store.between(begun, now, MEAN)
+        found += [one for one in means if one.asset == GRID]
         return {
-            f"{r.quantity} {r.asset}": {
-                "value": r.value,
-                "at": written(pd.Timestamp(r.time, unit="s", tz="UTC")),
-                "source": r.source,
+            f"{one.quantity} {one.asset}": {
+                "value": one.value,
+                "at": written(moment(one.time)),
+                "source": one.source,
             }
-            for r in found
+            for one in found
         }
 
     def _recent(self, now: pd.Timestamp) -> list[dict[str, Any]]:
@@ -195,7 +207,7 @@ class Overview:
         times = [written(begin + t * length) for t in range(n_steps)]
         known = self._past
         missing = [time for time in times if time not in known]
-        new = self.runner.store.plans(begin) if missing else []
+        new = self.runner.store.plans(pd.Timestamp(missing[0])) if missing else []
         fresh = {plan["start"]: self._summary(plan) for plan in new}
         self._past = {
             time: found for time in times if (found := fresh.get(time) or known.get(time))

@@ -281,11 +281,50 @@ class ClockRequest(Body):
     now: Moment
 
 
-class ModeRequest(Body):
-    """What the service does: decide, or give defaults only."""
+class OperatorSetpoint(Body):
+    """What an operator wants of one device: power, or whether a customer is on."""
 
-    mode: Literal["auto", "off"]
+    kind: Literal["batteries", "pv", "customers"]
+    asset: Name
+    p_kw: Number | None = None
+    q_kvar: Number = 0.0
+    served: bool | None = None
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> OperatorSetpoint:
+        if (self.kind == "customers") != (self.served is not None):
+            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
+        if (self.kind == "customers") == (self.p_kw is not None):
+            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
+        return self
+
+
+class ModeRequest(Body):
+    """What the service does from the next step on.
+
+    ``auto`` decides, ``off`` gives defaults only, ``hold`` gives the last set-points again, and
+    ``manual`` the operator's, with the last ones for whoever is not named.
+    """
+
+    mode: Literal["auto", "hold", "manual", "off"]
     until: Moment | None = None
+    reason: str = Field("", max_length=200)
+    setpoints: list[OperatorSetpoint] = Field([], max_length=MOST_SERIES)
+
+    @model_validator(mode="after")
+    def _ends(self) -> ModeRequest:
+        if self.mode in ("hold", "manual") and self.until is None:
+            raise ValueError("must have an end: nobody looks after it. Give until")
+        if (self.mode == "manual") != bool(self.setpoints):
+            raise ValueError("and set-points do not belong together. Give set-points for manual")
+        return self
+
+
+class SetpointStatus(Body):
+    """What became of a set-point, in the words of S2."""
+
+    status: Literal["accepted", "rejected", "started", "succeeded", "aborted"]
+    value: Number | None = None
     reason: str = Field("", max_length=200)
 
 
@@ -298,6 +337,8 @@ def plain(body: Body) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
     if isinstance(value, pd.Timestamp):
         return written(value)
     if isinstance(value, pd.Timedelta):

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -106,6 +106,75 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
         "expected": None,
         "ahead": None,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Ordered:
+    """Set-points that nobody decided: those before, and an operator's in their place.
+
+    Parameters
+    ----------
+    batteries, pv, customers : DataFrame
+        By identifier, as the gate reads them.
+    """
+
+    batteries: pd.DataFrame
+    pv: pd.DataFrame
+    customers: pd.DataFrame
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        before: Mapping[str, Any] | None,
+        asked: Iterable[Mapping[str, Any]],
+    ) -> Ordered:
+        """The last plan's set-points, the operator's over them, defaults where there are none."""
+        told = {
+            (one["kind"], one["asset"]): one for one in (before or {"setpoints": []})["setpoints"]
+        }
+        over = {(one["kind"], one["asset"]): one for one in asked}
+        tables = {}
+        for kind in ("batteries", "pv", "customers"):
+            rows = {}
+            for name in map(str, getattr(scenario, kind).id):
+                default = _default(scenario, kind, name)
+                now = {**default, **told.get((kind, name), {})}
+                if (kind, name) in over:
+                    now = {**default, **over[kind, name]}
+                rows[name] = {field: now[field] for field in default}
+            tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
+        # What the sun gives is not known here; a system feeds what it has.
+        tables["pv"]["available_kw"] = scenario.pv.p_max_kw
+        return cls(**tables)
+
+
+def ordered_plan(
+    time: pd.Timestamp,
+    scenario: Scenario,
+    mode: Mapping[str, Any],
+    ordered: Ordered,
+    refused: Mapping[tuple[str, str], str],
+) -> dict[str, Any]:
+    """The plan of a step that an operator decided."""
+    reason = mode["reason"] or mode["mode"]
+    kinds = {name: getattr(ordered, name) for name in ("batteries", "pv", "customers")}
+    return {
+        **defaults_of(time, scenario, mode["mode"], reason),
+        "setpoints": [
+            _set_point(time, scenario, kind, str(name), _fields(kind, row), refused, reason)
+            for kind, table in kinds.items()
+            for name, row in table.iterrows()
+        ],
+    }
+
+
+def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
+    """What a set-point of a kind says."""
+    if kind == "customers":
+        return {"served": bool(row["served"])}
+    names = ("p_kw", "q_kvar") if kind == "batteries" else ("p_kw", "q_kvar", "curtailed_kw")
+    return {name: float(row[name]) for name in names}
 
 
 def etag(plan: Mapping[str, Any]) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time as machine
+from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,12 +21,18 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.announced import warnings
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
-from vppres.service.knowledge import Heard, Known, known_at
-from vppres.service.plans import DECIDED, defaults_of, plan_of
+from vppres.service.knowledge import Heard, Known, known_at, soc_at
+from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
 from vppres.service.store import Store
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""
+
+BY_HAND = ("hold", "manual")
+"""Modes in which an operator decides."""
+
+MOST_JOBS = 100
+"""Steps that were asked for and are remembered, beside those that are stored."""
 
 MOST_MISSED = 10_000
 """Steps missed in a row that are written down one by one."""
@@ -72,6 +79,7 @@ class Runner:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
+        self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
         self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
         self.profile = None if service.rehearsal else Profile.of(service.scenario)
@@ -79,6 +87,7 @@ class Runner:
         self.heard: list[Heard] = []
         self.last: dict[str, Any] | None = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
+        self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self._state = store.state()
         self._controller = self._restored()
         # One thread decides all steps, so that there is one process that solves.
@@ -106,6 +115,31 @@ class Runner:
             If it could not be kept: then nothing was decided.
         """
         return self._thread.submit(self._step, time).result()
+
+    def begin(self, time: pd.Timestamp | None = None) -> str:
+        """Let a step be decided, and do not wait; the name of the job, that of its step."""
+        time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
+        name = written(time)
+        if name not in self._jobs or self._jobs[name].done():
+            self._jobs[name] = self._thread.submit(self._step, time)
+            while len(self._jobs) > MOST_JOBS:
+                self._jobs.popitem(last=False)
+        return name
+
+    def job(self, name: str) -> dict[str, Any] | None:
+        """How a step that was asked for stands, with its plan; None if it was not."""
+        future = self._jobs.get(name)
+        if future is not None and not future.done():
+            return {"id": name, "status": "started" if future.running() else "queued"}
+        try:
+            plan = self.store.step(pd.Timestamp(name))
+        except ValueError:
+            plan = None
+        if plan is not None:
+            return {"id": name, "status": "finished", "plan": plan}
+        if future is None:
+            return None
+        return {"id": name, "status": "failed", "reason": str(future.exception()).splitlines()[0]}
 
     def set_clock(self, time: pd.Timestamp) -> None:
         """Let it be a later time.
@@ -142,7 +176,7 @@ class Runner:
         if asked is None or (
             asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
         ):
-            return {"mode": "auto", "until": None, "reason": ""}
+            return {"mode": "auto", "until": None, "reason": "", "setpoints": []}
         found: dict[str, Any] = asked
         return found
 
@@ -166,8 +200,11 @@ class Runner:
             self.clock.set(time)
         begin = machine.monotonic()
         self._write_missed(time)
-        if self.mode["mode"] == "off":
-            plan = self._without(time, "off", self.mode["reason"] or "switched off")
+        mode = self.mode
+        if mode["mode"] == "off":
+            plan = self._without(time, "off", mode["reason"] or "switched off")
+        elif mode["mode"] in BY_HAND:
+            plan = self._by_hand(time, mode)
         else:
             plan = self._decided(time)
         self.on_step(machine.monotonic() - begin)
@@ -231,6 +268,17 @@ class Runner:
         self.store.write_plan(time, plan)
         return plan
 
+    def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
+        """The plan of an operator, through the gate as any other."""
+        ordered = Ordered.of(self.scenario, self.last, mode.get("setpoints", []))
+        refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
+        plan = {
+            **ordered_plan(time, self.scenario, mode, ordered, refused),
+            "generated_at": written(self.clock.now()),
+        }
+        self.store.write_plan(time, plan)
+        return plan
+
     def _write_missed(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
         if self.last is None:
@@ -283,7 +331,10 @@ class Runner:
     @property
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome."""
-        return {**dict.fromkeys((*DECIDED, "failed", "off", "missed"), 0), **self.store.outcomes()}
+        return {
+            **dict.fromkeys((*DECIDED, *BY_HAND, "failed", "off", "missed"), 0),
+            **self.store.outcomes(),
+        }
 
 
 def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:

@@ -1,16 +1,10 @@
-"""What the service knows and has said, in SQLite: one transaction a step, before anything is sent.
-
-WAL with ``synchronous=FULL``: what was committed survives a kill and a loss of power. A lock on a
-file beside the database keeps a second process out; it ends with the process that holds it.
-"""
+"""What the service knows and has said: one transaction a step, before anything is sent."""
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +15,12 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.core.errors import InputError, Problem, StorageError
+from vppres.service.database import opened_database
 
 LAYOUT = "1"
 STATES_KEPT = 3
-BUSY_S = 5
+COUNTED = {"preserve_rowcount": True}
+REFUSED = ("rejected", "aborted")
 
 _tables = sa.MetaData()
 
@@ -39,7 +35,7 @@ _telemetry = sa.Table(
     _tables,
     sa.Column("asset", sa.String, primary_key=True),
     sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("source", sa.String, primary_key=True),
     sa.Column("resolution_s", sa.Integer, nullable=False),
     sa.Column("value", sa.Float),
@@ -48,41 +44,60 @@ _contacts = sa.Table(
     "contacts",
     _tables,
     sa.Column("source", sa.String, primary_key=True),
-    sa.Column("last_contact", sa.Integer, nullable=False),
+    sa.Column("last_contact", sa.BigInteger, nullable=False),
 )
 _events = sa.Table(
     "events",
     _tables,
     sa.Column("id", sa.String, primary_key=True),
     sa.Column("version", sa.Integer, primary_key=True),
-    sa.Column("made_at", sa.Integer, nullable=False),
+    sa.Column("made_at", sa.BigInteger, nullable=False),
     sa.Column("body", sa.Text),  # none: withdrawn
 )
 _forecasts = sa.Table(
     "forecasts",
     _tables,
     sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("issued_at", sa.Integer, primary_key=True),
+    sa.Column("issued_at", sa.BigInteger, primary_key=True),
     sa.Column("body", sa.Text, nullable=False),
 )
 _steps = sa.Table(
     "steps",
     _tables,
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("outcome", sa.String, nullable=False),
     sa.Column("plan", sa.Text, nullable=False),
 )
 _states = sa.Table(
     "controller_state",
     _tables,
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
+)
+_acks = sa.Table(
+    "acks",
+    _tables,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("at", sa.BigInteger, nullable=False),
+    sa.Column("actor", sa.String, nullable=False),
+    sa.Column("setpoint", sa.String, nullable=False, index=True),
+    sa.Column("kind", sa.String, nullable=False),
+    sa.Column("asset", sa.String, nullable=False),
+    sa.Column("status", sa.String, nullable=False),
+    sa.Column("value", sa.Float),
+    sa.Column("reason", sa.String, nullable=False),
+)
+_keys = sa.Table(
+    "idempotency_keys",
+    _tables,
+    sa.Column("key", sa.String, primary_key=True),
+    sa.Column("time", sa.BigInteger, nullable=False),
 )
 _audit = sa.Table(
     "audit",
     _tables,
     sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("at", sa.BigInteger, nullable=False),
     sa.Column("actor", sa.String, nullable=False),
     sa.Column("action", sa.String, nullable=False),
     sa.Column("detail", sa.Text, nullable=False),
@@ -186,8 +201,8 @@ class Store:
 
     Parameters
     ----------
-    folder : Path
-        Where it is; made if it is not there.
+    place : Path or str
+        A folder, made if it is not there, or the address of a PostgreSQL database.
     site : str
         Key of the site, to which the database belongs.
 
@@ -197,16 +212,11 @@ class Store:
         If another process serves from it, or it belongs to another site or layout.
     """
 
-    def __init__(self, folder: Path, site: str) -> None:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self.folder = folder
-        self._lock = _locked(folder)
+    def __init__(self, place: Path | str, site: str) -> None:
+        self._database = opened_database(place)
+        self._engine = self._database.engine
         self._writing = threading.Lock()
-        self.changes = 0  # transactions so far: who shows what is stored sees what is new
-        self._engine = sa.create_engine(
-            f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
-        )
-        sa.event.listen(self._engine, "connect", _durable)
+        self.changes = 0  # whoever shows what is stored looks again when it has grown
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
@@ -220,15 +230,19 @@ class Store:
                 (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
             }
 
+    @property
+    def place(self) -> str:
+        """Where it is, without a password."""
+        return self._database.name
+
     def close(self) -> None:
-        """Let go of database and lock."""
-        self._engine.dispose()
-        os.close(self._lock)
+        """Let go of the database."""
+        self._database.close()
 
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
         try:
-            with self._changes() as db:
+            with self._changes(routine=True) as db:
                 _put(db, _meta, key="checked", value="")
         except StorageError:
             return False
@@ -243,8 +257,9 @@ class Store:
         rows = [vars(reading) for reading in readings]
         if not rows:
             return Written(0, 0)
-        with self._changes() as db:
-            accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
+        with self._changes(routine=True) as db:
+            written = _upsert(db, _telemetry, "value")
+            accepted = db.execute(written, rows, execution_options=COUNTED).rowcount
             for source in {row["source"] for row in rows}:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
@@ -438,6 +453,57 @@ class Store:
         state: dict[str, Any] | None = None if text is None else json.loads(text)
         return state
 
+    def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
+        """The step that was asked for with a key: the first one, whatever is asked for now."""
+        with self._changes() as db:
+            found = db.execute(sa.select(_keys.c.time).where(_keys.c.key == key)).scalar()
+            if found is None:
+                db.execute(_keys.insert().values(key=key, time=seconds(time)))
+        return time if found is None else moment(found)
+
+    # Acknowledgements
+
+    def put_ack(
+        self, setpoint: Mapping[str, Any], said: Mapping[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
+        """Keep what became of a set-point; what was said last is not kept twice."""
+        values = {name: setpoint[name] for name in ("kind", "asset")}
+        with self._changes() as db:
+            a = _acks.c
+            last = (
+                sa.select(a.status, a.value, a.reason)
+                .where(a.setpoint == setpoint["id"])
+                .order_by(a.number.desc())
+                .limit(1)
+            )
+            before = db.execute(last).first()
+            if before is None or before._asdict() != dict(said):
+                row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
+                db.execute(_acks.insert().values(**row, **said))
+
+    def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """What was said last of each set-point of which anything was."""
+        a = _acks.c
+        chosen = sa.select(_acks).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
+        with self._reads() as db:
+            return {
+                row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
+                for row in db.execute(chosen)
+            }
+
+    def refusing(self, kind: str) -> dict[str, int]:
+        """Devices of a kind that did not do what they were told last, and since when."""
+        a = _acks.c
+        newest = (
+            sa.select(sa.func.max(a.number))
+            .where(a.kind == kind)
+            .group_by(a.asset)
+            .scalar_subquery()
+        )
+        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
+        with self._reads() as db:
+            return {row.asset: row.at for row in db.execute(chosen)}
+
     # Settings, people
 
     def put_setting(self, key: str, value: Any, now: pd.Timestamp, actor: str) -> None:
@@ -492,20 +558,21 @@ class Store:
                 self.close()
                 raise InputError(
                     Problem(
-                        str(self.folder),
+                        self._database.name,
                         f"holds the state of another {key}",
-                        "Give another folder with --state, or remove this one.",
+                        "Give another place with --state, or remove this one.",
                         field=key,
                         value=known[key][:12],
                     )
                 )
 
     @contextmanager
-    def _changes(self) -> Iterator[sa.Connection]:
-        """A transaction that writes."""
+    def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
+            self._database.check(db)
             yield db
-        self.changes += 1
+        self.changes += not routine
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
@@ -540,32 +607,6 @@ def _where(table: sa.Table, row: dict[str, Any]) -> Any:
 def _note(db: sa.Connection, now: pd.Timestamp, actor: str, action: str, detail: str) -> None:
     """Add to the audit, of which nothing is ever changed."""
     db.execute(_audit.insert().values(at=seconds(now), actor=actor, action=action, detail=detail))
-
-
-def _durable(connection: Any, _record: Any) -> None:
-    """Set up a connection to SQLite."""
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=FULL")
-    cursor.execute("PRAGMA foreign_keys=ON")
-    cursor.close()
-
-
-def _locked(folder: Path) -> int:
-    """Take the lock of a folder; its file descriptor."""
-    descriptor = os.open(folder / "service.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise InputError(
-            Problem(
-                str(folder),
-                "is in use: another process serves from it",
-                "End that one first, or give another folder with --state.",
-            )
-        ) from None
-    return descriptor
 
 
 @contextmanager

@@ -24,9 +24,23 @@ WHOLE_TOLERANCE = 1e-6
 """By how much a bound may exceed a whole number and still be worth no more than it."""
 
 
+STOPPED = (
+    highspy.HighsModelStatus.kInterrupt,
+    highspy.HighsModelStatus.kSolutionLimit,
+    highspy.HighsModelStatus.kObjectiveTarget,
+)
+"""Ends of a search that somebody asked for."""
+
 WIDE = 100
 """Columns for each row beyond which a linear problem is not presolved. HiGHS compares them with
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
+
+
+HEURISTICS = tuple(
+    f"mip_heuristic_run_{name}"
+    for name in ("feasibility_jump", "rins", "rens", "root_reduced_cost")
+)
+"""Switches of the heuristics of HiGHS that solve a problem within the problem."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,18 +86,24 @@ class Program:
         By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
         whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
         """
-        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
-        prices = np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
+        prices = self.allowed(prices)
         limits = np.where(prices > 0.0, self.lower, self.upper)
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
+
+    def allowed(self, prices: Floats) -> Floats:
+        """Prices of rows, without those of a sign that a one-sided row forbids."""
+        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
+        return np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
 
     @property
     def is_wide(self) -> bool:
         """Whether it is a linear problem of hardly any rows."""
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
-    def loaded(self, gap_abs: float = 0.0, most_nodes: int | None = None) -> highspy.Highs:
+    def loaded(
+        self, gap_abs: float = 0.0, most_nodes: int | None = None, heuristics: bool = True
+    ) -> highspy.Highs:
         """A solver that has the program."""
         solver = highspy.Highs()
         options: dict[str, Any] = {
@@ -96,6 +116,8 @@ class Program:
             options["presolve"] = "off"
         if most_nodes is not None:
             options["mip_max_nodes"] = most_nodes
+        if not heuristics:
+            options |= dict.fromkeys(HEURISTICS, False)
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
@@ -254,6 +276,6 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-    if status in (highspy.HighsModelStatus.kInterrupt, highspy.HighsModelStatus.kSolutionLimit):
+    if status in STOPPED:
         return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)

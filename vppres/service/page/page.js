@@ -9,6 +9,8 @@ import {
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
 const LOST_MS = 10000; // without an answer, after which the page says that it is out of date
 
+const KNOWN_BY = { reading: ", as read", "last reading": ", as last read", event: ", as announced", belief: ", as is likely", profile: ", as foreseen" };
+
 const $ = (id) => document.getElementById(id);
 let token = null; // in memory alone
 const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new Date(), heard: new Date(), lost: false };
@@ -64,7 +66,7 @@ $("token-other").addEventListener("click", () => { $("token").hidden = false; $(
 function tell() {
   const since = performance.now() - heardAt;
   view.lost = since > LOST_MS;
-  view.now = new Date(view.heard.getTime() + (view.site?.rehearsal ? 0 : since));
+  view.now = new Date(view.heard.getTime() + (view.site?.played ? 0 : since));
   return since;
 }
 
@@ -90,7 +92,7 @@ function show() {
   write("verdict-more", more ?? "");
   write("contact", view.lost ? "\u2716 no contact" : view.overview ? `live, ${since < 3500 ? "just now" : `${lasting(since)} ago`}` : "");
   if (!view.overview) return;
-  write("site", `${view.site.title}${view.site.rehearsal ? " (rehearsal)" : ""}`);
+  write("site", `${view.site.title}${view.site.played ? " (its clock is set)" : ""}`);
   write("clock", view.clock.full.format(view.now));
   document.title = `${MARKS[level]} ${words} ${view.site.name}`;
   const { mode } = view.overview.mode;
@@ -171,7 +173,7 @@ function importFigure() {
   if (value === null) return figure("Import", "\u2013", "kW", null, "Not known.");
   const marks = limit ? [1 / 1.25] : [];
   const bar = limit ? meter(value / (1.25 * limit), { marks, kind: value > 1.01 * limit ? "over" : "", name: `${percent(value / limit)} of the limit` }) : null;
-  const words = limit === 0 ? "no grid" : limit === null ? "no limit known" : `limit ${kilo(limit)} kW`;
+  const words = limit === 0 ? `no grid${KNOWN_BY[view.overview.plan?.grid?.known_by] ?? ""}` : limit === null ? "no limit known" : `limit ${kilo(limit)} kW`;
   const metered = reading && reading.value !== null ? `measured ${kilo(reading.value)} kW at ${view.clock.at(reading.at, view.now)}` : "";
   return figure(value < -0.5 ? "Export" : "Import", kilo(Math.abs(value)), "kW", bar, words, metered);
 }

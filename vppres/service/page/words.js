@@ -46,7 +46,7 @@ export const list = (names, most = NAMED_HERE) =>
 export function outage(view) {
   const { plan, events } = view.overview;
   const known = Object.values(events).filter((event) => event.type === "outage" && covers(event, view.now));
-  const dark = plan?.active && plan.expected?.grid_limit_kw === 0;
+  const dark = plan?.active && (plan.grid?.available === false || plan.expected?.grid_limit_kw === 0);
   if (!known.length && !dark) return null;
   const ends = known.map((event) => event.end).filter(Boolean).sort();
   if (known.length) return { end: ends.length === known.length ? ends.at(-1) : null };
@@ -104,9 +104,18 @@ function next(view, at) {
   const ahead = view.overview.plan?.ahead;
   const dark = ahead?.grid_limit_kw.indexOf(0) ?? -1;
   if (dark >= 0) events.push({ start: ahead.times[dark], end: ahead.times.find((_, t) => t > dark && ahead.grid_limit_kw[t] !== 0) });
-  if (!events.length) return "No outage is announced.";
+  if (!events.length) return possible(view, at) || "No outage is announced.";
   const [first] = events.sort((a, b) => new Date(a.start) - new Date(b.start));
   return `Outage announced from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
+}
+
+// What is believed of outages that nobody announced for certain.
+function possible(view, at) {
+  const { outage_probability: likely, start } = view.overview.plan ?? {};
+  if (!Array.isArray(likely) || !likely.length) return "";
+  const most = Math.max(...likely), t = likely.indexOf(most);
+  const time = new Date(new Date(start).getTime() + t * view.site.step_s * 1000);
+  return most < 0.005 ? "" : `Outage possible: ${percent(most)} at ${at(time)}.`;
 }
 
 // Where stored energy goes, as planned.

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.knowledge import last_heard
+from vppres.service.knowledge import check_setpoints, last_heard
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
@@ -34,7 +34,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.put("/v1/mode")
     def mode(body: payloads.ModeRequest, actor: str = guarded("operator")) -> dict[str, Any]:
-        """Decide (``auto``), or give defaults only (``off``), from the next step on."""
+        """Decide, hold the last set-points, give the operator's or defaults, from the next step."""
+        check_setpoints(body.setpoints, runner.scenario)
         asked = payloads.plain(body)
         runner.store.put_setting("mode", asked, runner.clock.now(), actor)
         return runner.mode

@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter
 from fastapi.responses import Response
+from starlette.concurrency import run_in_threadpool
 
 from vppres.service.overview import Overview, site_of
 from vppres.service.routes.guard import Guard
@@ -54,10 +55,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         return site
 
     @router.get("/v1/overview")
-    def how(_: str = guarded("read")) -> Response:
+    async def how(_: str = guarded("read")) -> Response:
         """All that a control room looks at: mode, plan, who is off, sources, the last hours."""
+        text = overview.fresh() or await run_in_threadpool(overview.text)
         headers = {"Cache-Control": "no-store"}
-        return Response(overview.text(), media_type="application/json", headers=headers)
+        return Response(text, media_type="application/json", headers=headers)
 
     return router
 

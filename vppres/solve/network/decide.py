@@ -46,13 +46,16 @@ UNITS_TOLERANCE = 1e-9
 """What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 
-def enter_network(task: WindowTask) -> None:
-    """Put the best dispatch into the network, at a higher cost or with others where it must be."""
+def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
+    """Put the best dispatch into the network, at a higher cost or with others where it must be.
+
+    A small window asks the tie-breakers first, and most need no master then.
+    """
     best = task.certificate.best
     if best is None or best.in_network:
         return
-    # A small window asks the tie-breakers first, and most need no master then.
-    master = network_master(task) if task.is_large else None
+    if master is None and task.is_large:
+        master = network_master(task)
     found = None
     if master is None or worth_asking_tie_breakers(master, best):
         found = with_tie_breakers(task, best)
@@ -61,19 +64,17 @@ def enter_network(task: WindowTask) -> None:
     task.certificate.best = found
 
 
-def decide_huge(task: WindowTask) -> bool:
-    """Decide a huge window by counts and the master in the network; whether it has their form.
+def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
+    """Decide a large window in the network, where that forbids what the fleet could do.
 
-    Nothing else is compiled: the cheapest dispatch without the network alone has millions of
-    numbers at 10,000 buses.
+    In a huge window in any case: nothing else is compiled there, since the cheapest dispatch
+    without the network alone has millions of numbers at 10,000 buses. Says whether it was decided.
     """
-    plain = not task.data.physical and task.data.switching is None
-    master = network_master(task) if task.is_huge and plain else None
-    if master is None:
-        return False
     known = task.certificate
     fleet = fleet_master(task, task.search)
-    outcome, _ = fleet.service(task.gap / master.unit)
+    outcome, served = fleet.service(task.gap / master.unit)
+    if not task.is_huge and served is not None and not forbids(master, outcome, served):
+        return False
     known.note("service", outcome)
     known.prove(outcome)
     if outcome.status.has_answer:
@@ -81,6 +82,12 @@ def decide_huge(task: WindowTask) -> bool:
     if not known.nothing_to_find:
         known.best = InNetwork(task, master).decide()
     return True
+
+
+def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
+    """Whether the network forbids the fleet's service, or the set that has it."""
+    less = master.most_units + HALF_UNIT <= outcome.value
+    return less or not master.carries(served)
 
 
 def fleet_master(task: WindowTask, deadline: Deadline) -> Counts:
@@ -153,11 +160,18 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served)
+        found = self._cheapest(served) or self._nobody()
         if found is None:
             return None
         self._bound_cost(found)
         return self._cheaper(found)
+
+    def _nobody(self) -> Candidate | None:
+        """The last answer of a large window, for which nothing else has the time."""
+        dispatch = self.master.nobody() if self.task.is_large else None
+        if dispatch is None:
+            return None
+        return Candidate.of(self.task.site, self.task.data, dispatch, 0.0, in_network=True)
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""

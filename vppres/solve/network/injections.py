@@ -63,8 +63,8 @@ class Rows:
         )
 
 
-MOST_TABLED = 1500
-"""Buses up to which voltages are tables of all injections, 60 MB. Beyond it they follow from the
+MOST_TABLED = 200
+"""Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
 flows, and a row of the tables is made where it is asked for."""
 
 
@@ -272,6 +272,24 @@ class Injections:
         values = np.append(np.ones(self.size), -np.ones(len(signed)))
         places = np.append(np.arange(self.size), signed), np.append(np.arange(self.size), taken)
         return sp.csc_array((values, places), shape=(self.size, self.size + len(signed)))
+
+    @property
+    def origin(self) -> Wholes:
+        """The column whose sum each of the parts enters, (size of the parts,)."""
+        return np.asarray(self.parts.indices)
+
+    def feeders(self, of_bus: Wholes) -> Wholes:
+        """Feeder of each column by those of the buses, -1 of the grid's and of what all share."""
+        reach = self.reactance
+        found = np.full(self.size, -1)
+        for names, bus in (
+            (("x",), reach.customer),
+            (("P_ch", "P_dch", "energy", "Q_batt", "missing"), reach.battery),
+            (("P_exp", "Q_pv"), reach.pv),
+        ):
+            for name in names:
+                found[self.at[name]] = of_bus[bus] if self.at[name].size else -1
+        return found
 
     def start(self) -> tuple[Wholes, Wholes]:
         """Columns with the rows that determine them where nothing is stored and no sun is lost.

@@ -19,6 +19,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
+from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.injections import Injections, Reactance, Rows
 from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import DIRECT, Program, ProgramSolution
@@ -34,6 +35,14 @@ where few discs bind, and sharper ones take several times as many rounds."""
 
 EXACT_DISC = 5e-6
 """The same in a dispatch, whose discs are checked."""
+
+VERIFIED_DISC = 1e-4
+"""The same of the best set of a large window's search, which has to have a dispatch: ten times as
+many rounds lead to the discs themselves, and a set that misses so little of them has one."""
+
+SETTLED = 1e-3
+"""By how much a relaxation of a large window must still change for its limits to be looked for on:
+most of the rounds add a handful of tangents that change nothing."""
 
 INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
@@ -64,6 +73,15 @@ COST_ASKED = 100
 
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
+
+FEEDERS_SHARE = 0.5
+"""Share of the time of the search for the most service that feeders' own searches may take."""
+
+CLOSE = 0.03
+"""Of the units for which a set may be preferred, how many a set may lack that ends a search."""
+
+SUN_OVER_PRICE = 10.0
+"""By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -196,10 +214,15 @@ class NetworkMaster:
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = _ServiceCuts(self.units)
-        most = self._cut(root, cuts)
+        linear, held = self._by_feeders(deadline) if self.is_large else (root, None)
+        most = self._cut(linear, cuts)
         known = _Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
-        known.improve(*self._carried(root))
-        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
+        known.improve(*self._carried(linear))
+        patience = Patience(deadline, PATIENCE_NODES)
+        if held is None:
+            self._close(solver, linear, known, cuts, patience)
+        else:
+            self._close_large(solver, linear, known, cuts, patience, held)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -250,6 +273,134 @@ class NetworkMaster:
             nodes = patience.nodes + ROUND_NODES
             patience.saw(known.most, known.bound, nodes)
             few += learnt if whole else []
+
+    def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
+        """The linear problem with cuts of its feeders, and what their searches say of customers.
+
+        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries.
+        Its cut makes another fraction of the same worth at most, so each is searched once.
+        """
+        solver, linear = self.root
+        x = self.model.at["x"].ravel()
+        held = np.full(len(x), np.nan)
+        open_ = np.repeat(self.data.grid_limit_kw > 0.0, len(self.site.customers))
+        of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
+        searched: set[int] = set()
+        end = deadline.part(FEEDERS_SHARE)
+        while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
+            program = _limited(self._with_cost(*self.lack), self.found)
+            feeders = Feeders(program, linear, of_column, x)
+            new = [number for number in feeders.fractional if number not in searched]
+            cuts = []
+            for number in new:
+                if end.passed:
+                    break
+                found = feeders.search(number, end)
+                searched.add(number)
+                places = found.binaries[open_[found.binaries]]
+                held[places] = found.served[open_[found.binaries]]
+                cuts += [] if found.cut is None else [found.cut]
+            if not cuts:
+                break
+            rows = Rows.joined(cuts)
+            self.found.append(rows)
+            _add(solver, rows)
+            tighter = self._until_carried(solver, deadline)
+            if tighter.status != Status.OPTIMAL:
+                break
+            linear = tighter
+        return linear, held
+
+    def _close_large(
+        self,
+        solver: highspy.Highs,
+        linear: ProgramSolution,
+        known: _Known,
+        cuts: _ServiceCuts,
+        patience: Patience,
+        held: Floats,
+    ) -> None:
+        """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
+
+        The best set is put to the discs themselves at the end: one that exceeds many of them by
+        the little that a bound admits has no dispatch. From then on each better one is.
+        """
+        over = DISC
+        while True:
+            while not known.closed() and not patience.passed:
+                enough = known.most
+                found = cuts.most(
+                    self._shares(linear), enough + 1.0, patience.end, held, known.bound
+                )
+                free = bool(np.isnan(held).all())
+                if not free and not known.follow(found, self.units):
+                    held = np.full(len(held), np.nan)
+                    continue
+                if free:
+                    known.take(found)
+                    if known.closed():
+                        break
+                linear = self._tried(solver, known.tried, DISC, enough)
+                if over < DISC and self.units @ self._in_full(linear) > enough:
+                    linear = self._tried(solver, known.tried, over, enough)
+                if linear.status != Status.OPTIMAL:
+                    break
+                self._cut(linear, cuts)
+                known.improve(*self._carried(linear))
+                patience.saw(known.most, known.bound, patience.nodes + ROUND_NODES)
+            if over < DISC or known.best is None:
+                return
+            over = VERIFIED_DISC
+            carried = self._tried(solver, known.best, over, -np.inf)
+            if carried.status != Status.OPTIMAL:
+                return
+            linear = carried
+            self._cut(linear, cuts)
+            known.best, known.most = self._carried(linear)
+
+    def carries(self, served: Flags) -> bool:
+        """Whether the relaxation in the network serves a set in full."""
+        solver, root = self.root
+        if root.status != Status.OPTIMAL:
+            return True
+        x = self.model.at["x"].ravel()
+        wanted = served.ravel().astype(float)
+        linear = self._tried(solver, wanted, DISC, -np.inf)
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), np.ones(len(x)))
+        # The limits that were added have no price in the first solution.
+        none = np.zeros(solver.getNumRow() - len(root.row_dual))
+        self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
+        done = linear.status == Status.OPTIMAL
+        return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
+
+    def nobody(self) -> Dispatch | None:
+        """Everyone off and every battery idle, None where the network forbids even that."""
+        idle = np.zeros(self.model.size)
+        idle[self.model.at["energy"]] = self.data.soc * self.site.batteries.energy_kwh
+        net = self.site.network
+        u = self.model.u_pu2(idle)[:, 1:]
+        low = (u < net.u_min_pu2[1:] - VOLTAGE_PU2).any()
+        high = (u > net.u_max_pu2[1:] + VOLTAGE_PU2).any()
+        draws = self.data.drawn is not None or self.data.physical
+        if low or high or draws or self.data.switching is not None:
+            return None
+        return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
+
+    def _tried(
+        self, solver: highspy.Highs, served: Floats, over: float, worth: float
+    ) -> ProgramSolution:
+        """Most service if nobody is served beyond a set; a solver that gives up begins anew."""
+        x = self.model.at["x"].ravel()
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
+        linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        if linear.status == Status.NUMERICAL:
+            self._start(solver)
+            linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        return linear
+
+    def _shares(self, linear: ProgramSolution) -> Floats:
+        """How far customers are served by a linear solution."""
+        return np.asarray(linear.x[self.model.at["x"].ravel()])
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
@@ -359,9 +510,14 @@ class NetworkMaster:
             return plain.cheapest(served, deadline)
         known = self.found
         program = self._of_set(served)
+        if self.is_large:
+            program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
+        begin = None
         for inside in LARGE_INSIDE if self.is_large else INSIDE:
             self.found = list(known)
-            solver = self._started(self._loaded(program))
+            solver = self._loaded(program)
+            if self.is_large:
+                begin = self._begun(solver, begin, deadline)
             answer = self._until_carried(solver, deadline, EXACT_DISC, inside)
             stricter = len(self.found) > len(known)
             self.found = known  # tangents within the discs hold for no other problem
@@ -392,23 +548,39 @@ class NetworkMaster:
         basis.valid = True
         solver.setBasis(basis)
 
-    def _started(self, solver: highspy.Highs) -> highspy.Highs:
-        """A solver of a set's cost; where nothing costs anything, it begins with the service.
+    @property
+    def _worth_of_sun(self) -> float:
+        """What a kW of PV power is worth in a dispatch, in GBP: more than any saving by losing it.
 
-        There any dispatch is the cheapest. Where import has its price, the service's is far from
-        it, and the way back takes longer than one from the start.
+        Without it, any dispatch would be the cheapest where nothing has a price.
         """
-        if not self.is_large:
-            return solver
+        return float(
+            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.price[1]).max(initial=0.0))
+        )
+
+    def _begun(
+        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
+    ) -> highspy.HighsBasis:
+        """Let a solver of a set's cost begin at a basis, or find the one without tangents.
+
+        Where nothing costs anything, that of the service is near. Where import has its price, it
+        is far, and the way back takes longer than one from the start.
+        """
+        if begin is not None:
+            solver.setBasis(begin)
+            return begin
         prices = self.price[1] * self.program.x_upper[self.price[0]]
         basis = None if prices.any() else self.root[0].getBasis()
         if basis is None or not basis.valid:
             self._start(solver)
-            return solver
-        added = solver.getNumRow() - len(basis.row_status)
-        basis.row_status = [*basis.row_status, *[highspy.HighsBasisStatus.kBasic] * added]
-        solver.setBasis(basis)
-        return solver
+        else:
+            added = solver.getNumRow() - len(basis.row_status)
+            basic = highspy.HighsBasisStatus.kBasic
+            basis.row_status = [*basis.row_status, *[basic] * added]
+            solver.setBasis(basis)
+        ProgramSolution.of(solver, deadline)
+        found: highspy.HighsBasis = solver.getBasis()
+        return found
 
     def _both_ways(self, answer: ProgramSolution) -> Flags:
         """Steps in which a solution imports and exports, (W,)."""
@@ -476,13 +648,19 @@ class NetworkMaster:
     ) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
 
-        Or until no more than so many units are served in full. A solver that meets limits only
-        within a tolerance may violate the same ones for ever: then time ends it.
+        Or until no more than so many units are served in full, or a large relaxation has settled. A
+        solver that meets limits only within a tolerance may violate the same ones for ever: then
+        time ends it.
         """
+        settled = SETTLED if self.is_large and over >= DISC else 0.0
+        before = np.inf
         while True:
             answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
+            if abs(answer.value - before) < settled:
+                return answer
+            before = answer.value
             x = self._columns(answer)
             found = [
                 *self.model.voltage_rows(x, VOLTAGE_PU2),
@@ -518,6 +696,13 @@ class _Known:
             self.tried = np.round(found.x)
         self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
+    def follow(self, found: ProgramSolution, units: Floats) -> bool:
+        """Try a set of a search that proves nothing, if it would be the best."""
+        better = found.status.has_answer and units @ np.round(found.x) > self.most
+        if better:
+            self.tried = np.round(found.x)
+        return bool(better)
+
     def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
         if units > self.most:
@@ -545,17 +730,29 @@ class _ServiceCuts:
         self.most_units.append(most + TOLERANCE)
         return most + float(self.gains[-1].sum())
 
-    def most(self, shares: Floats, at_least: float, deadline: Deadline) -> ProgramSolution:
+    def most(
+        self,
+        shares: Floats,
+        at_least: float,
+        deadline: Deadline,
+        held: Floats | None = None,
+        at_most: float = np.inf,
+    ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
-        service or lack of it would alone cost too much by the first bound is decided beforehand.
+        service or lack of it would alone cost too much by the first bound is decided beforehand;
+        ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
+        of the units that no set exceeds ends the search.
         """
         away = 1.0 - shares
         spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
         low = self.first_left < -spare
         high = self.first_left <= spare
+        if held is not None:
+            low = np.where(np.isnan(held), low, held > 0.5)
+            high = np.where(np.isnan(held), high, held > 0.5)
         program = Program(
             cost,
             low.astype(float),
@@ -565,7 +762,10 @@ class _ServiceCuts:
             np.array(self.most_units),
             np.arange(len(cost)),
         )
-        found = ProgramSolution.of(program.loaded(1.0 - 2.0 * NEAR), deadline)
+        solver = program.loaded(1.0 - 2.0 * NEAR)
+        if np.isfinite(at_most):
+            solver.setOptionValue("objective_target", CLOSE - at_most)
+        found = ProgramSolution.of(solver, deadline)
         return replace(found, bound=found.bound - NEAR)
 
 
