@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import cvxpy as cp
@@ -83,14 +85,26 @@ class Program:
         """Whether it is a linear problem of hardly any rows."""
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
-    def loaded(self, gap_abs: float = 0.0, most_nodes: int | None = None) -> highspy.Highs:
-        """A solver that has the program."""
+    def loaded(
+        self,
+        gap_abs: float = 0.0,
+        most_nodes: int | None = None,
+        enough: float = -np.inf,
+        more: Mapping[str, Any] = MappingProxyType({}),
+    ) -> highspy.Highs:
+        """A solver that has the program.
+
+        A search ends at the first value of ``enough`` or less: one that nothing can be below.
+        ``more`` are options of HiGHS.
+        """
         solver = highspy.Highs()
         options: dict[str, Any] = {
             "output_flag": False,
             "mip_rel_gap": 0.0,
             "mip_abs_gap": gap_abs,
+            "objective_target": enough,
             "threads": 1,
+            **more,
         }
         if self.is_wide:
             options["presolve"] = "off"
@@ -228,6 +242,7 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     """What HiGHS's end is worth."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
+        highspy.HighsModelStatus.kObjectiveTarget: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
         highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
     }
