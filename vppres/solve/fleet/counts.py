@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -50,6 +51,9 @@ benchmark's windows take three times as long, and none shorter."""
 
 HALF_UNIT = 0.5
 """What a whole number may miss a bound by and still be the number itself."""
+
+RETRIES = 4
+"""Times that another set is looked for whose demand takes up the sun."""
 
 DEMAND_GAP_REL = 1e-4
 """Gap of the search for whom to serve with the PV power that would be lost: the demand that is
@@ -181,10 +185,11 @@ class Counts:
             whole = self._carried(lambda: self._in_blocks(free, solved, search), search)
             found = whole if whole.status.has_answer else self._rounded(found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
+        served = self._using_the_sun(found, free, search) if found.status.has_answer else None
         outcome = Outcome(
             found.status, anyway - found.value, anyway - found.bound, watch.spent_s, DIRECT
         )
-        return outcome, self._completed(found, free) if found.status.has_answer else None
+        return outcome, served
 
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
@@ -284,16 +289,27 @@ class Counts:
         """Cuts that a block's steps or the loss have a part in."""
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
-    def _most(self, block: Flags, integer: bool, deadline: Deadline, share: float = 1.0) -> _Found:
+    def _most(
+        self,
+        block: Flags,
+        integer: bool,
+        deadline: Deadline,
+        share: float = 1.0,
+        least_kw: Floats | None = None,
+    ) -> _Found:
         """Least of the loss minus the service of a block's steps, in units.
 
-        ``share`` is the block's part of the gap.
+        ``share`` is the block's part of the gap, ``least_kw`` (W,) a demand to have at least, with
+        which bounds are none.
         """
         cuts = self._touching(block)
         layout, program = self._program(block, cuts)
         program.cost[layout.lost] = 1.0
         program.cost[layout.counts] = -layout.weight
         program.x_lower[layout.spent] = self.worst[1]
+        if least_kw is not None:
+            steps = slice(0, layout.n_steps)
+            program.x_lower[steps] = np.maximum(program.x_lower[steps], least_kw)
         whole = integer and self.whole and not any(cut.weights[layout.lost] for cut in cuts)
         gap = LOSSY_GAP_SHARE * self.gap
         if whole:
@@ -308,7 +324,8 @@ class Counts:
             return found
         # Service is whole, so its bound may be rounded.
         bound = max(float(np.ceil(found.bound - TOLERANCE)), proven)
-        self.proven[block.tobytes()] = bound
+        if least_kw is None:
+            self.proven[block.tobytes()] = bound
         return replace(found, bound=bound)
 
     def _least(self, free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
@@ -388,6 +405,33 @@ class Counts:
             alike = np.flatnonzero(self.able[t] & (self.units == weight))
             self.orders[t, weight] = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
         return self.orders[t, weight]
+
+    def _using_the_sun(self, found: _Found, free: Flags, deadline: Deadline) -> Flags:
+        """The set of an answer, completed; another as good where the fleet cannot carry that.
+
+        Demand has steps, and the least that keeps the sun may be more than is left for it. Another
+        set of the same service then has that much demand from the beginning.
+        """
+        first = served = self._completed(found, free)
+        least_kw = np.zeros(len(free))
+        for _ in range(RETRIES):
+            if not self.whole or (served == found.served).all():
+                return served
+            demand_kw = (self.load_kw * served).sum(axis=1)
+            status, cut = self.reach.separate(np.append(demand_kw, found.point[-2:]), deadline)
+            if status != Status.OPTIMAL:
+                return first
+            if cut is None:
+                return served
+            self.cuts.append(cut)
+            raised = demand_kw > (self.load_kw * found.served).sum(axis=1) + VIOLATED_KW
+            least_kw = np.where(raised, np.maximum(least_kw, demand_kw), least_kw)
+            search = partial(self._most, free, True, deadline, least_kw=least_kw)
+            another = self._carried(search, deadline)
+            if not another.status.has_answer or another.value > found.value + HALF_UNIT:
+                return first
+            found, served = another, self._completed(another, free)
+        return first
 
     def _completed(self, found: _Found, free: Flags) -> Flags:
         """The set with as many of each weight whose demand takes up the PV power.
