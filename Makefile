@@ -90,11 +90,13 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.uncertain --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.outage_ceiling --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.homes --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.islands --out results/studies/islands $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.precision --results results/studies $(call COUNT,--quick)
 	$(BIN)/python -m experiments.mutations --out results/studies $(call COUNT,--folders 200 --runs 2)
 	$(BIN)/python -m experiments.kills --out results/studies $(call COUNT,--kills 5)
+	$(BIN)/python -m experiments.hostile $(call COUNT,--generated 300 --hostile 200) > results/studies/hostile.json
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks

@@ -24,8 +24,8 @@ from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.feeders import import_network
-from vppres.feeders.new_options import NewScenarioOptions, parse_outage
-from vppres.feeders.new_scenario import write_new_scenario
+from vppres.feeders.new.options import NewScenarioOptions, parse_outage
+from vppres.feeders.new.scenario import write_new_scenario
 from vppres.io.atomic import atomic_write_text
 from vppres.io.scenario_folder import read_scenario
 from vppres.report.run_folder import write_run

@@ -90,7 +90,8 @@ class Run:
     resilience : float or None
         None on a day without outage.
     cost_gbp : float
-        Of the import, less the value of what the batteries hold more than at the beginning.
+        Of the import, less what it would cost at the day's lowest price to charge what the
+        batteries hold more than at the beginning.
     critical_lost_h : float
         Customer hours of critical customers without supply.
     gap_max : float
@@ -247,7 +248,7 @@ def _run(scenario: Scenario, day: OutageDay, policy: str, wrong: str, seed: int)
     held = scenario.batteries.energy_kwh
     last = run.batteries["soc_end"].to_numpy(float)[-len(held) :]
     more_kwh = float((last - scenario.batteries.soc_initial) @ held)
-    price = float(scenario.price_gbp_per_kwh.min())
+    price = float(scenario.price_gbp_per_kwh.min() / scenario.batteries.eta_charge.mean())
     return Run(
         seed=seed,
         kind=day.kind,
@@ -439,8 +440,8 @@ def _write(part: Part, runs: Sequence[Run], wall_s: float, folder: Path) -> Path
         parts.insert(1, f"![Resilience by what is known]({name}.svg)")
     parts.append(
         f"{days} days, {outages} of them with an outage; {_soundness(runs)} Intervals are 95 % "
-        f"bootstrap intervals over paired days. Costs are those of all days, less the value of "
-        f"what batteries hold more in the end. Wall time {wall_s / 60:.1f} min, {machine()}."
+        f"bootstrap intervals over paired days. Costs are those of all days, less what it costs to "
+        f"charge what batteries hold more in the end. Wall time {wall_s / 60:.1f} min, {machine()}."
     )
     record = {"runs": [asdict(run) for run in runs], "wall_s": wall_s, "versions": versions()}
     return write_pages(

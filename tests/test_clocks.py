@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from vppres.core.errors import InputError
-from vppres.feeders.clocks import days_later, grid_from, in_utc, local_midnight, time_of_day
-from vppres.feeders.new_options import parse_outage
-from vppres.feeders.resample import on_grid
+from vppres.feeders.new.options import parse_outage
+from vppres.feeders.series.clocks import days_later, grid_from, in_utc, local_midnight, time_of_day
+from vppres.feeders.series.resample import on_grid
 from vppres.scenario.timegrid import TimeGrid
 
 LONDON = "Europe/London"

@@ -54,6 +54,8 @@ NOT_RUN = {
     "python -m experiments.islands --days 200": "takes minutes",
     "python -m experiments.mutations": "takes minutes",
     "python -m experiments.kills": "takes minutes",
+    "python -m experiments.hostile": "takes minutes",
+    "python -m experiments.polling": "takes a minute",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
 }
 

@@ -17,8 +17,8 @@ from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.feeders import ImportedFeeder, import_network
-from vppres.feeders.new_options import NewScenarioOptions, parse_outage, parse_start
-from vppres.feeders.new_scenario import LOAD_SHAPE, assumptions, new_scenario, write_new_scenario
+from vppres.feeders.new.options import NewScenarioOptions, parse_outage, parse_start
+from vppres.feeders.new.scenario import LOAD_SHAPE, assumptions, new_scenario, write_new_scenario
 from vppres.io import read_scenario, scenario_digest
 
 START = NewScenarioOptions().start

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
+from experiments.hard_days import hard_window
 from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from vppres.contract.dispatch import Dispatch
@@ -30,6 +31,7 @@ from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections, Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import Program, ProgramSolution, compiled, stacked
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
@@ -65,7 +67,7 @@ def test_search_ends_at_what_is_proven(seed: int) -> None:
     program = knapsack(seed)
     whole = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
     early = ProgramSolution.of(program.loaded(enough=whole.value + 0.5), Deadline(TIME_S))
-    assert early.status == Status.OPTIMAL
+    assert early.status == Status.GAP_OPEN
     assert early.value == pytest.approx(whole.value, abs=1e-9)
     assert early.bound <= whole.bound + 1e-9
     sooner = ProgramSolution.of(program.loaded(enough=0.9 * whole.value), Deadline(TIME_S))
@@ -281,6 +283,47 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("rules", 136), ("rules", 150), ("small_former", 81), ("small_former", 192)]
+)
+def test_network_master_knows_rules_and_physical_mode(kind: str, seed: int) -> None:
+    window = hard_window(kind, seed)
+    decomposed, whole = (
+        WindowSolver(window.site, method).solve(window.data)
+        for method in ("decomposed", "monolithic")
+    )
+    assert "network_service[highs]" in decomposed.stages
+    assert not any(stage.startswith("full") for stage in decomposed.stages)
+    assert decomposed.status == whole.status == Status.OPTIMAL
+    assert decomposed.bound >= whole.objective - 1e-6
+    assert whole.bound >= decomposed.objective - 1e-6
+    rules = window.data.switching
+    assert rules is None or not rules.broken(decomposed.dispatch.served).any()
+
+
+@pytest.mark.parametrize("seed", [12, 136, 150])
+def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
+    data, site = (w := hard_window("rules", seed)).data, w.site
+    rules = data.switching
+    assert rules is not None
+    rows = RuleModel(site, data.n_steps, rules.steps).rows(data)
+    rng = np.random.default_rng(seed)
+    told = []
+    for share in np.repeat([0.0, 0.02, 0.5, 0.98, 1.0], 12):
+        kept = np.tile(rules.served_before, (data.n_steps, 1))
+        changed = rng.random(kept.shape) < 0.05
+        served = np.where(changed, rng.random(kept.shape) < share, kept)
+        on, off = rules.changes(served)
+        cold = served & (rules.demand_factor(served) > 1.0) if rules.steps.cold else None
+        parts = [served, on, off, *([] if cold is None else [cold])]
+        reached = rows.matrix @ np.concatenate([part.ravel(order="F") for part in parts])
+        kept_all = (reached >= rows.lower - 1e-9).all() and (reached <= rows.upper + 1e-9).all()
+        told.append(bool(kept_all))
+        assert kept_all == (not rules.broken(served).any())
+    assert any(told) or seed != 136
 
 
 def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(

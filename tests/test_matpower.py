@@ -14,9 +14,9 @@ import pytest
 from tests.support.own_power_flow import voltages
 from vppres.core.errors import InputError
 from vppres.feeders import import_network
-from vppres.feeders.m_arithmetic import tables_of
-from vppres.feeders.m_text import Refused, parse
-from vppres.feeders.matpower import net_of, read_m
+from vppres.feeders.matpower.arithmetic import tables_of
+from vppres.feeders.matpower.case import net_of, read_m
+from vppres.feeders.matpower.text import Refused, parse
 from vppres.physics.powerflow import ACPowerFlow
 
 # Some of pandapower's own examples warn while they are built.

@@ -17,8 +17,8 @@ import scipy.io
 from vppres.core.errors import InputError
 from vppres.feeders import NAMED, ImportedFeeder, import_network
 from vppres.feeders.closeness import NOT_CONVERGED, source_deviation, told_deviation
-from vppres.feeders.new_options import NewScenarioOptions
-from vppres.feeders.new_scenario import new_scenario, write_new_scenario
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import new_scenario, write_new_scenario
 from vppres.io import read_scenario
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.source import SourceDeviation

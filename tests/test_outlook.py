@@ -56,7 +56,31 @@ def test_lengths_are_rounded_to_steps() -> None:
     below = durations.lognormal(4.0, 0.7, 0.5, 60).cumsum()
     assert below[7] == pytest.approx(0.5, abs=0.05)  # 4 h are eight steps
     assert durations.discrete([1.0, 2.6], [1.0, 3.0], 0.5, 60)[[1, 4]].tolist() == [0.25, 0.75]
-    assert durations.spread(4.0 / 2.0, 4.0 * 2.0) == pytest.approx(np.log(2.0) / 1.2816, rel=1e-4)
+
+
+def test_lengths_keep_the_quantiles_that_were_said() -> None:
+    """Steps of 36 s: the share below each quantile is that of its name."""
+    for said in ((2.0, 4.0, 8.0), (1.0, 4.0, 5.0), (3.5, 4.0, 12.0)):
+        below = durations.between_quantiles(*said, 0.01, 4000).cumsum()
+        shares = [below[round(hours / 0.01) - 1] for hours in said]
+        assert shares == pytest.approx([0.1, 0.5, 0.9], abs=0.01)
+
+
+def test_even_quantiles_are_those_of_a_lognormal_length() -> None:
+    sigma = np.log(2.0) / durations.Z90
+    np.testing.assert_allclose(
+        durations.between_quantiles(2.0, 4.0, 8.0, 1.0, 30),
+        durations.lognormal(4.0, sigma, 1.0, 30),
+        atol=1e-12,
+    )
+
+
+@pytest.mark.parametrize("said", [(4.0, 4.0, 4.0), (4.0, 4.0, 8.0), (2.0, 4.0, 4.0)])
+def test_a_side_may_be_certain(said: tuple[float, float, float]) -> None:
+    found = durations.between_quantiles(*said, 1.0, 30)
+    assert found.sum() == pytest.approx(1.0)
+    assert found[4:].sum() == pytest.approx(0.0 if said[2] == 4.0 else 0.5, abs=0.2)
+    assert found[:3].sum() == pytest.approx(0.0 if said[0] == 4.0 else 0.5, abs=0.2)
 
 
 # Beliefs.

@@ -9,8 +9,8 @@ import pandapower as pp
 import pytest
 
 from vppres.feeders import ImportedFeeder, import_network
-from vppres.feeders.new_options import NewScenarioOptions
-from vppres.feeders.new_scenario import assumptions, new_scenario
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import assumptions, new_scenario
 
 
 def feeder_with(*add: Any) -> ImportedFeeder:

@@ -15,8 +15,8 @@ from pandapower.timeseries import DFData
 from tests.support.command_line import call
 from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
-from vppres.feeders.new_options import NewScenarioOptions, first_day
-from vppres.feeders.new_scenario import assumptions, new_scenario
+from vppres.feeders.new.options import NewScenarioOptions, first_day
+from vppres.feeders.new.scenario import assumptions, new_scenario
 from vppres.io import read_scenario
 
 DAY = pd.date_range("2025-07-01T00:00Z", periods=24, freq="h")

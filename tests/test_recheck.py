@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from vppres.core.errors import InputError
-from vppres.feeders.recheck import Recheck, recheck_opendss
+from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.report.rechecked import summary_of
 
 TIMES = pd.date_range("2025-07-01T00:00Z", periods=3, freq="h")

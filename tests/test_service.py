@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,17 @@ import sqlalchemy as sa
 
 import vppres
 from tests.support.asgi import Caller
-from tests.support.long_days import repeated
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    client,
+    decided,
+    heard,
+    readings,
+    said,
+    site,
+    told,
+)
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller, SetPoints
@@ -33,70 +42,6 @@ from vppres.service.loop import Loop
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 from vppres.service.store import Store
-
-HERE = RunOptions(horizon_h=2.0, isolate=False)
-NOON = pd.Timestamp("2026-11-21T12:00Z")
-
-
-def site(tiny: Scenario) -> Scenario:
-    """A day of hours from local midnight, without outage."""
-    day = repeated(tiny, 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
-
-
-@contextmanager
-def client(
-    service: Service, folder: Path, clock: SetClock | None = None, access: Access | None = None
-) -> Iterator[Caller]:
-    """A service that is asked without a network in between."""
-    with opened(service, folder, clock) as runner:
-        yield Caller(make_app(runner, access or Access()))
-
-
-def readings(time: pd.Timestamp, quantity: str, values: dict[str, float | None]) -> list[Any]:
-    """One reading of each asset, for an hour."""
-    return [
-        {
-            "source": "scada",
-            "asset": asset,
-            "quantity": quantity,
-            "start": written(time),
-            "resolution": "PT1H",
-            "values": [value],
-        }
-        for asset, value in values.items()
-    ]
-
-
-def heard(time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
-    """Telemetry of both batteries."""
-    return {"series": readings(time, "soc", {"big": soc, "small": soc})}
-
-
-def said(plan: dict[str, Any], kind: str) -> dict[str, Any]:
-    """Set-points of a kind by asset."""
-    return {one["asset"]: one for one in plan["setpoints"] if one["kind"] == kind}
-
-
-def told(run: vppres.Trajectory, t: int) -> dict[str, Any]:
-    """What a SCADA system would send before a step of a run."""
-    time = run.scenario.grid.times[t]
-    b = run.batteries[run.batteries["time"] == time]
-    series = readings(time, "soc", dict(zip(b["id"], b["soc_start"], strict=True)))
-    series += readings(
-        time, "load_kw", dict(zip(run.scenario.customers.id, run.scenario.load_kw[t], strict=True))
-    )
-    series += readings(
-        time, "pv_kw", dict(zip(run.scenario.pv.id, run.scenario.pv_kw[t], strict=True))
-    )
-    if t > 0:
-        begun = run.scenario.grid.times[t - 1]
-        before = run.batteries[run.batteries["time"] == begun]
-        power = before["charge_kw"] - before["discharge_kw"]
-        series += readings(begun, "battery_kw", dict(zip(before["id"], power, strict=True)))
-        series += readings(begun, "import_kw", {"grid": float(run.steps["p_grid_kw"][t - 1])})
-    return {"series": series}
 
 
 def test_the_packaged_day_over_http_is_the_run(tmp_path: Path) -> None:
@@ -132,14 +77,6 @@ def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
     clock = SetClock(NOON)
     with client(Service(site(tiny), HERE), tmp_path, clock) as http:
         yield http, clock
-
-
-def decided(http: Caller, clock: SetClock, time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
-    """The plan of a step for which both batteries were heard."""
-    clock.set(time)
-    assert http.post("/v1/telemetry", heard(time, soc)).status == 200
-    plan: dict[str, Any] = http.post("/v1/steps").json()
-    return plan
 
 
 def test_it_rolls_over_midnight_and_notes_what_it_missed(
@@ -319,8 +256,8 @@ def test_blind_late_and_lost_are_told_apart(live: tuple[Caller, SetClock]) -> No
         if hours == 2:
             assert any(words.startswith("soc big ") for words in plan["estimated"])
             assert "battery big is out" not in plan["estimated"]
-    assert ages[1] == {}
-    assert ages[2] == {("big", "soc"): "stale", ("shop", "load_kw"): "stale"}
+    # A state of charge of an hour ago is none of now, nor is the demand.
+    assert ages[1] == ages[2] == {("big", "soc"): "stale", ("shop", "load_kw"): "stale"}
     assert ages[4][("big", "soc")] == "lost" and "battery big is out" in plan["estimated"]
     assert http.get("/v1/status").json()["sources"] == {"scada": "2026-11-21T12:00:00Z"}
     # It comes back by itself.
@@ -424,7 +361,7 @@ def test_tokens_open_their_scopes_and_nothing_else(tiny: Scenario, tmp_path: Pat
         assert http.get("/v1/status", **read).json()["step"] is None  # nothing was decided
     check_address("127.0.0.1", Access(), False)
     check_address("0.0.0.0", Access([token]), True)
-    with pytest.raises(InputError, match=r"needs a token .* and a proxy in front that does TLS"):
+    with pytest.raises(InputError, match=r"needs a token .* and TLS .*, or a proxy in front"):
         check_address("0.0.0.0", Access(), False)
     with pytest.raises(InputError, match=r"add-token = x:all: is not a name with scopes"):
         new_token("x:all")

@@ -19,8 +19,10 @@ import pandapower.networks as pp_networks
 import pytest
 
 from vppres.core.errors import InputError
-from vppres.feeders import confined, dss_text, import_network
-from vppres.feeders.opendss import read_opendss
+from vppres.feeders import import_network
+from vppres.feeders.dss import text as dss_text
+from vppres.feeders.dss.circuit import read_opendss
+from vppres.feeders.strangers import confined
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
 

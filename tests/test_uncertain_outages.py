@@ -198,6 +198,19 @@ def test_batteries_are_charged_for_what_may_come(tiny: Scenario) -> None:
     assert stored["likely"] < 0.4
 
 
+def test_what_is_left_is_worth_what_a_cheap_night_fills_again(tiny: Scenario) -> None:
+    """The lowest price of the day with the loss of charging, not that of the evening's hours."""
+    day = replace(
+        tiny,
+        grid_limit_kw=np.full(6, np.inf),
+        price_gbp_per_kwh=np.array([0.1, 0.1, 0.5, 0.5, 0.5, 0.5]),
+        outage_statistics=OutageStatistics(saifi_per_year=1e-4),
+    )
+    run = run_day(day, RunOptions(outages="belief"))
+    worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
+    assert worth[-1] == pytest.approx(0.1 / day.batteries.eta_charge[0], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("controller", "kind"),
     [("full-horizon", "belief"), ("idle", "belief"), ("perfect", "likely"), ("perfect", "none")],

@@ -18,8 +18,8 @@ import pandas as pd
 import vppres
 from vppres.core.arrays import Floats
 from vppres.feeders import import_network
-from vppres.feeders.new_options import NewScenarioOptions
-from vppres.feeders.new_scenario import new_scenario
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import new_scenario
 from vppres.io import write_scenario
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario

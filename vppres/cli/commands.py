@@ -23,7 +23,16 @@ from rich.console import Console
 from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import new_options as cli_new
 from vppres.cli import sweep_options as cli_sweep
-from vppres.cli.options import DayCommand, Debug, Json, Quiet, RunFolder, ScenarioName, run_options
+from vppres.cli.options import (
+    Commands,
+    DayCommand,
+    Debug,
+    Json,
+    Quiet,
+    RunFolder,
+    ScenarioName,
+    run_options,
+)
 from vppres.cli.progress import progress_bar, run_with_bar
 from vppres.cli.tables import (
     comparison_table,
@@ -34,6 +43,7 @@ from vppres.cli.tables import (
     problem_record,
     recheck_lines,
     remarks_text,
+    simulation_lines,
     sweep_table,
     validation_text,
 )
@@ -56,6 +66,7 @@ more memory than a machine has."""
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Dispatch a virtual power plant through an outage.",
@@ -370,8 +381,8 @@ def new(
     """Make an editable scenario folder from a network."""
     with _plain_errors(debug):
         from vppres.feeders import import_network
-        from vppres.feeders.new_options import NewScenarioOptions, first_day, parse_outage
-        from vppres.feeders.new_scenario import write_new_scenario
+        from vppres.feeders.new.options import NewScenarioOptions, first_day, parse_outage
+        from vppres.feeders.new.scenario import write_new_scenario
         from vppres.io.atomic import check_target
 
         check_target(folder)  # before the work, not after it
@@ -461,6 +472,12 @@ def serve(
         bool,
         typer.Option(help="Play the scenario's own steps, each when POST /v1/steps asks for it."),
     ] = False,
+    paced: Annotated[
+        bool,
+        typer.Option(
+            help="Let the clock be set by PUT /v1/clock, as `vppres serve simulate` does."
+        ),
+    ] = False,
     add_token: Annotated[
         str | None,
         typer.Option(
@@ -468,6 +485,16 @@ def serve(
             help="Make a token, print it and end; scopes: read, telemetry, events, operator.",
         ),
     ] = None,
+    token_days: Annotated[
+        float | None, typer.Option(min=0.0, help="With --add-token: days after which it ends.")
+    ] = None,
+    remove_token: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Remove a token and end.")
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Certificate for TLS, a PEM file; needs --key.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option(help="Its private key, a PEM file.")] = None,
     behind_proxy: Annotated[
         bool, typer.Option(help="A proxy in front does TLS, without which others may not call.")
     ] = False,
@@ -485,25 +512,97 @@ def serve(
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
 
-        try:
+        with _extra("serve"):
             from vppres.service import serve as service
             from vppres.service.runner import Service
-        except ImportError as error:
-            raise InputError(
-                Problem(
-                    "serve",
-                    f"needs the package {error.name}",
-                    'Install the extra: pip install "vppres[serve]".',
-                )
-            ) from error
         day = read_scenario(find_scenario(scenario))
-        served = Service(day, run_options(day, context.obj), rehearse)
+        served = Service(day, run_options(day, context.obj), rehearse, paced)
         folder = state or Path(f"{day.name}.live")
         if add_token is not None:
-            typer.echo(service.add_token(served, folder, add_token))
+            typer.echo(service.add_token(served, folder, add_token, token_days))
             return
-        address = service.Address(host, port, behind_proxy, tuple(name or ()))
+        if remove_token is not None:
+            service.remove_token(served, folder, remove_token)
+            return
+        names = tuple(name or ())
+        address = service.Address(host, port, behind_proxy, names, certificate, key)
         service.serve(served, folder, address, typer.echo)
+
+
+@app.command(
+    "serve simulate",
+    cls=DayCommand,
+    epilog="Example: vppres serve simulate uk-heatwave-2022 --speed 600",
+)
+def simulate(
+    context: typer.Context,
+    scenario: Annotated[str, typer.Argument(metavar="SITE", help="The site that is served.")],
+    world: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO", help="What comes; if not given the site's own days, which it knows."
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.0, help="Simulated over real time; 0: as fast as it decides.")
+    ] = 0.0,
+    url: Annotated[
+        str | None,
+        typer.Option(help="A service that was started with --paced; its own if not given."),
+    ] = None,
+    token: Annotated[
+        str | None, typer.Option(envvar="VPPRES_TOKEN", help="Token for that service.")
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of its own service; a free one.")
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="State of its own service; dropped if not given."),
+    ] = None,
+    announced: Annotated[
+        float, typer.Option(min=0.0, help="How long before an outage it is announced, in h.")
+    ] = 24.0,
+    lost: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of readings lost.")] = 0.0,
+    delayed: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of readings up to three steps late.")
+    ] = 0.0,
+    skew: Annotated[float, typer.Option(help="By how much clocks of sources are off, in s.")] = 0.0,
+    repeats: Annotated[bool, typer.Option(help="Send every reading twice.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Play a scenario against a service over HTTP, the plant being the world.
+
+    Needs the extra: pip install "vppres[serve]".
+    """
+    with _plain_errors(debug):
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+
+        with _extra("serve"):
+            from vppres.service import simulate as player
+            from vppres.service.runner import Service
+        site = read_scenario(find_scenario(scenario))
+        comes = site if world is None else read_scenario(find_scenario(world))
+        served = Service(site, run_options(site, context.obj), world is None, world is not None)
+        faults = player.TelemetryFaults(lost, delayed, skew, repeats, served.options.seed)
+        how = player.Play(speed, announced, world is not None, faults)
+        where = player.Place(url, token, port, state)
+        told = (lambda _: None) if as_json else typer.echo
+        with progress_bar(quiet) as bar:
+            task = bar.add_task("steps", total=comes.grid.n_steps)
+
+            def show(done: int, total: int) -> None:
+                bar.update(task, completed=done, total=total)
+
+            found = player.simulate(served, comes, how, where, told, show)
+        if as_json:
+            _print_json(found)
+            return
+        for line in simulation_lines(found):
+            typer.echo(line)
 
 
 @app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")
@@ -593,6 +692,21 @@ def _write(
     if drawing is None:
         return write_run(done, folder, figures=False)
     return write_run(done, folder, draw=drawing.save)
+
+
+@contextmanager
+def _extra(name: str) -> Iterator[None]:
+    """Say which extra brings a package that is missing."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            Problem(
+                name,
+                f"needs the package {error.name}",
+                f'Install the extra: pip install "vppres[{name}]".',
+            )
+        ) from error
 
 
 @contextmanager

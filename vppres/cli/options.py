@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from vppres.scenario.option_table import OPTIONS, POSITIVE, Option
 
@@ -143,6 +143,17 @@ def _day_parameters() -> tuple[Any, ...]:
     app = typer.Typer(add_completion=False)
     app.command()(declared)
     return tuple(typer.main.get_command(app).params)
+
+
+class Commands(TyperGroup):
+    """Commands of one word or two: ``vppres serve simulate`` stands beside ``vppres serve``."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The longer name first."""
+        two = " ".join(args[:2])
+        if two in self.commands:
+            return super().resolve_command(ctx, [two, *args[2:]])
+        return super().resolve_command(ctx, args)
 
 
 class DayCommand(TyperCommand):

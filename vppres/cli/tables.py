@@ -208,3 +208,18 @@ def recheck_lines(summary: Mapping[str, Any]) -> list[str]:
         f"{largest['v_plan_pu']:.4f} in the plan."
     )
     return [visible(line) for line in (head, summary["cause"], *summary["notes"])]
+
+
+def simulation_lines(found: Mapping[str, Any]) -> list[str]:
+    """Figures of a simulation, one a line."""
+    lines = []
+    for name, value in found.items():
+        if isinstance(value, list):
+            lines += [f"{name}: {_pairs(each)}" for each in value]
+        else:
+            lines.append(f"{name}: {_pairs(value) if isinstance(value, dict) else value}")
+    return lines
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -108,9 +108,14 @@ class SwitchingData:
         before = np.vstack([self.served_before, served[:-1]])
         return served & ~before, before & ~served
 
+    @property
+    def price_of_pair(self) -> float:
+        """Price of switching a customer off and on again, in weighted customer hours."""
+        return 2.0 * self.price_per_action
+
     def price(self, served: Flags) -> float:
         """Price of a service, in weighted customer hours: two actions for each switching off."""
-        return 2.0 * self.price_per_action * float(self.changes(served)[1].sum())
+        return self.price_of_pair * float(self.changes(served)[1].sum())
 
     def demand_factor(self, served: Flags) -> Floats:
         """Demand of each customer as a multiple of the usual one under a service, (W, C)."""

@@ -36,6 +36,9 @@ PHYSICAL = "physical"
 LOOKAHEAD_H = 48.0
 """How far a belief looks ahead: energy that is kept for longer is bought again."""
 
+DAY_H = 24.0
+"""Prices of so many hours up to the end of what is known say what energy costs behind it."""
+
 
 @dataclass(frozen=True)
 class GridSeen:
@@ -177,11 +180,14 @@ class OutageView:
         )
         fleet = self._fleet(scenario, seen)
         end = Terminal.of(self.soc_end, ahead, ends=True)
+        a_day_before = max(rows.stop - round(DAY_H / scenario.grid.dt_h), 0)
+        seen_prices = scenario.price_gbp_per_kwh[a_day_before : rows.start]
+        # An evening's own prices would keep energy that the next night sells for less.
+        lowest = max(float(np.append(seen_prices, ahead.price_gbp_per_kwh).min()), 0.0)
 
         def end_gbp(energy_kwh: Floats) -> Floats:
-            """What is held behind the last step: bought at the lowest price, or asked for."""
+            """What is held behind the last step: bought at the day's lowest price, or asked for."""
             if end is None:
-                lowest = max(float(ahead.price_gbp_per_kwh.min()), 0.0)
                 return lowest / fleet.eta_charge * (energy_kwh - fleet.least_kwh)
             target_kwh = float(end.target_kwh(scenario.batteries).sum())
             return end.price_gbp_per_kwh * np.minimum(energy_kwh - target_kwh, 0.0)

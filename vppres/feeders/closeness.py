@@ -18,8 +18,8 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
-from vppres.feeders.elements import NetCase, few, label, supplied
 from vppres.feeders.feeder import Deviation, ImportedFeeder
+from vppres.feeders.net.elements import NetCase, few, label, supplied
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario

@@ -19,8 +19,8 @@ class Generators:
     """Generators that the source has, shape (G,) each; injection is positive.
 
     ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
-    :func:`vppres.feeders.kinds.kind_of`. ``p_kw`` and ``q_kvar`` are the operating point that the
-    source gives, ``p_max_kw`` the largest active power, ``s_kva`` the rating.
+    :func:`vppres.feeders.new.kinds.kind_of`. ``p_kw`` and ``q_kvar`` are the operating point that
+    the source gives, ``p_max_kw`` the largest active power, ``s_kva`` the rating.
     """
 
     id: Names

@@ -12,13 +12,13 @@ from types import ModuleType
 from typing import Any, Literal, get_args
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.balance import PhasePowers, balanced
-from vppres.feeders.changes import Changes, changed
 from vppres.feeders.closeness import given_deviation
+from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.opendss import OpenDSSFlow
-from vppres.feeders.reduce import feeder_of
-from vppres.feeders.source_series import control_profiles, controls_in_json, profiles_of
+from vppres.feeders.net.balance import PhasePowers, balanced
+from vppres.feeders.net.changes import Changes, changed
+from vppres.feeders.net.reduce import feeder_of
+from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean
 from vppres.scenario.network import BusId
 
@@ -193,7 +193,7 @@ def _missing(module: str, extra: str) -> InputError:
 
 
 def _pandapower(path: Path) -> _Net:
-    from vppres.feeders.pandapower_json import read_pandapower
+    from vppres.feeders.net.json_file import read_pandapower
 
     try:
         net, notes, constants = read_pandapower(path)
@@ -206,7 +206,7 @@ def _pandapower(path: Path) -> _Net:
 
 
 def _matpower(path: Path) -> _Net:
-    from vppres.feeders.matpower import read_m, read_mat
+    from vppres.feeders.matpower.case import read_m, read_mat
 
     what = "a MATPOWER case of version 2"
     readers = {".m": read_m, ".mat": read_mat}
@@ -225,7 +225,7 @@ def _opendss(path: Path) -> _Net:
     # OpenDSS is loaded in a process of its own, never in this one.
     if importlib.util.find_spec("opendssdirect") is None:
         raise _missing("opendssdirect", "opendss")
-    from vppres.feeders.opendss import read_opendss
+    from vppres.feeders.dss.circuit import read_opendss
 
     return _Net(*read_opendss(path))
 

@@ -26,10 +26,12 @@ from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
 from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
+from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.live.state import Standing, restored, state_of
+from vppres.outlook.outlook import OutageOutlook
 from vppres.plant.plant import BatteryState
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -66,6 +68,8 @@ class SetPoints:
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
+    foreseen : Foreseen
+        What the plan that it is taken from foresees for the steps after it.
     """
 
     time: pd.Timestamp
@@ -76,6 +80,7 @@ class SetPoints:
     import_kw: float
     solve: Mapping[str, Any]
     feeding: Feeding
+    foreseen: Foreseen
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
         """Write the set-points into a pandapower net.
@@ -233,13 +238,15 @@ class Controller:
         stop = max(row + grid.steps_in_horizon(LOOKAHEAD_H), window.stop)
         return range(row, min(stop, grid.n_steps))
 
-    def warn(self, *warnings: OutageWarning) -> None:
+    def warn(self, *warnings: OutageWarning, replacing: bool = False) -> None:
         """Take up messages about outages, for controllers that are not told of them otherwise.
 
         Parameters
         ----------
         *warnings : OutageWarning
             Messages, in any order; of each outage the last one that is issued counts.
+        replacing : bool, optional
+            Whether they are all that is said, in place of every message before.
 
         Examples
         --------
@@ -254,7 +261,49 @@ class Controller:
         1
         """
         with self._turn:
-            self.scenario = replace(self.scenario, warnings=(*self.scenario.warnings, *warnings))
+            before = () if replacing else self.scenario.warnings
+            self.scenario = replace(self.scenario, warnings=(*before, *warnings))
+
+    def out_probability(self, time: Any) -> pd.Series:
+        """Probability that each step from a time on is one of an outage, 48 h ahead at most.
+
+        It rests on what was said by then and seen up to the step that was decided last: of a step
+        that is not decided yet nobody has seen whether there is grid. Where the options take
+        outages for known it is 0 or 1, as the scenario says.
+
+        Examples
+        --------
+        >>> import vppres
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> controller = Controller.of(day, vppres.RunOptions(isolate=False))
+        >>> controller.out_probability(day.grid.times[11]).head(3).tolist()
+        [0.0, 1.0, 1.0]
+        """
+        with self._turn:
+            grid = self.scenario.grid
+            row = step_at(grid, time)
+            times = grid.times[row : row + grid.steps_in_horizon(LOOKAHEAD_H)]
+            if self.options.outages == KNOWN:
+                out = self.scenario.grid_limit_kw[row : row + len(times)] <= 0.0
+                return pd.Series(out.astype(float), times)
+            decided = self._past.t - self._forgotten
+            seen_last = min(decided, row) if self._past.t >= 0 else row - 1
+            ahead = range(row - seen_last, row - seen_last + len(times))
+            return pd.Series(self._believed(seen_last, row)[ahead], times)
+
+    def _believed(self, seen_last: int, said_last: int) -> Floats:
+        """Probability of an outage in the steps from the one on that was seen last."""
+        scenario = self.scenario
+        step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+        then = scenario.grid.start + seen_last * step
+        told = [
+            replace(one, issued_at=min(one.issued_at, then))
+            for one in scenario.warnings
+            if one.issued_at <= scenario.grid.start + said_last * step
+        ]
+        outlook = OutageOutlook(told, scenario.outage_statistics, scenario.grid.dt_h)
+        n_steps = said_last - seen_last + scenario.grid.steps_in_horizon(LOOKAHEAD_H)
+        return outlook.at(then, n_steps, self._past.grid_seen.outages).out_probability
 
     def extend(
         self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
@@ -329,7 +378,7 @@ class Controller:
             start = self._step_before
         try:
             start[0].restore()
-            scenario, record, past = self._decided(seen, start[1])
+            points, past = self._decided(seen, start[1])
         except VppresError:
             latest.restore()
             raise
@@ -341,10 +390,10 @@ class Controller:
             raise
         self._past = past
         self._step_before = start
-        return _set_points(scenario, record)
+        return points
 
-    def _decided(self, seen: Seen, past: Past) -> tuple[Scenario, StepRecord, Past]:
-        """The window as it is believed to be, what was decided, and what to remember of it."""
+    def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
+        """What was decided for the window as it is believed to be, and what to remember of it."""
         t = seen.t + self._forgotten
         switching, cold_load = past.held_until(t)
         window = self._window(seen.t)
@@ -393,8 +442,7 @@ class Controller:
         day.plant.cold_load = cold_load
         record = day.settle(seen.t, decision)
         return (
-            scenario,
-            record,
+            _set_points(scenario, record, Foreseen.of(decision, scenario)),
             Past(
                 t,
                 day.operating_point,
@@ -412,7 +460,7 @@ def _first_row(rows: Floats, row: Floats) -> Floats:
     return np.vstack([row, rows[1:]])
 
 
-def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
+def _set_points(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> SetPoints:
     """The tables of a step."""
     c = scenario.customers
     pv = scenario.pv
@@ -470,6 +518,7 @@ def _set_points(scenario: Scenario, step: StepRecord) -> SetPoints:
             str(step.steps["mode"]),
             np.asarray(step.buses["v_ac_pu"], dtype=float),
         ),
+        foreseen=foreseen,
     )
 
 

@@ -12,9 +12,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from vppres.core.arrays import Floats
+from vppres.scenario.outage_warnings import OutageLength
 
 Z90 = 1.2815515655446004
 """Quantile of the standard normal distribution at 90 %."""
+
+LEAST_SPREAD = 1e-9
+"""Standard deviation of a logarithm that is known on one side of its median."""
 
 
 def known(hours: float, dt_h: float, n_steps: int) -> Floats:
@@ -59,13 +63,38 @@ def discrete(
     return np.asarray(found / found.sum())
 
 
-def spread(p10_h: float, p90_h: float) -> float:
-    """Standard deviation of the logarithm between the quantiles of 10 and 90 %.
+def of_length(length: OutageLength, dt_h: float, n_steps: int) -> Floats:
+    """A length as a message gives it; what is beyond its longest counts as that.
 
-    >>> round(spread(2.0, 8.0), 3)
-    0.541
+    >>> of_length(OutageLength("lognormal", 2.0, 1.0, max_h=3.0), 1.0, 5).round(2)
+    array([0.39, 0.2 , 0.41, 0.  , 0.  ])
     """
-    return float(np.log(p90_h / p10_h) / (2.0 * Z90))
+    if length.family == "discrete":
+        found = discrete(length.hours, length.probability, dt_h, n_steps)
+    elif length.family == "weibull":
+        found = weibull(length.scale_h, length.shape, dt_h, n_steps)
+    else:
+        found = lognormal(length.scale_h, length.shape, dt_h, n_steps)
+    last = int(np.clip(np.ceil(length.max_h / dt_h), 1, n_steps)) - 1
+    return np.concatenate([found[:last], [found[last:].sum()], np.zeros(n_steps - 1 - last)])
+
+
+def between_quantiles(
+    p10_h: float, p50_h: float, p90_h: float, dt_h: float, n_steps: int
+) -> Floats:
+    """A length that keeps all three quantiles: lognormal, each side of the median with its spread.
+
+    A length that can hardly be longer than its median, but much shorter, gets no long tail.
+
+    >>> between_quantiles(1.0, 4.0, 4.0, 1.0, 6).round(2)
+    array([0.18, 0.15, 0.12, 0.55, 0.  , 0.  ])
+    """
+    if p10_h == p50_h == p90_h:
+        return known(p50_h, dt_h, n_steps)
+    off = np.log(_edges_h(dt_h, n_steps) / p50_h)
+    shorter = max(float(np.log(p50_h / p10_h)) / Z90, LEAST_SPREAD)
+    longer = max(float(np.log(p90_h / p50_h)) / Z90, LEAST_SPREAD)
+    return _in_steps(ndtr(np.where(off < 0.0, off / shorter, off / longer)))
 
 
 def _edges_h(dt_h: float, n_steps: int) -> Floats:

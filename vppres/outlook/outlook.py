@@ -12,7 +12,7 @@ from vppres.core.arrays import Floats
 from vppres.outlook import durations
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.presets import Statistics, completed
-from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.outage_warnings import OnsetShares, OutageStatistics, OutageWarning
 
 HOUR = pd.Timedelta(hours=1)
 
@@ -37,6 +37,7 @@ class _Announced:
     earliest: pd.Timestamp
     likely: pd.Timestamp
     latest: pd.Timestamp
+    shares: OnsetShares | None = None
 
     def explains(self, seen: SeenOutage, step: pd.Timedelta) -> bool:
         """Whether an outage that was seen is this one.
@@ -148,19 +149,29 @@ class OutageOutlook:
 
     def _onset(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""
-        hours = [(time - now) / HOUR for time in (one.earliest, one.likely, one.latest)]
-        # Step k is the one that begins nearest; what should have begun by now has not.
-        edges = np.asarray((np.arange(n_steps + 1) - 0.5) * self.step_h, dtype=float)
-        begun = _triangular(edges, *hours)
+        begun = self._begun(one, now, n_steps)
         p = 1.0 if one.message.probability is None else one.message.probability
         left = 1.0 - p * begun[1]
         onset = np.zeros(n_steps)
+        # What should have begun by now has not.
         if left > 1e-12:
             onset[1:] = p * np.diff(begun)[1:] / left
         return onset
 
+    def _begun(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+        """Probability that it begins before each step if it comes, (T + 1,)."""
+        steps_h = np.arange(n_steps + 1) * self.step_h
+        if one.shares is not None:
+            # A step is out if the outage touches it.
+            return one.shares.begun(steps_h + (now - one.shares.start) / HOUR)
+        hours = [(time - now) / HOUR for time in (one.earliest, one.likely, one.latest)]
+        # Step k is the one that begins nearest.
+        return _triangular(np.asarray(steps_h - 0.5 * self.step_h), *hours)
+
     def _length(self, message: OutageWarning, length: int) -> Floats:
         """Lengths that a message says, those of the statistics where it says nothing."""
+        if message.length is not None:
+            return durations.of_length(message.length, self.step_h, length)
         median_h = message.duration_p50_h
         if median_h is None:
             return self._unannounced(length)
@@ -168,12 +179,12 @@ class OutageOutlook:
         high_h = message.duration_p90_h
         if low_h is None and high_h is None:
             return durations.known(median_h, self.step_h, length)
+        # One side alone speaks for both.
         low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
         high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
         assert low_h is not None
         assert high_h is not None
-        sigma = durations.spread(low_h, high_h)
-        return durations.lognormal(median_h, sigma, self.step_h, length)
+        return durations.between_quantiles(low_h, median_h, high_h, self.step_h, length)
 
 
 def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:
@@ -214,6 +225,7 @@ def _of_messages(
             duration_p10_h=said.duration_p10_h,
             duration_p50_h=said.duration_p50_h,
             duration_p90_h=said.duration_p90_h,
+            length=said.length,
         )
     first_issued = messages[since].issued_at
     if not timed:
@@ -224,7 +236,12 @@ def _of_messages(
     likely = onset.onset_likely
     assert likely is not None
     return _Announced(
-        last, first_issued, onset.onset_earliest or likely, likely, onset.onset_latest or likely
+        last,
+        first_issued,
+        onset.onset_earliest or likely,
+        likely,
+        onset.onset_latest or likely,
+        onset.onset,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
-from vppres.feeders.recheck import Recheck, recheck_opendss
+from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.report.plots.base import save_figure
 from vppres.report.plots.phases import voltages_per_phase
@@ -21,8 +21,8 @@ DECIMALS = 6
 def recheck_run(run: Trajectory, source: Path) -> Recheck:
     """Solve the steps of a finished run on the circuit of an OpenDSS script.
 
-    See :func:`vppres.feeders.recheck.recheck_opendss`; in an island of physical mode the largest
-    battery that forms it holds the voltage.
+    See :func:`vppres.feeders.dss.recheck.recheck_opendss`; in an island of physical mode the
+    largest battery that forms it holds the voltage.
     """
     mode = str(run.options.get("mode", "paper"))
     network = run.scenario.network

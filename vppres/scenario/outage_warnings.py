@@ -10,12 +10,80 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 
 STATISTICS_PRESETS = ("average", "with-major-events", "equipment", "none")
 WARNING_PRESETS = ("", "announced", "rota", "psps", "wind", "heat")
 """Names of the figures of :mod:`vppres.outlook.presets`."""
+
+
+@dataclass(frozen=True)
+class OnsetShares:
+    """When an outage begins if it comes: the probability of each of some equal intervals.
+
+    Parameters
+    ----------
+    start : pandas.Timestamp
+        Beginning of the first interval, with time zone.
+    interval_h : float
+        Length of each in h; within one, no moment is likelier than another.
+    probability : tuple of float
+        Of each; together 1.
+
+    Examples
+    --------
+    >>> noon = pd.Timestamp("2022-07-19T12:00Z")
+    >>> OnsetShares(noon, 2.0, (0.5, 0.5)).begun([0.0, 1.0, 3.0])
+    array([0.  , 0.25, 0.75])
+    """
+
+    start: pd.Timestamp
+    interval_h: float
+    probability: tuple[float, ...]
+
+    @property
+    def end(self) -> pd.Timestamp:
+        """End of the last interval."""
+        return self.start + pd.Timedelta(hours=self.interval_h * len(self.probability))
+
+    @property
+    def likely(self) -> pd.Timestamp:
+        """Beginning of the likeliest interval."""
+        return self.start + pd.Timedelta(hours=self.interval_h * int(np.argmax(self.probability)))
+
+    def begun(self, hours: ArrayLike) -> Floats:
+        """Probability that it has begun some hours after the start."""
+        edges = self.interval_h * np.arange(len(self.probability) + 1)
+        begun = np.concatenate([[0.0], np.cumsum(self.probability)])
+        found: Floats = np.interp(np.asarray(hours, dtype=float), edges, begun).astype(float)
+        return found
+
+
+@dataclass(frozen=True)
+class OutageLength:
+    """How long an outage lasts, as a distribution.
+
+    Parameters
+    ----------
+    family : {"lognormal", "weibull", "discrete"}
+        What kind of distribution.
+    scale_h, shape : float
+        Median in h and standard deviation of the logarithm; or scale and shape.
+    hours, probability : tuple of float
+        Each length that there is, and how likely it is.
+    max_h : float
+        What is longer counts as this.
+    """
+
+    family: str
+    scale_h: float = 1.0
+    shape: float = 1.0
+    hours: tuple[float, ...] = ()
+    probability: tuple[float, ...] = ()
+    max_h: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -37,6 +105,9 @@ class OutageWarning:
     duration_p10_h, duration_p50_h, duration_p90_h : float, optional
         Length of the whole outage in h that it stays below with a probability of 10, 50 and 90 %.
         Only the median: then for certain.
+    onset, length : optional
+        Distributions in place of the three times and the three lengths, which then sum them up for
+        people.
 
     Examples
     --------
@@ -55,6 +126,8 @@ class OutageWarning:
     duration_p10_h: float | None = None
     duration_p50_h: float | None = None
     duration_p90_h: float | None = None
+    onset: OnsetShares | None = None
+    length: OutageLength | None = None
 
     def __post_init__(self) -> None:
         problems = [

@@ -5,13 +5,15 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vppres.core.errors import InputError, Problem
 from vppres.service.store import Token
 
 SCOPES = ("read", "telemetry", "events", "operator")
+DAY_S = 86_400.0
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -21,14 +23,18 @@ class Denied(Exception):
     Parameters
     ----------
     status : int
-        401 where nobody knows who asks, 403 where it is known and not enough.
+        401 where nobody knows who asks, 403 where it is known and not enough, 429 where it is too
+        often.
     message : str
         Why.
+    wait_s : float, optional
+        After which it may be asked again.
     """
 
-    def __init__(self, status: int, message: str) -> None:
+    def __init__(self, status: int, message: str, wait_s: float = 0.0) -> None:
         super().__init__(message)
         self.status = status
+        self.wait_s = wait_s
 
 
 @dataclass(frozen=True)
@@ -39,9 +45,39 @@ class Access:
     ----------
     tokens : sequence of Token
         Who may come in; if there are none everybody may do everything.
+    now : callable, optional
+        Seconds of UTC; the machine's clock, whatever the site's shows.
     """
 
     tokens: Sequence[Token] = ()
+    now: Callable[[], float] = time.time
+
+    def known(self, authorization: str | None) -> Token | None:
+        """The token of whoever asks; none where nobody needs one.
+
+        Parameters
+        ----------
+        authorization : str or None
+            Header of the request.
+
+        Raises
+        ------
+        Denied
+            If it is no token of ours, or has expired.
+        """
+        if not self.tokens:
+            return None
+        kind, _, secret = (authorization or "").partition(" ")
+        given = digest(secret)
+        found = None
+        for token in self.tokens:  # all of them, so that the time says nothing
+            if hmac.compare_digest(token.sha256, given):
+                found = token
+        if found is None or kind.lower() != "bearer":
+            raise Denied(401, "Give a token: Authorization: Bearer TOKEN.")
+        if found.expires is not None and self.now() >= found.expires:
+            raise Denied(401, f"The token of {found.name} has expired. Ask for another one.")
+        return found
 
     def actor(self, authorization: str | None, scope: str) -> str:
         """Name of whoever asks.
@@ -58,16 +94,9 @@ class Access:
         Denied
             If it may not.
         """
-        if not self.tokens:
+        found = self.known(authorization)
+        if found is None:
             return "anybody here"
-        kind, _, secret = (authorization or "").partition(" ")
-        given = digest(secret)
-        found = None
-        for token in self.tokens:  # all of them, so that the time says nothing
-            if hmac.compare_digest(token.sha256, given):
-                found = token
-        if found is None or kind.lower() != "bearer":
-            raise Denied(401, "Give a token: Authorization: Bearer TOKEN.")
         if scope not in found.scopes.split():
             raise Denied(403, f"The token of {found.name} has no scope {scope}.")
         return found.name
@@ -82,8 +111,15 @@ def digest(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def new_token(text: str) -> tuple[str, Token]:
+def new_token(text: str, days: float | None = None) -> tuple[str, Token]:
     """A secret, and what is kept of it, for ``NAME:SCOPE,SCOPE``.
+
+    Parameters
+    ----------
+    text : str
+        Whose it is, and what for.
+    days : float, optional
+        After which it ends; never if not given.
 
     Raises
     ------
@@ -110,10 +146,11 @@ def new_token(text: str) -> tuple[str, Token]:
             )
         )
     secret = secrets.token_urlsafe(32)
-    return secret, Token(name.strip(), digest(secret), " ".join(scopes))
+    expires = None if days is None else int(time.time() + days * DAY_S)
+    return secret, Token(name.strip(), digest(secret), " ".join(scopes), expires)
 
 
-def check_address(host: str, access: Access, behind_proxy: bool) -> None:
+def check_address(host: str, access: Access, encrypted: bool) -> None:
     """Refuse to listen to other machines without tokens and encryption.
 
     Raises
@@ -126,8 +163,10 @@ def check_address(host: str, access: Access, behind_proxy: bool) -> None:
     missing = []
     if not access.tokens:
         missing.append("a token (--add-token NAME:SCOPES)")
-    if not behind_proxy:
-        missing.append("a proxy in front that does TLS (--behind-proxy)")
+    if not encrypted:
+        missing.append(
+            "TLS (--certificate and --key), or a proxy in front that does it (--behind-proxy)"
+        )
     if missing:
         raise InputError(
             Problem(

@@ -7,12 +7,12 @@ What does not pass is not sent; the device gets its default.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.live.controller import SetPoints
 from vppres.scenario.scenario import Scenario
 
 RATING_SHARE = 2e-3
@@ -21,14 +21,33 @@ SOC_SHARE = 1e-3
 """What solvers and rounding may be off by."""
 
 
+class Wanted(Protocol):
+    """Set-points as tables by identifier: what decided them does not matter."""
+
+    @property
+    def batteries(self) -> pd.DataFrame:
+        """``p_kw``, charging positive, and ``q_kvar``."""
+        ...
+
+    @property
+    def pv(self) -> pd.DataFrame:
+        """``p_kw``, ``q_kvar`` and ``available_kw``."""
+        ...
+
+    @property
+    def customers(self) -> pd.DataFrame:
+        """``served``."""
+        ...
+
+
 def refusals(
-    decision: SetPoints, scenario: Scenario, soc: Mapping[str, float]
+    decision: Wanted, scenario: Scenario, soc: Mapping[str, float]
 ) -> dict[tuple[str, str], str]:
     """What may not be sent, and why.
 
     Parameters
     ----------
-    decision : SetPoints
+    decision : Wanted
         What is to be sent.
     scenario : Scenario
         The site: ratings and step length.
@@ -50,7 +69,7 @@ def refusals(
     return found
 
 
-def _batteries(decision: SetPoints, scenario: Scenario, soc: Mapping[str, float]) -> dict[str, str]:
+def _batteries(decision: Wanted, scenario: Scenario, soc: Mapping[str, float]) -> dict[str, str]:
     """Ratings, the inverter's disc, and what is stored."""
     b = scenario.batteries
     table = decision.batteries
@@ -73,7 +92,7 @@ def _batteries(decision: SetPoints, scenario: Scenario, soc: Mapping[str, float]
     return _named(list(b.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
 
 
-def _pv(decision: SetPoints, scenario: Scenario) -> dict[str, str]:
+def _pv(decision: Wanted, scenario: Scenario) -> dict[str, str]:
     """What there is to be fed, and the inverter's disc."""
     pv = scenario.pv
     table = decision.pv
@@ -90,7 +109,7 @@ def _pv(decision: SetPoints, scenario: Scenario) -> dict[str, str]:
     return _named(list(pv.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
 
 
-def _customers(decision: SetPoints) -> dict[str, str]:
+def _customers(decision: Wanted) -> dict[str, str]:
     """Served, or not."""
     served = decision.customers["served"]
     return {

@@ -1,38 +1,51 @@
-"""From what is stored to the measurement of a step: what is heard, late, lost, or expected.
+"""From what is stored to the measurement of a step: what is heard, late, or lost.
 
-A reading holds for its own resolution, and for a step at least. What is older is left to the guard,
-which estimates it; a battery that has been silent for three times as long, or was never heard of,
-is left out of the plan.
+A reading holds for its own resolution and for a step at least; a state of charge, and whether there
+is grid, for a tenth of a step. What is older is left to the guard, which estimates it; a battery
+that has been silent in everything for three steps, or whose state of charge was never heard of, is
+left out of the plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
 from vppres.live.door import RANGES, Range
 from vppres.live.measurement import Measurement
+from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import limits_kw, outages, prices
 from vppres.service.clock import written
-from vppres.service.payloads import Readings, read_duration, read_moment
-from vppres.service.store import Reading, Store, moment, seconds
+from vppres.service.payloads import OperatorSetpoint, Readings
+from vppres.service.store import Event, Reading, Store, moment, seconds
+from vppres.service.window import CAUTIOUS, Window
 
-INSTANT = ("soc", "load_kw", "pv_kw", "online")
+INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
+OF_BATTERIES = ("soc", "online", "battery_kw")
 GRID = "grid"
+EARLY_SHARE = 0.1
+"""Share of a step that a reading may be ahead of it: clocks are off."""
+
+MOVING = ("soc", "grid_on")
+MOVING_SHARE = 0.1
+"""Share of a step for which readings hold that may have changed since, whatever their resolution:
+what moved a battery the guard reckons, and whether there is grid must not be an old story."""
+
 LOST_AFTER = 3
 """Multiples of the time for which a reading holds."""
 
 WHERE = "telemetry"
-_FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where the battery can work, else 0.")
+FLAGS = ("online", "grid_on")
+_FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,25 @@ class Heard:
 
 
 @dataclass(frozen=True, eq=False)
+class Grid:
+    """Whether there is grid in a step, and what is known of the ones behind it.
+
+    Parameters
+    ----------
+    available : bool
+        Whether there is.
+    known_by : {"reading", "event", "last reading", "belief", "profile"}
+        Who says so.
+    limits_kw : array, shape (W,)
+        Largest import in the window, 0 in outages.
+    """
+
+    available: bool
+    known_by: str
+    limits_kw: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Known:
     """What is known at a step.
 
@@ -66,13 +98,24 @@ class Known:
         For the controller.
     heard : list of Heard
         Age of everything that was ever heard of.
+    grid : Grid
+        Whether there is grid.
+    estimated : list of str
+        What stands in for readings that are lost.
     soc : dict of str to float
         State of charge that was read.
     """
 
     measurement: Measurement
     heard: list[Heard]
+    grid: Grid
+    estimated: list[str]
     soc: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def limits_kw(self) -> pd.Series[float]:
+        """Limits of import over the window, infinite where there are none."""
+        return pd.Series(self.measurement.grid_limit_kw)
 
 
 def assets_of(scenario: Scenario) -> dict[str, list[str]]:
@@ -85,6 +128,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "load_kw": [str(name) for name in scenario.customers.id],
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
+        "grid_on": [GRID],
     }
 
 
@@ -124,7 +168,7 @@ def readings_of(
                 )
             )
             continue
-        permitted = _FLAG if one.quantity == "online" else RANGES[one.quantity]
+        permitted = _FLAG if one.quantity in FLAGS else RANGES[one.quantity]
         for step, value in enumerate(one.values):
             if value is not None and not permitted.holds(value):
                 field_name = f"{one.quantity} of {one.asset}"
@@ -137,6 +181,24 @@ def readings_of(
     return good, problems
 
 
+def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:
+    """Whether an operator asks something of devices that there are.
+
+    Raises
+    ------
+    InputError
+        With everybody who is not at the site.
+    """
+    problems = []
+    for one in asked:
+        known = [str(name) for name in getattr(scenario, one.kind).id]
+        if one.asset not in known:
+            cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
+            problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
+    if problems:
+        raise InputError(problems)
+
+
 def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     """What is known at the beginning of a step.
 
@@ -145,188 +207,167 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
     time : pandas.Timestamp
         The step.
     controller : Controller
-        Whose window is to be known.
+        Whose window is to be known; it has been told of the outages that are announced.
     store : Store
         What was heard.
     """
     scenario = controller.scenario
-    step_s = round(scenario.grid.step_minutes * 60)
-    found = {(r.asset, r.quantity): r for r in store.latest(time, INSTANT)}
-    heard = [_heard(reading, time, step_s) for reading in found.values()]
-    state = {(one.asset, one.quantity): one.state for one in heard}
-    fresh = {
-        key: np.nan if reading.value is None else reading.value
-        for key, reading in found.items()
-        if state[key] == "ok"
-    }
-    soc = {asset: value for (asset, quantity), value in fresh.items() if quantity == "soc"}
-    means = _means(store, time, step_s)
-    batteries = assets_of(scenario)["battery_kw"]
+    readings = _Readings.at(time, scenario, store)
+    window = Window.of(controller, time)
+    estimated: list[str] = []
+
+    def expected(quantity: str, ids: Names) -> pd.DataFrame | None:
+        if not len(ids):
+            return None
+        forecast = store.forecast(quantity, time + window.length)
+        lost = readings.lost(quantity)
+        table, cautious = window.expected(quantity, ids, forecast, lost)
+        estimated.extend(
+            f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
+        )
+        for name, value in readings.now(quantity).items():
+            if name not in cautious:
+                table.loc[time, name] = value
+        return table
+
+    batteries = [str(name) for name in scenario.batteries.id]
+    events = list(store.events().values())
+    grid = _grid(controller, window, readings, events)
+    means = _means(store, time, window.length)
     power = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
-    window = _Window.of(controller, time)
+    soc = readings.now("soc")
+    out = readings.silent | {name for name in batteries if name not in soc}
+    # Who did not do what it was told is taken back when it says how it is.
+    out |= {
+        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
+    }
+    off = {name for name, value in readings.now("online").items() if value == 0.0}
     measurement = Measurement(
         time,
-        soc=soc,
-        load_kw=window.expected("load_kw", scenario.customers.id, found, fresh, store),
-        pv_kw=window.expected("pv_kw", scenario.pv.id, found, fresh, store),
-        price_gbp_per_kwh=pd.Series(window.prices(store), window.times),
-        grid_limit_kw=pd.Series(window.limits_kw(store), window.times),
+        soc={name: value for name, value in soc.items() if name not in out},
+        load_kw=expected("load_kw", scenario.customers.id),
+        pv_kw=expected("pv_kw", scenario.pv.id),
+        price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
+        grid_limit_kw=pd.Series(grid.limits_kw, window.times),
         battery_kw=power or None,
-        online={
-            name: bool(fresh.get((name, "online"), 1.0) != 0.0)
-            and state.get((name, "soc"), "lost") != "lost"
-            for name in batteries
-        },
+        online={name: name not in out | off for name in batteries},
         import_kw=means.get((GRID, "import_kw")),
     )
-    return Known(measurement, heard, {k: v for k, v in soc.items() if np.isfinite(v)})
+    known_soc = {name: value for name, value in soc.items() if np.isfinite(value)}
+    return Known(measurement, readings.heard, grid, estimated, known_soc)
+
+
+def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
+    """States of charge that were read."""
+    found = _Readings.at(time, scenario, store).now("soc")
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """Last readings of a step.
+
+    Parameters
+    ----------
+    heard : list of Heard
+        All that was ever heard.
+    values : dict
+        By asset and quantity; NaN where it is too old, or known to be missing.
+    last : dict
+        The same with what is too old, but not lost.
+    silent : set of str
+        Batteries of which nothing at all is heard any more.
+    times : dict
+        When readings that hold were taken, in seconds, by asset and quantity.
+    """
+
+    heard: list[Heard]
+    values: dict[tuple[str, str], float]
+    last: dict[tuple[str, str], float | None]
+    silent: set[str]
+    times: dict[tuple[str, str], int]
+
+    @classmethod
+    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
+        step_s = round(scenario.grid.step_minutes * 60)
+        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
+        heard = [_heard(reading, time, step_s) for reading in found]
+        values = {
+            (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
+            for r, h in zip(found, heard, strict=True)
+        }
+        last = {
+            (r.asset, r.quantity): r.value
+            for r, h in zip(found, heard, strict=True)
+            if h.state != "lost"
+        }
+        power = [_heard(reading, time, step_s) for reading in store.latest(time, ("battery_kw",))]
+        told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
+        alive = {one.asset for one in told if one.state != "lost"}
+        silent = {one.asset for one in told} - alive
+        times = {
+            (r.asset, r.quantity): r.time for r in found if np.isfinite(values[r.asset, r.quantity])
+        }
+        return cls(heard, values, last, silent, times)
+
+    def now(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity by asset."""
+        return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
+
+    def heard_until(self, battery: str) -> int:
+        """Time of the last state of charge that is of now, in seconds; 0 if there is none."""
+        return self.times.get((battery, "soc"), 0)
+
+    def lost(self, quantity: str) -> set[str]:
+        """Assets that have been silent for too long."""
+        return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
+
+
+def _grid(controller: Controller, window: Window, readings: _Readings, events: list[Event]) -> Grid:
+    """Whether there is grid: by its own reading, else by what is announced or believed."""
+    limits = limits_kw(events, window)
+    out = outages(events, window) | (limits <= 0.0)
+    read = readings.now("grid_on").get(GRID, np.nan)
+    last = readings.last.get((GRID, "grid_on"))
+    known_by = "profile"
+    if np.isfinite(read):
+        known_by = "reading"
+        if read == 0.0 and not out[0]:
+            # As an outage that was announced without an end: until somebody says otherwise.
+            out[:] = True
+        out[0] = read == 0.0
+    elif out[0]:
+        known_by = "event"
+    elif last == 0.0:
+        known_by = "last reading"
+        out[:] = True
+    elif controller.out_probability(window.times[0]).iloc[0] >= HALF:
+        known_by = "belief"
+        out[0] = True
+    limits = np.where(out, 0.0, limits)
+    return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
 def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
     """How old a reading is."""
-    age_s = seconds(time) - reading.time
-    holds_s = max(reading.resolution_s, step_s)
-    state = "ok" if age_s <= holds_s else "stale" if age_s <= LOST_AFTER * holds_s else "lost"
+    held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
+    age_s = max(seconds(time) - held, 0)
+    lost_s = LOST_AFTER * max(reading.resolution_s, step_s)
+    moves = reading.quantity in MOVING
+    holds_s = MOVING_SHARE * step_s if moves else max(reading.resolution_s, step_s)
+    state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
-def _means(store: Store, time: pd.Timestamp, step_s: int) -> dict[tuple[str, str], float]:
-    """Means of the step that is over, of the readings that begin in it."""
-    begun = time - pd.Timedelta(seconds=step_s)
+def _means(store: Store, time: pd.Timestamp, step: pd.Timedelta) -> dict[tuple[str, str], float]:
+    """Means of the step that is over, of the readings whose middle lies in it."""
+    begun = time - step
     values: dict[tuple[str, str], list[float]] = {}
-    for reading in store.between(begun, time, MEAN):
-        if reading.value is not None:
+    for reading in store.between(begun - step, time + step, MEAN):
+        middle = moment(reading.time) + pd.Timedelta(seconds=reading.resolution_s / 2)
+        if reading.value is not None and begun <= middle < time:
             values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
     return {key: sum(each) / len(each) for key, each in values.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """The steps that a decision looks at.
-
-    Parameters
-    ----------
-    times : DatetimeIndex, length W
-        Their beginnings.
-    length : Timedelta
-        Of each.
-    series : dict of str to array, shape (W, ...)
-        What the profile says of them.
-    """
-
-    times: pd.DatetimeIndex
-    length: pd.Timedelta
-    series: Mapping[str, Floats]
-
-    @classmethod
-    def of(cls, controller: Controller, time: pd.Timestamp) -> _Window:
-        times = controller.window(time)
-        scenario = controller.scenario
-        inside = (scenario.grid.times >= times[0]) & (scenario.grid.times <= times[-1])
-        series = {name: values[inside] for name, values in scenario.series.items()}
-        return cls(times, pd.Timedelta(minutes=scenario.grid.step_minutes), series)
-
-    def expected(
-        self,
-        quantity: str,
-        ids: Any,
-        found: Mapping[tuple[str, str], Reading],
-        fresh: Mapping[tuple[str, str], float],
-        store: Store,
-    ) -> pd.DataFrame | None:
-        """Profile, over it the forecast, and in the first row what is read; NaN what is missing."""
-        if not len(ids):
-            return None
-        table = pd.DataFrame(self.series[quantity].copy(), self.times, [str(name) for name in ids])
-        forecast = store.forecast(quantity, self.times[0] + self.length)
-        if forecast is not None:
-            self._lay(table, forecast)
-        for name in table.columns:
-            key = (name, quantity)
-            if key in found:
-                table.loc[self.times[0], name] = fresh.get(key, np.nan)
-        return table
-
-    def _lay(self, table: pd.DataFrame, forecast: Mapping[str, Any]) -> None:
-        """The medians of a forecast in their places."""
-        for name, quantiles in forecast["assets"].items():
-            steps = self._steps(forecast, quantiles["p50"])
-            if name in table.columns:
-                for time, value in steps.items():
-                    table.loc[time, name] = value
-
-    def _steps(self, body: Mapping[str, Any], values: list[float]) -> dict[pd.Timestamp, float]:
-        """Values of a body that begin with a step of the window."""
-        start = read_moment(body["start"]).tz_convert("UTC")
-        length = read_duration(body["resolution"])
-        times = {start + step * length: value for step, value in enumerate(values)}
-        return {time: times[time] for time in self.times if time in times}
-
-    def prices(self, store: Store) -> Floats:
-        """Import prices, those of events over those of the profile."""
-        prices = self.series["price_gbp_per_kwh"].copy()
-        for _, body in store.events().values():
-            if body["type"] == "price":
-                for time, value in self._steps(body, body["price_gbp_per_kwh"]).items():
-                    prices[self.times.get_loc(time)] = value
-        return prices
-
-    def limits_kw(self, store: Store) -> Floats:
-        """Import limits, 0 in every step that an outage touches."""
-        limits = self.series["grid_limit_kw"].copy()
-        for _, body in store.events().values():
-            if body["type"] in ("outage", "import_limit"):
-                touched = self.times + self.length > read_moment(body["start"])
-                if body["end"] is not None:
-                    touched &= self.times < read_moment(body["end"])
-                most = 0.0 if body["type"] == "outage" else float(body["limit_kw"])
-                limits = np.where(touched, np.minimum(limits, most), limits)
-        return np.asarray(limits)
-
-
-def check_forecast(
-    quantity: str,
-    assets: Mapping[str, Any],
-    start: pd.Timestamp,
-    length: pd.Timedelta,
-    of: Scenario,
-) -> None:
-    """Whether a forecast is of the site and its steps.
-
-    Raises
-    ------
-    InputError
-        With everything that is not.
-    """
-    known = assets_of(of)[quantity]
-    problems = [
-        Problem("forecast", "is not at the site", did_you_mean(name, known, "Leave it out."))
-        for name in assets
-        if name not in known
-    ]
-    step = pd.Timedelta(minutes=of.grid.step_minutes)
-    if length != step:
-        problems.append(
-            Problem(
-                "forecast",
-                "is not the length of a step",
-                f"Steps last {of.grid.step_minutes:g} min.",
-                field="resolution",
-                value=str(length),
-            )
-        )
-    elif (start - of.grid.start) % step != pd.Timedelta(0):
-        problems.append(
-            Problem(
-                "forecast",
-                "is not the beginning of a step",
-                f"Steps last {of.grid.step_minutes:g} min; one begins at {written(of.grid.start)}.",
-                field="start",
-                value=written(start),
-            )
-        )
-    if problems:
-        raise InputError(problems)
 
 
 def last_heard(store: Store) -> dict[str, str]:

@@ -17,10 +17,15 @@ from pydantic import (
 )
 
 from vppres.live.door import moment_of
+from vppres.service.clock import written
 
 MOST_SERIES = 2_000
 MOST_VALUES = 2_000
+MOST_READINGS = 20_000
+"""Of a batch: what is kept in a transaction of a second or so."""
+
 LONGEST_NAME = 100
+LARGEST_SUM_ERROR = 1e-3
 
 _DURATION = re.compile(r"PT(?=\d)(\d{1,4}H)?(\d{1,5}M)?(\d{1,6}S)?")
 
@@ -69,8 +74,11 @@ Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Power = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)]
 Price = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e3, le=1e3)]
+Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
+Hours = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=8760)]
+Shape = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=20)]
 
-Quantity = Literal["soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "online"]
+Quantity = Literal["soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "online", "grid_on"]
 
 
 class Body(BaseModel):
@@ -82,8 +90,9 @@ class Body(BaseModel):
 class Readings(Body):
     """Readings of one quantity of one asset, equally apart; null where one is known to be missing.
 
-    ``soc``, ``load_kw``, ``pv_kw`` and ``online`` (1 or 0) hold at their time, ``battery_kw``
-    (charging positive) and ``import_kw`` (of the asset ``grid``) are means from then on.
+    ``soc``, ``load_kw``, ``pv_kw``, ``online`` and ``grid_on`` (1 or 0) hold at their time,
+    ``battery_kw`` (charging positive) and ``import_kw`` are means from then on. The asset of
+    ``import_kw`` and ``grid_on`` is ``grid``.
     """
 
     source: Name
@@ -98,6 +107,12 @@ class Telemetry(Body):
     """A batch of readings; to send it twice does no harm."""
 
     series: list[Readings] = Field(min_length=1, max_length=MOST_SERIES)
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> Telemetry:
+        if sum(len(one.values) for one in self.series) > MOST_READINGS:
+            raise ValueError(f"has more than {MOST_READINGS} readings. Send them in parts")
+        return self
 
 
 class Interval(Body):
@@ -118,6 +133,86 @@ class Outage(Interval):
     """No grid; every step that it touches counts."""
 
     type: Literal["outage"]
+
+
+class Onset(Body):
+    """The probability of each interval to be the one in which an outage begins, if it comes."""
+
+    start: Moment
+    resolution: Duration
+    probabilities: list[Share] = Field(min_length=1, max_length=MOST_VALUES)
+
+    @model_validator(mode="after")
+    def _sums_to_one(self) -> Onset:
+        _check_sum(self.probabilities)
+        return self
+
+
+class Lognormal(Body):
+    """A length whose logarithm is normal."""
+
+    family: Literal["lognormal"]
+    median_h: Hours
+    sigma: Shape
+    max_h: Hours | None = None
+
+
+class Weibull(Body):
+    """A length whose hazard falls with time where ``shape`` is below 1."""
+
+    family: Literal["weibull"]
+    scale_h: Hours
+    shape: Shape
+    max_h: Hours | None = None
+
+
+class Discrete(Body):
+    """One of several lengths."""
+
+    family: Literal["discrete"]
+    hours: list[Hours] = Field(min_length=1, max_length=MOST_VALUES)
+    probabilities: list[Share] = Field(min_length=1, max_length=MOST_VALUES)
+
+    @model_validator(mode="after")
+    def _belong_together(self) -> Discrete:
+        if len(self.hours) != len(self.probabilities):
+            raise ValueError("has lengths without a probability. Give each its own")
+        _check_sum(self.probabilities)
+        return self
+
+
+class Until(Body):
+    """A known end."""
+
+    family: Literal["until"]
+    until: Moment
+
+
+Length = Annotated[Lognormal | Weibull | Discrete | Until, Field(discriminator="family")]
+
+
+class Belief(Body):
+    """An outage that may come; without a duration it lasts as long as the site's usually do."""
+
+    type: Literal["outage_belief"]
+    source: Name = "operator"
+    issued_at: Moment | None = None
+    probability: Share
+    onset: Onset
+    duration: Length | None = None
+    limit_kw: Literal[0] = 0
+    openadr_type: Name | None = None
+
+    @model_validator(mode="after")
+    def _ends_after_it_begins(self) -> Belief:
+        if isinstance(self.duration, Until) and self.duration.until <= self.onset.start:
+            raise ValueError("ends before it begins. Give a later end")
+        return self
+
+
+def _check_sum(probabilities: list[float]) -> None:
+    if abs(sum(probabilities) - 1.0) > LARGEST_SUM_ERROR:
+        raise ValueError("has probabilities that do not sum to 1. Give all that can happen")
 
 
 class ImportLimit(Interval):
@@ -144,7 +239,7 @@ class Alert(Interval):
     text: str = Field(max_length=500)
 
 
-Event = Annotated[Outage | ImportLimit | Prices | Alert, Field(discriminator="type")]
+Event = Annotated[Outage | Belief | ImportLimit | Prices | Alert, Field(discriminator="type")]
 
 
 class Quantiles(Body):
@@ -180,9 +275,72 @@ class StepRequest(Body):
     time: Moment | None = None
 
 
-class ModeRequest(Body):
-    """What the service does: decide, or give defaults only."""
+class ClockRequest(Body):
+    """What time it is, for services whose clock is set."""
 
-    mode: Literal["auto", "off"]
+    now: Moment
+
+
+class OperatorSetpoint(Body):
+    """What an operator wants of one device: power, or whether a customer is on."""
+
+    kind: Literal["batteries", "pv", "customers"]
+    asset: Name
+    p_kw: Number | None = None
+    q_kvar: Number = 0.0
+    served: bool | None = None
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> OperatorSetpoint:
+        if (self.kind == "customers") != (self.served is not None):
+            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
+        if (self.kind == "customers") == (self.p_kw is not None):
+            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
+        return self
+
+
+class ModeRequest(Body):
+    """What the service does from the next step on.
+
+    ``auto`` decides, ``off`` gives defaults only, ``hold`` gives the last set-points again, and
+    ``manual`` the operator's, with the last ones for whoever is not named.
+    """
+
+    mode: Literal["auto", "hold", "manual", "off"]
     until: Moment | None = None
     reason: str = Field("", max_length=200)
+    setpoints: list[OperatorSetpoint] = Field([], max_length=MOST_SERIES)
+
+    @model_validator(mode="after")
+    def _ends(self) -> ModeRequest:
+        if self.mode in ("hold", "manual") and self.until is None:
+            raise ValueError("must have an end: nobody looks after it. Give until")
+        if (self.mode == "manual") != bool(self.setpoints):
+            raise ValueError("and set-points do not belong together. Give set-points for manual")
+        return self
+
+
+class SetpointStatus(Body):
+    """What became of a set-point, in the words of S2."""
+
+    status: Literal["accepted", "rejected", "started", "succeeded", "aborted"]
+    value: Number | None = None
+    reason: str = Field("", max_length=200)
+
+
+def plain(body: Body) -> dict[str, Any]:
+    """A body as it is kept: times with offsets, durations as they were read."""
+    found: dict[str, Any] = _plain(body.model_dump())
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, pd.Timestamp):
+        return written(value)
+    if isinstance(value, pd.Timedelta):
+        return f"PT{round(value.total_seconds())}S"
+    return value

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,9 @@ SCHEMA_VERSION = "1.0.0"
 
 OVERLAP = 0.1
 """Share of a step for which set-points hold beyond its end, while the next ones are made."""
+
+MOST_AHEAD = 48
+"""Steps that a plan tells of beside its own."""
 
 DECIDED = ("ok", "fallback")
 """Outcomes of steps in which the controller decided."""
@@ -61,7 +64,11 @@ def plan_of(
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,
         },
-        "estimated": [words for words in str(solve["estimated"]).split("; ") if words],
+        "grid": {"available": known.grid.available, "known_by": known.grid.known_by},
+        "estimated": [
+            *(words for words in str(solve["estimated"]).split("; ") if words),
+            *known.estimated,
+        ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "setpoints": _set_points(decision, scenario, refused, reason),
         "expected": {
@@ -69,7 +76,10 @@ def plan_of(
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
             "v_min_pu": _number(v_pu.min()),
             "v_max_pu": _number(v_pu.max()),
+            "v_min_bus": _at_lowest(v_pu),
+            "grid_limit_kw": _number(known.limits_kw.iloc[0]),
         },
+        "ahead": _ahead(decision, known),
     }
 
 
@@ -94,13 +104,99 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
             for name, values in each.items()
         ],
         "expected": None,
+        "ahead": None,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Ordered:
+    """Set-points that nobody decided: those before, and an operator's in their place.
+
+    Parameters
+    ----------
+    batteries, pv, customers : DataFrame
+        By identifier, as the gate reads them.
+    """
+
+    batteries: pd.DataFrame
+    pv: pd.DataFrame
+    customers: pd.DataFrame
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        before: Mapping[str, Any] | None,
+        asked: Iterable[Mapping[str, Any]],
+    ) -> Ordered:
+        """The last plan's set-points, the operator's over them, defaults where there are none."""
+        told = {
+            (one["kind"], one["asset"]): one for one in (before or {"setpoints": []})["setpoints"]
+        }
+        over = {(one["kind"], one["asset"]): one for one in asked}
+        tables = {}
+        for kind in ("batteries", "pv", "customers"):
+            rows = {}
+            for name in map(str, getattr(scenario, kind).id):
+                default = _default(scenario, kind, name)
+                now = {**default, **told.get((kind, name), {})}
+                if (kind, name) in over:
+                    now = {**default, **over[kind, name]}
+                rows[name] = {field: now[field] for field in default}
+            tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
+        # What the sun gives is not known here; a system feeds what it has.
+        tables["pv"]["available_kw"] = scenario.pv.p_max_kw
+        return cls(**tables)
+
+
+def ordered_plan(
+    time: pd.Timestamp,
+    scenario: Scenario,
+    mode: Mapping[str, Any],
+    ordered: Ordered,
+    refused: Mapping[tuple[str, str], str],
+) -> dict[str, Any]:
+    """The plan of a step that an operator decided."""
+    reason = mode["reason"] or mode["mode"]
+    kinds = {name: getattr(ordered, name) for name in ("batteries", "pv", "customers")}
+    return {
+        **defaults_of(time, scenario, mode["mode"], reason),
+        "setpoints": [
+            _set_point(time, scenario, kind, str(name), _fields(kind, row), refused, reason)
+            for kind, table in kinds.items()
+            for name, row in table.iterrows()
+        ],
+    }
+
+
+def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
+    """What a set-point of a kind says."""
+    if kind == "customers":
+        return {"served": bool(row["served"])}
+    names = ("p_kw", "q_kvar") if kind == "batteries" else ("p_kw", "q_kvar", "curtailed_kw")
+    return {name: float(row[name]) for name in names}
 
 
 def etag(plan: Mapping[str, Any]) -> str:
     """Name of the content."""
     text = json.dumps(plan, sort_keys=True)
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+
+
+def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
+    """What is foreseen of the steps after this one; it is decided anew when they begin."""
+    foreseen = decision.foreseen
+    times = foreseen.import_kw.index[:MOST_AHEAD]
+    limits_kw = known.limits_kw.reindex(times)
+    return {
+        "times": [written(time) for time in times],
+        "grid_limit_kw": _numbers(limits_kw),
+        "import_kw": _numbers(foreseen.import_kw[times]),
+        "soc": {name: _numbers(values[times]) for name, values in foreseen.soc_end.items()},
+        "served": {
+            name: [bool(on) for on in values[times]] for name, values in foreseen.served.items()
+        },
+    }
 
 
 def inputs_digest(measured: Measurement) -> str:
@@ -147,7 +243,11 @@ def _set_points(
         for name, row in decision.batteries.iterrows()
     }
     pv = {
-        str(name): {"p_kw": float(row.p_kw), "q_kvar": float(row.q_kvar)}
+        str(name): {
+            "p_kw": float(row.p_kw),
+            "q_kvar": float(row.q_kvar),
+            "curtailed_kw": float(row.curtailed_kw),
+        }
         for name, row in decision.pv.iterrows()
     }
     customers = {str(name): {"served": bool(on)} for name, on in decision.customers.served.items()}
@@ -194,7 +294,16 @@ def _default(scenario: Scenario, kind: str, name: str) -> dict[str, Any]:
     if kind == "batteries":
         return {"p_kw": 0.0, "q_kvar": 0.0}
     place = [str(each) for each in scenario.pv.id].index(name)
-    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0}
+    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0, "curtailed_kw": 0.0}
+
+
+def _at_lowest(v_pu: pd.Series[float]) -> str | None:
+    """The bus of the lowest voltage; none in the dark."""
+    return None if v_pu.isna().all() else str(v_pu.idxmin())
+
+
+def _numbers(values: Iterable[Any]) -> list[float | None]:
+    return [_number(value) for value in values]
 
 
 def _number(value: Any) -> float | None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time as machine
+from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,15 +16,23 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
 from vppres.live.profile import Profile
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import warnings
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
-from vppres.service.knowledge import Heard, known_at
-from vppres.service.plans import DECIDED, defaults_of, plan_of
+from vppres.service.knowledge import Heard, Known, known_at, soc_at
+from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
 from vppres.service.store import Store
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""
+
+BY_HAND = ("hold", "manual")
+"""Modes in which an operator decides."""
+
+MOST_JOBS = 100
+"""Steps that were asked for and are remembered, beside those that are stored."""
 
 MOST_MISSED = 10_000
 """Steps missed in a row that are written down one by one."""
@@ -43,11 +52,14 @@ class Service:
         How it decides.
     rehearsal : bool
         Whether the scenario's own steps are played, at the pace of whoever asks for them.
+    paced : bool
+        Whether the clock is set over HTTP, in place of the machine's; that of a rehearsal is.
     """
 
     scenario: Scenario
     options: RunOptions
     rehearsal: bool = False
+    paced: bool = False
 
 
 class Runner:
@@ -67,6 +79,7 @@ class Runner:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
+        self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
         self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
         self.profile = None if service.rehearsal else Profile.of(service.scenario)
@@ -74,12 +87,13 @@ class Runner:
         self.heard: list[Heard] = []
         self.last: dict[str, Any] | None = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
+        self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self._state = store.state()
         self._controller = self._restored()
         # One thread decides all steps, so that there is one process that solves.
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
-        if service.rehearsal and isinstance(clock, SetClock) and self.last is not None:
-            clock.set(pd.Timestamp(self.last["start"]))
+        if isinstance(clock, SetClock) and self.last is not None:
+            clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
 
     def close(self) -> None:
         """End the thread, after the step that it is in."""
@@ -102,6 +116,54 @@ class Runner:
         """
         return self._thread.submit(self._step, time).result()
 
+    def begin(self, time: pd.Timestamp | None = None) -> str:
+        """Let a step be decided, and do not wait; the name of the job, that of its step."""
+        time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
+        name = written(time)
+        if name not in self._jobs or self._jobs[name].done():
+            self._jobs[name] = self._thread.submit(self._step, time)
+            while len(self._jobs) > MOST_JOBS:
+                self._jobs.popitem(last=False)
+        return name
+
+    def job(self, name: str) -> dict[str, Any] | None:
+        """How a step that was asked for stands, with its plan; None if it was not."""
+        future = self._jobs.get(name)
+        if future is not None and not future.done():
+            return {"id": name, "status": "started" if future.running() else "queued"}
+        try:
+            plan = self.store.step(pd.Timestamp(name))
+        except ValueError:
+            plan = None
+        if plan is not None:
+            return {"id": name, "status": "finished", "plan": plan}
+        if future is None:
+            return None
+        return {"id": name, "status": "failed", "reason": str(future.exception()).splitlines()[0]}
+
+    def set_clock(self, time: pd.Timestamp) -> None:
+        """Let it be a later time.
+
+        Raises
+        ------
+        InputError
+            If it is the machine's clock that counts, or the time is over.
+        """
+        problem = None
+        if not isinstance(self.clock, SetClock):
+            problem = ("is the machine's", "Start the service with --paced or --rehearse.")
+        elif time < self.clock.now():
+            problem = ("does not go back", f"It is {written(self.clock.now())}.")
+        if problem is not None:
+            raise InputError(Problem("clock", *problem, field="now", value=written(time)))
+        self._thread.submit(self._set_clock, time).result()
+
+    def _set_clock(self, time: pd.Timestamp) -> None:
+        assert isinstance(self.clock, SetClock)
+        self.clock.set(time)
+        if self._state is None:  # nothing was decided yet: it begins here
+            self._controller = self._restored()
+
     def begun(self, time: pd.Timestamp) -> pd.Timestamp:
         """Beginning of the step that covers a time."""
         start = self.scenario.grid.start
@@ -114,7 +176,7 @@ class Runner:
         if asked is None or (
             asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
         ):
-            return {"mode": "auto", "until": None, "reason": ""}
+            return {"mode": "auto", "until": None, "reason": "", "setpoints": []}
         found: dict[str, Any] = asked
         return found
 
@@ -138,8 +200,11 @@ class Runner:
             self.clock.set(time)
         begin = machine.monotonic()
         self._write_missed(time)
-        if self.mode["mode"] == "off":
-            plan = self._without(time, "off", self.mode["reason"] or "switched off")
+        mode = self.mode
+        if mode["mode"] == "off":
+            plan = self._without(time, "off", mode["reason"] or "switched off")
+        elif mode["mode"] in BY_HAND:
+            plan = self._by_hand(time, mode)
         else:
             plan = self._decided(time)
         self.on_step(machine.monotonic() - begin)
@@ -171,6 +236,7 @@ class Runner:
         """The plan of the controller, or of nobody if it fails."""
         try:
             self._feed(time)
+            self._controller.warn(*self._warnings(time), replacing=True)
             known = known_at(time, self._controller, self.store)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
@@ -181,6 +247,7 @@ class Runner:
             return self._without(time, "failed", str(error).splitlines()[0])
         plan = {
             **plan_of(decision, self.scenario, known, refused),
+            "outage_probability": self._believed(known),
             "generated_at": written(self.clock.now()),
         }
         state = self._controller.state()
@@ -196,6 +263,17 @@ class Runner:
         """The plan of a step in which nothing is decided."""
         plan = {
             **defaults_of(time, self.scenario, status, reason),
+            "generated_at": written(self.clock.now()),
+        }
+        self.store.write_plan(time, plan)
+        return plan
+
+    def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
+        """The plan of an operator, through the gate as any other."""
+        ordered = Ordered.of(self.scenario, self.last, mode.get("setpoints", []))
+        refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
+        plan = {
+            **ordered_plan(time, self.scenario, mode, ordered, refused),
             "generated_at": written(self.clock.now()),
         }
         self.store.write_plan(time, plan)
@@ -228,6 +306,18 @@ class Runner:
         if missing > 0:
             self._controller.extend(self.profile.steps(end, missing))
 
+    def _warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
+        """Messages of outages: those of events, and the scenario's own where it is rehearsed."""
+        own = self.scenario.warnings if self.rehearsal else ()
+        return [*own, *warnings(self.store.events(), time, self.length)]
+
+    def _believed(self, known: Known) -> list[float]:
+        """Probability of an outage in the present step and those behind it."""
+        if self.options.outages == KNOWN:
+            return [float(limit_kw <= 0.0) for limit_kw in known.grid.limits_kw]
+        found = self._controller.out_probability(known.measurement.time)
+        return [round(float(each), 6) for each in found]
+
     @property
     def _ahead(self) -> int:
         """Steps that are known ahead."""
@@ -241,7 +331,10 @@ class Runner:
     @property
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome."""
-        return {**dict.fromkeys((*DECIDED, "failed", "off", "missed"), 0), **self.store.outcomes()}
+        return {
+            **dict.fromkeys((*DECIDED, *BY_HAND, "failed", "off", "missed"), 0),
+            **self.store.outcomes(),
+        }
 
 
 def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import uvicorn
 
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, Problem
+from vppres.io.messages import did_you_mean
 from vppres.model.site import Site
 from vppres.service.access import LOOPBACK, Access, check_address, new_token
 from vppres.service.app import make_app
@@ -19,6 +21,9 @@ from vppres.service.runner import Runner, Service
 from vppres.service.store import Store
 
 DEFAULT_PORT = 8420
+MOST_AT_ONCE = 500
+"""Connections; those beyond are told to come back."""
+
 GRACE_S = 10
 """What requests may take to end after the service was told to."""
 
@@ -37,18 +42,62 @@ class Address:
         Whether a proxy in front does TLS, which other machines need.
     names : tuple of str
         Further names under which it is called, as a proxy passes them on.
+    certificate, key : Path, optional
+        Files for TLS of its own.
     """
 
     host: str = LOOPBACK[0]
     port: int = DEFAULT_PORT
     behind_proxy: bool = False
     names: tuple[str, ...] = ()
+    certificate: Path | None = None
+    key: Path | None = None
+
+    @property
+    def encrypts(self) -> bool:
+        """Whether it does TLS itself."""
+        return self.certificate is not None
 
     @property
     def url(self) -> str:
         """As a browser writes it."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}"
+        return f"http{'s' if self.encrypts else ''}://{host}:{self.port}"
+
+    def check(self, access: Access) -> None:
+        """Refuse what would be open to strangers, and files that are no certificate and its key.
+
+        Raises
+        ------
+        InputError
+            With the cure.
+        """
+        check_address(self.host, access, self.behind_proxy or self.encrypts)
+        if (self.certificate is None) != (self.key is None):
+            given, missing = ("certificate", "key") if self.encrypts else ("key", "certificate")
+            raise InputError(
+                Problem("options", f"needs --{missing}", "Give both files.", field=given)
+            )
+        if self.certificate is not None and self.key is not None:
+            try:
+                ssl.create_default_context().load_cert_chain(
+                    self.certificate, self.key, _no_password
+                )
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    Problem(
+                        "options",
+                        f"is no certificate with its key: {error}",
+                        "Give PEM files, the key without a password.",
+                        field="certificate",
+                        value=str(self.certificate),
+                    )
+                ) from error
+
+
+def _no_password() -> str:
+    """Nobody is there to be asked."""
+    raise ValueError("the key has a password")
 
 
 @contextmanager
@@ -65,7 +114,8 @@ def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterat
         The machine's, or the scenario's in a rehearsal, if not given.
     """
     if clock is None:
-        clock = SetClock(service.scenario.grid.start) if service.rehearsal else SystemClock()
+        played = service.rehearsal or service.paced
+        clock = SetClock(service.scenario.grid.start) if played else SystemClock()
     store = Store(folder, Site.of(service.scenario).key)
     try:
         runner = Runner(service, store, clock)
@@ -77,21 +127,39 @@ def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterat
         store.close()
 
 
-def add_token(service: Service, folder: Path, text: str) -> str:
-    """Let somebody in; the secret, which is shown once.
+def add_token(service: Service, folder: Path, text: str, days: float | None = None) -> str:
+    """Let somebody in, for some days or for good; the secret, which is shown once.
 
     Raises
     ------
     InputError
         If the text is no name with scopes, or the service runs.
     """
-    secret, token = new_token(text)
+    secret, token = new_token(text, days)
     store = Store(folder, Site.of(service.scenario).key)
     try:
         store.add_token(token, SystemClock().now())
     finally:
         store.close()
     return secret
+
+
+def remove_token(service: Service, folder: Path, name: str) -> None:
+    """Let somebody in no longer.
+
+    Raises
+    ------
+    InputError
+        If there is no such token, or the service runs.
+    """
+    store = Store(folder, Site.of(service.scenario).key)
+    try:
+        if not store.remove_token(name, SystemClock().now()):
+            known = [token.name for token in store.tokens()]
+            cure = did_you_mean(name, known, "There is none.")
+            raise InputError(Problem("tokens", "is nobody's name", cure, None, "name", name))
+    finally:
+        store.close()
 
 
 def serve(service: Service, folder: Path, address: Address, told: Callable[[str], None]) -> None:
@@ -115,9 +183,9 @@ def serve(service: Service, folder: Path, address: Address, told: Callable[[str]
     """
     with opened(service, folder) as runner:
         access = Access(runner.store.tokens())
-        check_address(address.host, access, address.behind_proxy)
+        address.check(access)
         hosts = (*LOOPBACK, address.host, *address.names)
-        app = make_app(runner, access, [name.strip("[]") for name in hosts])
+        app = make_app(runner, access, hosts, address.encrypts)
         config = uvicorn.Config(
             app,
             host=address.host,
@@ -125,10 +193,14 @@ def serve(service: Service, folder: Path, address: Address, told: Callable[[str]
             log_level="warning",
             access_log=False,
             server_header=False,
+            ssl_certfile=address.certificate,
+            ssl_keyfile=address.key,
+            limit_concurrency=MOST_AT_ONCE,
+            ws="none",
             timeout_graceful_shutdown=GRACE_S,
         )
         told(f"Serving {service.scenario.name} at {address.url}, state in {folder}.")
-        loop = None if service.rehearsal else Loop(runner)
+        loop = None if isinstance(runner.clock, SetClock) else Loop(runner)
         if loop is not None:
             loop.start()
         try:

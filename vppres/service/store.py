@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +18,13 @@ from typing import Any
 
 import pandas as pd
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.core.errors import InputError, Problem, StorageError
 
 LAYOUT = "1"
 STATES_KEPT = 3
+REFUSED = ("rejected", "aborted")
 BUSY_S = 5
 
 _tables = sa.MetaData()
@@ -77,6 +79,25 @@ _states = sa.Table(
     sa.Column("time", sa.Integer, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
 )
+_acks = sa.Table(
+    "acks",
+    _tables,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("actor", sa.String, nullable=False),
+    sa.Column("setpoint", sa.String, nullable=False, index=True),
+    sa.Column("kind", sa.String, nullable=False),
+    sa.Column("asset", sa.String, nullable=False),
+    sa.Column("status", sa.String, nullable=False),
+    sa.Column("value", sa.Float),
+    sa.Column("reason", sa.String, nullable=False),
+)
+_keys = sa.Table(
+    "idempotency_keys",
+    _tables,
+    sa.Column("key", sa.String, primary_key=True),
+    sa.Column("time", sa.Integer, nullable=False),
+)
 _audit = sa.Table(
     "audit",
     _tables,
@@ -92,7 +113,26 @@ _tokens = sa.Table(
     sa.Column("name", sa.String, primary_key=True),
     sa.Column("sha256", sa.String, nullable=False),
     sa.Column("scopes", sa.String, nullable=False),
+    sa.Column("expires", sa.Integer),  # none: never
 )
+
+# What is written down stays as it was written, whatever this program comes to do.
+for _verb in ("UPDATE", "DELETE"):
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE TRIGGER audit_no_{_verb.lower()} BEFORE {_verb} ON audit "
+            "BEGIN SELECT RAISE(ABORT, 'the audit is only added to'); END"
+        ).execute_if(dialect="sqlite"),
+    )
+    sa.event.listen(
+        _audit,
+        "after_create",
+        sa.DDL(
+            f"CREATE RULE audit_no_{_verb.lower()} AS ON {_verb} TO audit DO INSTEAD NOTHING"
+        ).execute_if(dialect="postgresql"),
+    )
 
 
 def seconds(time: pd.Timestamp) -> int:
@@ -130,12 +170,35 @@ class Written:
 
 
 @dataclass(frozen=True)
+class Event:
+    """A version of an event.
+
+    Parameters
+    ----------
+    version : int
+        Its number, from 1.
+    body : dict
+        What it says; empty where it was withdrawn.
+    made_at : int
+        When it was written.
+    since : int
+        When the first version was, after it was withdrawn last.
+    """
+
+    version: int
+    body: dict[str, Any]
+    made_at: int
+    since: int
+
+
+@dataclass(frozen=True)
 class Token:
-    """Who may do what; of the secret only the hash is kept."""
+    """Who may do what, until when in seconds; of the secret only the hash is kept."""
 
     name: str
     sha256: str
     scopes: str
+    expires: int | None = None
 
 
 class Store:
@@ -159,6 +222,7 @@ class Store:
         self.folder = folder
         self._lock = _locked(folder)
         self._writing = threading.Lock()
+        self.changes = 0  # whoever shows what is stored looks again when it has grown
         self._engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -166,6 +230,15 @@ class Store:
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
+        self._items = self._known_items()
+
+    def _known_items(self) -> set[tuple[str, str]]:
+        """Assets and quantities that were ever heard of."""
+        with self._reads() as db:
+            t = _telemetry.c
+            return {
+                (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
+            }
 
     def close(self) -> None:
         """Let go of database and lock."""
@@ -175,7 +248,7 @@ class Store:
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
         try:
-            with self._changes() as db:
+            with self._changes(routine=True) as db:
                 _put(db, _meta, key="checked", value="")
         except StorageError:
             return False
@@ -183,37 +256,48 @@ class Store:
 
     # Telemetry
 
-    def write_readings(self, readings: Iterable[Reading], now: pd.Timestamp) -> Written:
+    def write_readings(
+        self, readings: Iterable[Reading], now: pd.Timestamp, actor: str | None = None
+    ) -> Written:
         """Keep readings; those that are there with the same value count as duplicates."""
-        accepted = 0
-        duplicates = 0
-        with self._changes() as db:
-            for reading in readings:
-                row = dict(vars(reading))
-                key = _where(_telemetry, row)
-                before = db.execute(sa.select(_telemetry.c.value).where(key)).first()
-                if before is not None and before[0] == reading.value:
-                    duplicates += 1
-                else:
-                    accepted += 1
-                    _put(db, _telemetry, **row)
-                _put(db, _contacts, source=reading.source, last_contact=seconds(now))
-        return Written(accepted, duplicates)
+        rows = [vars(reading) for reading in readings]
+        if not rows:
+            return Written(0, 0)
+        with self._changes(routine=True) as db:
+            accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
+            for source in {row["source"] for row in rows}:
+                _put(db, _contacts, source=source, last_contact=seconds(now))
+            if actor is not None:
+                _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
+        self._items |= {(row["asset"], row["quantity"]) for row in rows}
+        return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
+        wanted = set(quantities)
+        items = sorted(item for item in self._items if item[1] in wanted)
+        if not items:
+            return []
+        named = sa.values(
+            sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
+        )
+        named = named.data(items).cte("items")
         t = _telemetry.c
-        rank = (
-            sa.func.row_number()
-            .over(partition_by=(t.asset, t.quantity), order_by=(t.time.desc(), t.source))
-            .label("rank")
+        earlier = _telemetry.alias("earlier")
+        last = (
+            sa.select(sa.func.max(earlier.c.time))
+            .where(
+                earlier.c.asset == named.c.asset,
+                earlier.c.quantity == named.c.quantity,
+                earlier.c.time <= seconds(until),
+            )
+            .scalar_subquery()
         )
-        ranked = (
-            sa.select(_telemetry, rank)
-            .where(t.time <= seconds(until), t.quantity.in_(list(quantities)))
-            .subquery()
-        )
-        return self._readings(sa.select(ranked).where(ranked.c.rank == 1))
+        same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+        chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+        # Of two sources that speak at once the first by name counts.
+        found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
+        return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
@@ -251,20 +335,55 @@ class Store:
             _note(db, now, actor, action, f"{identifier} {text or ''}")
         return version
 
-    def events(self) -> dict[str, tuple[int, dict[str, Any]]]:
-        """Latest version of each event that holds, with its number."""
+    def events(self) -> dict[str, Event]:
+        """The latest version of each event that holds."""
         e = _events.c
         newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
-        both = sa.and_(e.id == newest.c.id, e.version == newest.c.version)
+        gone = (
+            sa.select(e.id, sa.func.max(e.version).label("version"))
+            .where(e.body.is_(None))
+            .group_by(e.id)
+            .subquery()
+        )
+        since = (
+            sa.select(e.id, sa.func.min(e.made_at).label("made_at"))
+            .outerjoin(gone, e.id == gone.c.id)
+            .where(sa.or_(gone.c.version.is_(None), e.version > gone.c.version))
+            .group_by(e.id)
+            .subquery()
+        )
+        chosen = (
+            sa.select(_events, since.c.made_at.label("since"))
+            .join(newest, sa.and_(e.id == newest.c.id, e.version == newest.c.version))
+            .join(since, e.id == since.c.id)
+            .order_by(e.id)
+        )
         with self._reads() as db:
-            rows = db.execute(sa.select(_events).join(newest, both).order_by(e.id)).all()
-        return {row.id: (row.version, json.loads(row.body)) for row in rows if row.body}
+            rows = db.execute(chosen).all()
+        return {r.id: Event(r.version, json.loads(r.body), r.made_at, r.since) for r in rows}
 
-    def put_forecast(self, quantity: str, issued_at: pd.Timestamp, body: dict[str, Any]) -> None:
+    def event_versions(self, identifier: str) -> list[Event]:
+        """All versions of an event, in their order; those that withdrew it have no body."""
+        chosen = sa.select(_events).where(_events.c.id == identifier).order_by(_events.c.version)
+        with self._reads() as db:
+            rows = db.execute(chosen).all()
+        found: list[Event] = []
+        for row in rows:
+            again = not found or not found[-1].body
+            since = row.made_at if again else found[-1].since
+            body = json.loads(row.body) if row.body else {}
+            found.append(Event(row.version, body, row.made_at, since))
+        return found
+
+    def put_forecast(
+        self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
         """Keep a forecast beside older ones."""
+        issued_at = pd.Timestamp(body["issued_at"])
         with self._changes() as db:
             text = json.dumps(body, sort_keys=True)
             _put(db, _forecasts, quantity=quantity, issued_at=seconds(issued_at), body=text)
+            _note(db, now, actor, "forecast", f"{quantity} {body['issued_at']}")
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
@@ -313,6 +432,12 @@ class Store:
             chosen = chosen.where(_steps.c.time <= seconds(until))
         return self._plan(chosen)
 
+    def plans(self, since: pd.Timestamp) -> list[dict[str, Any]]:
+        """The plans of all steps from a time on."""
+        chosen = sa.select(_steps.c.plan).where(_steps.c.time >= seconds(since))
+        with self._reads() as db:
+            return [json.loads(text) for (text,) in db.execute(chosen.order_by(_steps.c.time))]
+
     def _plan(self, chosen: Any) -> dict[str, Any] | None:
         with self._reads() as db:
             text = db.execute(chosen).scalar()
@@ -332,6 +457,57 @@ class Store:
             text = db.execute(chosen).scalar()
         state: dict[str, Any] | None = None if text is None else json.loads(text)
         return state
+
+    def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
+        """The step that was asked for with a key: the first one, whatever is asked for now."""
+        with self._changes() as db:
+            found = db.execute(sa.select(_keys.c.time).where(_keys.c.key == key)).scalar()
+            if found is None:
+                db.execute(_keys.insert().values(key=key, time=seconds(time)))
+        return time if found is None else moment(found)
+
+    # Acknowledgements
+
+    def put_ack(
+        self, setpoint: Mapping[str, Any], said: Mapping[str, Any], now: pd.Timestamp, actor: str
+    ) -> None:
+        """Keep what became of a set-point; what was said last is not kept twice."""
+        values = {name: setpoint[name] for name in ("kind", "asset")}
+        with self._changes() as db:
+            a = _acks.c
+            last = (
+                sa.select(a.status, a.value, a.reason)
+                .where(a.setpoint == setpoint["id"])
+                .order_by(a.number.desc())
+                .limit(1)
+            )
+            before = db.execute(last).first()
+            if before is None or before._asdict() != dict(said):
+                row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
+                db.execute(_acks.insert().values(**row, **said))
+
+    def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """What was said last of each set-point of which anything was."""
+        a = _acks.c
+        chosen = sa.select(_acks).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
+        with self._reads() as db:
+            return {
+                row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
+                for row in db.execute(chosen)
+            }
+
+    def refusing(self, kind: str) -> dict[str, int]:
+        """Devices of a kind that did not do what they were told last, and since when."""
+        a = _acks.c
+        newest = (
+            sa.select(sa.func.max(a.number))
+            .where(a.kind == kind)
+            .group_by(a.asset)
+            .scalar_subquery()
+        )
+        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
+        with self._reads() as db:
+            return {row.asset: row.at for row in db.execute(chosen)}
 
     # Settings, people
 
@@ -355,11 +531,19 @@ class Store:
             _put(db, _tokens, **vars(token))
             _note(db, now, "command line", "token", f"{token.name} {token.scopes}")
 
+    def remove_token(self, name: str, now: pd.Timestamp) -> bool:
+        """Let somebody in no longer; whether there was such a token."""
+        with self._changes() as db:
+            found = bool(db.execute(_tokens.delete().where(_tokens.c.name == name)).rowcount)
+            if found:
+                _note(db, now, "command line", "token removed", name)
+        return found
+
     def tokens(self) -> list[Token]:
         """Everybody who may come in."""
         with self._reads() as db:
             rows = db.execute(sa.select(_tokens).order_by(_tokens.c.name)).all()
-        return [Token(row.name, row.sha256, row.scopes) for row in rows]
+        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in rows]
 
     def audit(self) -> list[tuple[str, str, str]]:
         """Who did what, in order: actor, action, detail."""
@@ -388,10 +572,11 @@ class Store:
                 )
 
     @contextmanager
-    def _changes(self) -> Iterator[sa.Connection]:
-        """A transaction that writes."""
+    def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
+        """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
             yield db
+        self.changes += not routine
 
     @contextmanager
     def _reads(self) -> Iterator[sa.Connection]:
@@ -403,6 +588,19 @@ def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
     db.execute(table.delete().where(_where(table, row)))
     db.execute(table.insert().values(**row))
+
+
+def _upsert(db: sa.Connection, table: sa.Table, value: str) -> Any:
+    """Insert rows, replacing those whose value is another one; others are not counted."""
+    dialect = {"sqlite": sqlite, "postgresql": postgresql}[db.dialect.name]
+    insert = dialect.insert(table)
+    keys = [column.name for column in table.primary_key.columns]
+    rest = [column.name for column in table.columns if column.name not in keys]
+    return insert.on_conflict_do_update(
+        index_elements=keys,
+        set_={name: insert.excluded[name] for name in rest},
+        where=table.c[value].is_distinct_from(insert.excluded[value]),
+    )
 
 
 def _where(table: sa.Table, row: dict[str, Any]) -> Any:

@@ -35,7 +35,7 @@ from vppres.solve.fleet.rungs import (
     service_then_cost,
     with_modes_of_batteries,
 )
-from vppres.solve.network.decide import decide_huge, enter_network
+from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -197,16 +197,20 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
-    if decide_huge(task):
+    everyone = worth_everyone(task)
+    plain = not task.data.physical and task.data.switching is None
+    at_once = plain and (task.is_huge or (task.is_wide and not everyone))
+    master = network_master(task) if at_once else None
+    if master is not None and decide_at_once(task, master):
         return
-    if worth_everyone(task):
+    if everyone:
         everyone_served(task)
     for rung in rungs(task):
         if task.goes_on and not task.search.passed and not task.certificate.wasteful:
             rung(task)
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
-    enter_network(task)
+    enter_network(task, master)
 
 
 def worth_everyone(task: WindowTask) -> bool:

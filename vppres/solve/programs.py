@@ -26,9 +26,27 @@ WHOLE_TOLERANCE = 1e-6
 """By how much a bound may exceed a whole number and still be worth no more than it."""
 
 
+STOPPED = (
+    highspy.HighsModelStatus.kInterrupt,
+    highspy.HighsModelStatus.kSolutionLimit,
+    highspy.HighsModelStatus.kObjectiveTarget,
+)
+"""Ends of a search that somebody asked for."""
+
 WIDE = 100
 """Columns for each row beyond which a linear problem is not presolved. HiGHS compares them with
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
+
+
+NO_SETS_OF_THEIR_OWN = MappingProxyType(
+    {
+        "mip_heuristic_run_feasibility_jump": False,
+        "mip_heuristic_run_rins": False,
+        "mip_heuristic_run_rens": False,
+    }
+)
+"""Options for a search whose rounding finds answers at once: HiGHS solves no problem within the
+problem to find one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +92,15 @@ class Program:
         By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
         whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
         """
-        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
-        prices = np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
+        prices = self.allowed(prices)
         limits = np.where(prices > 0.0, self.lower, self.upper)
         used = prices != 0.0
         return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
+
+    def allowed(self, prices: Floats) -> Floats:
+        """Prices of rows, without those of a sign that a one-sided row forbids."""
+        prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
+        return np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
 
     @property
     def is_wide(self) -> bool:
@@ -188,6 +210,26 @@ class ProgramSolution:
         solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
         return cls.of(solver, patience.end)
 
+    @classmethod
+    def of_short_search(
+        cls, solver: highspy.Highs, deadline: Deadline, most_asked: int
+    ) -> ProgramSolution:
+        """Run a search that may be asked so often at its root whether it is to go on.
+
+        Cuts and heuristics of the root may take longer than all nodes; HiGHS asks between them.
+        """
+        asked = 0
+
+        def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
+            """HiGHS asks whether to go on."""
+            nonlocal asked
+            asked += int(now.mip_node_count <= 1)
+            answer.user_interrupt = asked > most_asked
+
+        solver.setCallback(ask, None)
+        solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
+        return cls.of(solver, deadline)
+
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
@@ -242,13 +284,12 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     """What HiGHS's end is worth."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
-        highspy.HighsModelStatus.kObjectiveTarget: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
         highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
     }
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible
     if status == highspy.HighsModelStatus.kTimeLimit:
         return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-    if status in (highspy.HighsModelStatus.kInterrupt, highspy.HighsModelStatus.kSolutionLimit):
+    if status in STOPPED:
         return Status.GAP_OPEN if feasible else Status.NO_ANSWER
     return ends.get(status, Status.NUMERICAL)

@@ -18,6 +18,10 @@ LARGE = 1500
 """Buses times steps beyond which a window is large: its tie-breakers take seconds to find that
 there is no answer, and the search with all binaries never ends."""
 
+WIDE = 200
+"""Buses beyond which a large window is put into the network before its set has a cheapest dispatch,
+which takes longer to find than what the network forbids."""
+
 HUGE = 1500
 """Buses beyond which a window is huge: compiling its cheapest dispatch takes longer than all the
 rest, and its tie-breakers gigabytes."""
@@ -99,6 +103,11 @@ class WindowTask:
     def is_large(self) -> bool:
         """Whether the window is large."""
         return self.site.network.n_buses * self.data.n_steps > LARGE
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the window is large by its buses, not by its steps."""
+        return self.is_large and self.site.network.n_buses > WIDE
 
     @property
     def is_huge(self) -> bool:

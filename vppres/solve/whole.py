@@ -9,6 +9,7 @@ import numpy as np
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, window_model
+from vppres.solve.fleet.rungs import AGAIN
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
@@ -19,9 +20,6 @@ limit and never at it."""
 
 CONIC_TOLERANCE = 1e-6
 """How far interior points may end from the optimum, on either side, relative and absolute."""
-
-AGAIN = 0.999
-"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 
 def without_binaries(task: WindowTask) -> None:

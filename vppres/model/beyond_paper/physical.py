@@ -70,8 +70,8 @@ class PhysicalParameters:
         net = site.network
         island = physics.reference > 0
         values = {
-            "P_loss": _at_far_ends(physics.loss_kw),
-            "Q_loss": _at_far_ends(physics.loss_kvar),
+            "P_loss": at_far_ends(physics.loss_kw),
+            "Q_loss": at_far_ends(physics.loss_kvar),
             "held": np.eye(net.n_buses)[physics.reference],
             "u_root_min": np.where(island, net.v_min_pu**2, 0.0),
             "u_root_max": np.where(island, net.v_max_pu**2, _U_ANY),
@@ -122,6 +122,6 @@ def active_room_kw(site: Site, physics: Physics) -> Floats:
     return np.asarray(site.batteries.active_max_kw - physics.headroom_kw)
 
 
-def _at_far_ends(loss: Floats) -> Floats:
+def at_far_ends(loss: Floats) -> Floats:
     """Losses of the lines (W, L) at the buses where they end, (W, N): line l ends at bus l + 1."""
     return np.pad(loss, ((0, 0), (1, 0)))

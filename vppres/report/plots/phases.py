@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from vppres.core.arrays import Floats
 from vppres.day.trajectory import Trajectory
-from vppres.feeders.recheck import PHASE_NAMES, Recheck
+from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck
 from vppres.report.plots.base import BLACK, RUN_STYLES, draw_limit, draw_steps, panels, with_legend
 
 

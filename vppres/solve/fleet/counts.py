@@ -21,7 +21,7 @@ from vppres.model.data import WindowData
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import DIRECT, Program, ProgramSolution
+from vppres.solve.programs import DIRECT, NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
 TOLERANCE = 1e-6
@@ -37,17 +37,9 @@ LOSSY_GAP_SHARE = 0.4
 number, most of it, since the levels after it are exact; where PV power must be lost, less, since
 they have to weigh the loss again."""
 
-SEARCH = MappingProxyType(
-    {
-        "mip_heuristic_run_feasibility_jump": False,
-        "mip_heuristic_run_rins": False,
-        "mip_heuristic_run_rens": False,
-        "mip_allow_restart": False,
-    }
-)
-"""How HiGHS searches counts. Rounding finds sets at once and the time goes into the proof: looking
-for sets in searches of their own and beginning again at the root made 341 searches of the
-benchmark's windows take three times as long, and none shorter."""
+SEARCH = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_allow_restart": False})
+"""How HiGHS searches counts: the time goes into the proof. With its own searches for sets, and
+beginning again at the root, 341 searches of the benchmark's windows took three times as long."""
 
 HALF_UNIT = 0.5
 """What a whole number may miss a bound by and still be the number itself."""
@@ -326,7 +318,8 @@ class Counts:
         bound = max(float(np.ceil(found.bound - TOLERANCE)), proven)
         if least_kw is None:
             self.proven[block.tobytes()] = bound
-        return replace(found, bound=bound)
+        ended = found.value <= bound + HALF_UNIT
+        return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
 
     def _least(self, free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
         """Least cost of so many units."""

@@ -19,7 +19,7 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
-from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.result import Outcome
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
@@ -103,7 +103,7 @@ class Binaries:
     @property
     def applies(self) -> bool:
         """Whether weights and prices of switching have a grid."""
-        return self.unit > 0.0 and self.model.whole_price(self.data)
+        return self.unit > 0.0 and whole_price(self.data, self.unit)
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""

@@ -349,13 +349,6 @@ class AggregateModel:
         if self.switching:
             self.switching.fill(data)
 
-    def whole_price(self, data: WindowData) -> bool:
-        """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
-        pair = 0.0 if data.switching is None else 2.0 * data.switching.price_per_action
-        return pair == 0.0 or (
-            self.grid > 0 and abs(pair / self.grid - round(pair / self.grid)) < 1e-9
-        )
-
     def _fill_room(self, data: WindowData) -> None:
         """Write losses, and the batteries' limits less their headroom."""
         b = self.site.batteries
@@ -402,6 +395,12 @@ class AggregateModel:
 def _nonnegative(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, cp.Parameter]:
     """Parameters of some names and shapes that are never negative."""
     return {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in shapes.items()}
+
+
+def whole_price(data: WindowData, grid: float) -> bool:
+    """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
+    pair = 0.0 if data.switching is None else data.switching.price_of_pair
+    return pair == 0.0 or (grid > 0 and abs(pair / grid - round(pair / grid)) < 1e-9)
 
 
 def weight_grid(weights: Floats, most: int = 10_000) -> float:

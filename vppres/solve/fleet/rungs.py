@@ -10,8 +10,9 @@ import numpy as np
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import Candidate, cost_gap_gbp
-from vppres.solve.dispatch import keep_dispatch, window_model, with_modes
+from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_tie_breakers
 from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
+from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
 
@@ -24,6 +25,9 @@ it need little."""
 
 MODES_GAP_SHARE = 0.5
 """The same of the search with the modes of all batteries, which also leaves cost to its gap."""
+
+AGAIN = 0.999
+"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 ADMITTED_UNITS = 0.5
 """Units below the best service down to which cheaper sets are looked for: between two whole
@@ -58,7 +62,25 @@ def service_then_cost(task: WindowTask, master: Master) -> None:
     known.bound_service(service_bound)
     if known.best is not None and service_bound - known.best.service <= task.gap:
         known.service_bound = service_bound
-        _cost_level(task, master)
+        if not refused_by_network(task):
+            _cost_level(task, master)
+
+
+def refused_by_network(task: WindowTask) -> bool:
+    """Whether the network forbids the best dispatch of a window with rules, asked where it is time.
+
+    With rules the search for a cheaper set takes seconds. Where its bound is not needed it is left
+    out if it would be in vain: the sets that the network carries have a search of their own.
+    """
+    known = task.certificate
+    if task.data.switching is None or not known.certified:
+        return False
+    assert known.best is not None
+    carried = with_tie_breakers(task, known.best)
+    if carried is None:
+        return True
+    known.best = carried
+    return False
 
 
 def _cost_level(task: WindowTask, master: Master) -> None:
@@ -130,17 +152,37 @@ def with_modes_of_batteries(task: WindowTask) -> None:
 
     Where PV power must be curtailed, a relaxation charges and discharges at once to lose it. Real
     batteries do so in turns, and how much they lose takes their binaries to know.
+
+    Service and curtailment may cancel to an objective near zero, or curtailment outweigh all
+    service: the problem without binaries says how large the objective is, and so which gap the
+    search needs. Where that was more than there is, it is done again.
     """
+    form = Form("service", "relaxed", "relaxed", network=False)
+    model = window_model(task.cache, task.data, form)
+    model.fill(task.data)
+    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
+    known = task.certificate
+    known.note("modes_relaxed", outcome)
+    gap = task.gap_to_best
+    if outcome.status == Status.OPTIMAL:
+        known.bound_by(outcome.bound)
+        gap = task.limits.gap_at(known.bound)
+    if _search_modes(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
+        _search_modes(task, task.gap_to_best)
+
+
+def _search_modes(task: WindowTask, gap: float) -> bool:
+    """One search for set and modes to its share of a gap; whether it ended."""
     known = task.certificate
     form = Form("service", "integer", "integer", network=False)
     model = window_model(task.cache, task.data, form)
     model.fill(task.data)
-    gap = MODES_GAP_SHARE * task.gap_to_best
+    gap = MODES_GAP_SHARE * gap
     outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
     known.note("modes", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
-        return
+        return False
     known.bound_by(outcome.bound)
     served = np.asarray(model.v.x_served.value) > 0.5
     data = task.data.for_service(served)
@@ -151,3 +193,4 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     if attempt.dispatch is not None:
         # What the search leaves open of cost is not known.
         known.keep(Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False))
+    return outcome.status == Status.OPTIMAL

@@ -18,6 +18,7 @@ from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import TOLERANCE, NetworkMaster, applies
+from vppres.solve.network.rules import RuleModel
 from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
 
@@ -45,13 +46,16 @@ UNITS_TOLERANCE = 1e-9
 """What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 
-def enter_network(task: WindowTask) -> None:
-    """Put the best dispatch into the network, at a higher cost or with others where it must be."""
+def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
+    """Put the best dispatch into the network, at a higher cost or with others where it must be.
+
+    A small window asks the tie-breakers first, and most need no master then.
+    """
     best = task.certificate.best
-    if best is None:
+    if best is None or best.in_network:
         return
-    # A small window asks the tie-breakers first, and most need no master then.
-    master = network_master(task) if task.is_large else None
+    if master is None and task.is_large:
+        master = network_master(task)
     found = None
     if master is None or worth_asking_tie_breakers(master, best):
         found = with_tie_breakers(task, best)
@@ -60,18 +64,17 @@ def enter_network(task: WindowTask) -> None:
     task.certificate.best = found
 
 
-def decide_huge(task: WindowTask) -> bool:
-    """Decide a huge window by counts and the master in the network; whether it has their form.
+def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
+    """Decide a large window in the network, where that forbids what the fleet could do.
 
-    Nothing else is compiled: the cheapest dispatch without the network alone has millions of
-    numbers at 10,000 buses.
+    In a huge window in any case: nothing else is compiled there, since the cheapest dispatch
+    without the network alone has millions of numbers at 10,000 buses. Says whether it was decided.
     """
-    master = network_master(task) if task.is_huge else None
-    if master is None:
-        return False
     known = task.certificate
     fleet = fleet_master(task, task.search)
-    outcome, _ = fleet.service(task.gap / master.unit)
+    outcome, served = fleet.service(task.gap / master.unit)
+    if not task.is_huge and served is not None and not forbids(master, outcome, served):
+        return False
     known.note("service", outcome)
     known.prove(outcome)
     if outcome.status.has_answer:
@@ -79,6 +82,12 @@ def decide_huge(task: WindowTask) -> bool:
     if not known.nothing_to_find:
         known.best = InNetwork(task, master).decide()
     return True
+
+
+def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
+    """Whether the network forbids the fleet's service, or the set that has it."""
+    less = master.most_units + HALF_UNIT <= outcome.value
+    return less or not master.carries(served)
 
 
 def fleet_master(task: WindowTask, deadline: Deadline) -> Counts:
@@ -91,7 +100,11 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if not applies(task.site, task.data):
         return None
-    return NetworkMaster(task.site, task.cache.table(Reactance), task.data, task.deadline)
+    data = task.data
+    rules = None
+    if data.switching is not None:
+        rules = task.cache.problem(RuleModel, n_steps=data.n_steps, steps=data.switching.steps)
+    return NetworkMaster(task.site, task.cache.table(Reactance), data, task.deadline, rules)
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
@@ -147,11 +160,18 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served)
+        found = self._cheapest(served) or self._nobody()
         if found is None:
             return None
         self._bound_cost(found)
         return self._cheaper(found)
+
+    def _nobody(self) -> Candidate | None:
+        """The last answer of a large window, for which nothing else has the time."""
+        dispatch = self.master.nobody() if self.task.is_large else None
+        if dispatch is None:
+            return None
+        return Candidate.of(self.task.site, self.task.data, dispatch, 0.0, in_network=True)
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""
@@ -171,22 +191,22 @@ class InNetwork:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
         Where the fleet's bound is not enough, that of shares of customers in the network may be.
+        With switching rules it is the only one: the fleet's, by binaries, takes seconds here.
         """
         known = self.task.certificate
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
         enough = (needed - UNITS_TOLERANCE) / unit
-        for name, least in (
-            ("cost_level", self._fleet_cost),
-            ("network_least_cost", self._network_cost),
-        ):
+        by_counts = self.task.data.switching is None
+        bounds = [("cost_level", self._fleet_cost)] if by_counts else []
+        for name, least in (*bounds, ("network_least_cost", self._network_cost)):
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             done = known.limits.met(known.bound, found.value) or self.task.deadline.passed
             if done or self.task.is_huge:
                 break
         served = (found.service - UNITS_TOLERANCE) / unit
-        if np.ceil(served) > np.ceil(enough):
+        if by_counts and np.ceil(served) > np.ceil(enough):
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
@@ -223,17 +243,24 @@ class InNetwork:
         task.certificate.note("network_dispatch", outcome)
         if dispatch is None:
             return None
-        netted, fits = net_modes(task.site, task.data, dispatch)
+        data = task.data.for_service(served)
+        netted, fits = net_modes(task.site, data, dispatch)
         if not fits:
             return None
-        carried = Candidate.of(task.site, task.data, netted, 0.0, in_network=True)
+        carried = Candidate.of(task.site, data, netted, 0.0, in_network=True)
         polished = None if task.is_large else with_tie_breakers(task, carried)
         return polished or self._with_least_reactive(carried)
 
     def _with_least_reactive(self, found: Candidate) -> Candidate:
-        """A dispatch with the least reactive power that its active power needs."""
+        """A dispatch with the least reactive power that its active power needs.
+
+        In physical mode it stays as it is: the next pass finds losses and reactive power anew.
+        """
         task = self.task
-        attempt = least_reactive(task.cache, task.data, found.dispatch, task.answer_by())
+        if task.data.physical:
+            return found
+        data = task.data.for_service(found.dispatch.served)
+        attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
         task.certificate.note("reactive_power", attempt.outcome)
         assert attempt.dispatch is not None
-        return Candidate.of(task.site, task.data, attempt.dispatch, 0.0, in_network=True)
+        return Candidate.of(task.site, data, attempt.dispatch, 0.0, in_network=True)

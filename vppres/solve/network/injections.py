@@ -14,7 +14,8 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.data import WindowData
+from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
+from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site
@@ -62,8 +63,8 @@ class Rows:
         )
 
 
-MOST_TABLED = 1500
-"""Buses up to which voltages are tables of all injections, 60 MB. Beyond it they follow from the
+MOST_TABLED = 200
+"""Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
 flows, and a row of the tables is made where it is asked for."""
 
 
@@ -113,6 +114,36 @@ class Reactance:
         return np.asarray(rise_pu2 @ fed)
 
 
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """What customers draw if they are served.
+
+    Parameters
+    ----------
+    net_kw, kvar : array, shape (W, C)
+        Demand at their buses less self-consumption, and reactive demand.
+    own_kw : array, shape (W, P)
+        Self-consumption of each PV system's owner.
+    """
+
+    net_kw: Floats
+    kvar: Floats
+    own_kw: Floats
+
+    @classmethod
+    def of(cls, site: Site, data: WindowData) -> Demand:
+        """The demand of a window."""
+        own_kw = data.self_limit_kw(site)
+        net_kw = data.load_kw - own_kw @ site.pv_customer.T
+        return cls(net_kw, data.load_kw * site.customers.q_per_p, own_kw)
+
+    def beyond(self, other: Demand) -> Demand:
+        """What this is more than another."""
+        return Demand(
+            self.net_kw - other.net_kw, self.kvar - other.kvar, self.own_kw - other.own_kw
+        )
+
+
 class Injections:
     """A window's variables as columns, and its constraints as rows.
 
@@ -120,8 +151,10 @@ class Injections:
     ``energy`` (kWh at the end of the step) and ``Q_batt`` (W, B); ``P_exp`` and ``Q_pv`` (W, P);
     ``P_grid``, ``P_out`` and ``Q_grid`` (W, 1), where ``P_out``, the export, has no column if there
     is none; ``missing`` (1, B), the energy that is missing at the end, or (1, 0) where none is
-    asked for; ``kept`` (1, 1), what the energy at the end is worth, or (1, 0). Charging
-    and discharging may overlap, and so may import and export.
+    asked for; ``kept`` (1, 1), what the energy at the end is worth, or (1, 0); with switching rules
+    ``on`` and ``off`` (W, C), who is switched, and ``cold`` (W, C), whose demand is higher for a
+    restoration, (W, 0) where it never is. Charging and discharging may overlap, and so may import
+    and export.
 
     Parameters
     ----------
@@ -130,13 +163,19 @@ class Injections:
     reactance : Reactance
         How voltages depend on injections.
     data : WindowData
-        The window, in the paper's mode.
+        The window; losses of physical mode are a demand of the network.
+    rules : Rows, optional
+        Rows of its switching rules on ``x``, ``on``, ``off`` and ``cold`` side by side, all steps
+        of a customer one after the other.
     """
 
-    def __init__(self, site: Site, reactance: Reactance, data: WindowData) -> None:
+    def __init__(
+        self, site: Site, reactance: Reactance, data: WindowData, rules: Rows | None = None
+    ) -> None:
         self.site = site
         self.reactance = reactance
         self.data = data
+        self.rules = rules
         W = data.n_steps
         C = len(site.customers)
         P = len(site.pv)
@@ -154,6 +193,9 @@ class Injections:
             "P_grid": 1,
             "Q_grid": 1,
             "P_out": int(data.exporting),
+            "on": C if data.switching is not None else 0,
+            "off": C if data.switching is not None else 0,
+            "cold": C if data.switching is not None and data.switching.steps.cold else 0,
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
@@ -163,11 +205,31 @@ class Injections:
         }.items():
             self.at[name] = self.size + np.arange(width).reshape(1, width)
             self.size += width
-        self.own_kw = data.self_limit_kw(site)
-        self.net_kw = data.load_kw - self.own_kw @ site.pv_customer.T
-        self.load_kvar = data.load_kw * site.customers.q_per_p
+        self.usual = Demand.of(site, data)
+        self.demands = {"x": self.usual}
+        if self.at["cold"].size:
+            self.demands["cold"] = Demand.of(site, data.all_cold()).beyond(self.usual)
         nothing = np.zeros((W, site.network.n_buses))
         self.drawn = data.drawn or Drawn(nothing, nothing)
+        b = site.batteries
+        self.active_kw: Floats = np.tile(b.active_max_kw, (W, 1))
+        self.radius_kva: Floats = np.tile(b.s_max_kva, (W, 1))
+        self.soc_min: Floats = np.tile(b.soc_min, (W, 1))
+        self.reference: Wholes = np.zeros(W, dtype=np.int64)
+        if data.physics is not None:
+            self._in_physical_mode(data.physics)
+
+    def _in_physical_mode(self, physics: Physics) -> None:
+        """Losses as a demand, batteries less their headroom, and the bus that holds the voltage."""
+        b = self.site.batteries
+        self.drawn = Drawn(
+            self.drawn.kw + at_far_ends(physics.loss_kw),
+            self.drawn.kvar + at_far_ends(physics.loss_kvar),
+        )
+        self.active_kw = active_room_kw(self.site, physics)
+        self.radius_kva = b.s_max_kva - physics.headroom_kw
+        self.soc_min = b.soc_min + physics.soc_reserve
+        self.reference = physics.reference
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
@@ -177,15 +239,18 @@ class Injections:
         q_grid = data.grid_q_max_kvar(site)[:, None]
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
             "x": (0.0, 1.0),
-            "P_ch": (0.0, b.active_max_kw),
-            "P_dch": (0.0, b.active_max_kw),
-            "energy": (b.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
-            "Q_batt": (-b.s_max_kva, b.s_max_kva),
+            "P_ch": (0.0, self.active_kw),
+            "P_dch": (0.0, self.active_kw),
+            "energy": (self.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
+            "Q_batt": (-self.radius_kva, self.radius_kva),
             "P_exp": (0.0, data.pv_kw),
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
             "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
             "Q_grid": (-q_grid, q_grid),
             "P_out": (0.0, data.export_max_kw(site)[:, None]),
+            "on": (0.0, 1.0),
+            "off": (0.0, 1.0),
+            "cold": (0.0, 1.0),
             "missing": (0.0, np.inf if data.terminal is None else data.terminal.target_kwh(b)),
             "kept": data.kept_range(site),
         }
@@ -208,6 +273,24 @@ class Injections:
         places = np.append(np.arange(self.size), signed), np.append(np.arange(self.size), taken)
         return sp.csc_array((values, places), shape=(self.size, self.size + len(signed)))
 
+    @property
+    def origin(self) -> Wholes:
+        """The column whose sum each of the parts enters, (size of the parts,)."""
+        return np.asarray(self.parts.indices)
+
+    def feeders(self, of_bus: Wholes) -> Wholes:
+        """Feeder of each column by those of the buses, -1 of the grid's and of what all share."""
+        reach = self.reactance
+        found = np.full(self.size, -1)
+        for names, bus in (
+            (("x",), reach.customer),
+            (("P_ch", "P_dch", "energy", "Q_batt", "missing"), reach.battery),
+            (("P_exp", "Q_pv"), reach.pv),
+        ):
+            for name in names:
+                found[self.at[name]] = of_bus[bus] if self.at[name].size else -1
+        return found
+
     def start(self) -> tuple[Wholes, Wholes]:
         """Columns with the rows that determine them where nothing is stored and no sun is lost.
 
@@ -227,27 +310,34 @@ class Injections:
         at = self.at
         site = self.site
         data = self.data
+        demands = self.demands
+        users = [at[name] for name in demands]
         active = np.hstack(
-            [at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], at["x"], at["P_out"]]
+            [at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], *users, at["P_out"]]
         )
         signs = np.hstack(
             [
                 np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
                 -np.ones((data.n_steps, len(site.batteries))),
-                -self.net_kw,
+                *(-demand.net_kw for demand in demands.values()),
                 -np.ones(at["P_out"].shape),
             ]
         )
-        reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], at["x"]])
+        reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], *users])
         kvar = np.hstack(
-            [np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))), -self.load_kvar]
+            [
+                np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
+                *(-demand.kvar for demand in demands.values()),
+            ]
         )
         drawn_kw = self.drawn.kw.sum(axis=1)
         drawn_kvar = self.drawn.kvar.sum(axis=1)
         outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
         charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
-        owner = np.stack([at["P_exp"], at["x"][:, site.owner]], axis=-1).reshape(-1, 2)
-        own = np.column_stack([np.ones(self.own_kw.size), self.own_kw.ravel()])
+        through = [at["P_exp"], *(columns[:, site.owner] for columns in users)]
+        owner = np.stack(through, axis=-1).reshape(-1, len(through))
+        owns = [demand.own_kw.ravel() for demand in demands.values()]
+        own = np.column_stack([np.ones(data.pv_kw.size), *owns])
         room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
         return Rows.joined(
             [
@@ -259,8 +349,21 @@ class Injections:
                 *self._connection_rows(),
                 *self._terminal_rows(),
                 *self._value_rows(),
+                *self._rule_rows(),
             ]
         )
+
+    def _rule_rows(self) -> list[Rows]:
+        """Switching rules."""
+        if self.rules is None:
+            return []
+        columns = [self.at[name].ravel(order="F") for name in ("x", "on", "off", "cold")]
+        places = np.concatenate(columns)
+        rows = self.rules.matrix.tocoo()
+        matrix = sp.csr_array(
+            (rows.data, (rows.row, places[rows.col])), shape=(rows.shape[0], self.size)
+        )
+        return [Rows(matrix, self.rules.lower, self.rules.upper)]
 
     def _connection_rows(self) -> list[Rows]:
         """Import or export, as far as rows without binaries can say it."""
@@ -305,7 +408,7 @@ class Injections:
         later = np.concatenate([change[1:], at["energy"][:-1, :, None]], axis=-1).reshape(-1, 4)
         steps = np.tile(np.column_stack([gain, -np.ones(len(b))]), (data.n_steps - 1, 1))
         both = np.stack([at["P_ch"], at["P_dch"]], axis=-1).reshape(-1, 2)
-        active = np.tile(b.active_max_kw, data.n_steps)
+        active = self.active_kw.ravel()
         return [
             Rows.of(change[0], gain, held, held, self.size),
             Rows.of(later, steps, 0.0, 0.0, self.size),
@@ -315,7 +418,20 @@ class Injections:
     def u_pu2(self, x: Floats) -> Floats:
         """Squared referred voltages of a solution, (W, N)."""
         p, q = self._injected(x)
-        return self.reactance.raised(self._empty_u, p, q)
+        return self._referred(self.reactance.raised(self._empty_u, p, q))
+
+    def _referred(self, u: Floats) -> Floats:
+        """Squared voltages (W, N) as they are where another bus than the grid's holds them."""
+        if self.data.physics is None:
+            return u
+        held = self.reference
+        return np.asarray(u + (self._held_pu2[held] - u[np.arange(len(u)), held])[:, None])
+
+    @cached_property
+    def _held_pu2(self) -> Floats:
+        """Squared voltage at which a source at each bus holds it, (N,)."""
+        net = self.site.network
+        return np.asarray(net.u_pu2(net.held_pu))
 
     def _injected(self, x: Floats) -> tuple[Floats, Floats]:
         """Active and reactive injections of a solution, the grid's left out, (W, N) each."""
@@ -323,9 +439,13 @@ class Injections:
         reach = self.reactance
         p, q = (np.zeros((self.data.n_steps, self.site.network.n_buses)) for _ in range(2))
         steps = np.arange(self.data.n_steps)[:, None]
+        used = [
+            (power, reach.customer, -kw * x[at[name]])
+            for name, demand in self.demands.items()
+            for power, kw in ((p, demand.net_kw), (q, demand.kvar))
+        ]
         for power, bus, kw in (
-            (p, reach.customer, -self.net_kw * x[at["x"]]),
-            (q, reach.customer, -self.load_kvar * x[at["x"]]),
+            *used,
             (p, reach.battery, x[at["P_dch"]] - x[at["P_ch"]]),
             (q, reach.battery, x[at["Q_batt"]]),
             (p, reach.pv, x[at["P_exp"]]),
@@ -338,7 +458,7 @@ class Injections:
     def _empty_u(self) -> Floats:
         """Squared voltages without any device, (W, N)."""
         empty = self.site.network.v_slack_pu**2 + self.reactance.along(self.data.delta_pu2)
-        if self.data.drawn is None:
+        if self.data.drawn is None and self.data.physics is None:
             return np.asarray(empty)
         return np.asarray(empty - self.reactance.raised(0.0, self.drawn.kw, self.drawn.kvar))
 
@@ -348,7 +468,7 @@ class Injections:
         u = self.u_pu2(x)
         found = []
         for sign, beyond in ((1.0, net.u_min_pu2 - u), (-1.0, u - net.u_max_pu2)):
-            beyond[:, 0] = -np.inf
+            beyond[self.reference == 0, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
             around[:, 1:] = beyond[:, net.parent]
             np.maximum.at(around.T, net.parent, beyond[:, 1:].T)
@@ -365,12 +485,21 @@ class Injections:
         reach = self.reactance
         net = self.site.network
         r, x = reach.row(bus)
+        empty = self._referred(self._empty_u)[t, bus]
+        if self.reference[t] > 0:
+            r, x = (
+                per - of_held
+                for per, of_held in zip((r, x), reach.row(int(self.reference[t])), strict=True)
+            )
         columns = np.concatenate(
-            [at[name][t] for name in ("x", "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
+            [at[name][t] for name in (*self.demands, "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
         )
         values = np.concatenate(
             [
-                -r[reach.customer] * self.net_kw[t] - x[reach.customer] * self.load_kvar[t],
+                *(
+                    -r[reach.customer] * demand.net_kw[t] - x[reach.customer] * demand.kvar[t]
+                    for demand in self.demands.values()
+                ),
                 r[reach.battery],
                 -r[reach.battery],
                 x[reach.battery],
@@ -384,7 +513,7 @@ class Injections:
         return Rows.of(
             columns[used][None, :],
             scale * values[used],
-            scale * (limit - self._empty_u[t, bus]),
+            scale * (limit - empty),
             np.inf,
             self.size,
         )
@@ -397,22 +526,26 @@ class Injections:
         at = self.at
         site = self.site
         net_kw = x[at["P_ch"]] - x[at["P_dch"]]
-        through = x[at["P_exp"]] + self.own_kw * x[at["x"]][:, site.owner]
+        own = {name: at[name][:, site.owner] for name in self.demands}
+        through = x[at["P_exp"]]
+        for name, demand in self.demands.items():
+            through = through + demand.own_kw * x[own[name]]
         tangents = []
-        for p, q, radius, pieces in (
+        inverters: list[tuple[Floats, Wholes, Floats, list[tuple[Wholes, Floats | float]]]] = [
             (
                 net_kw,
                 at["Q_batt"],
-                site.batteries.s_max_kva,
-                ((at["P_ch"], 1.0), (at["P_dch"], -1.0)),
+                self.radius_kva,
+                [(at["P_ch"], 1.0), (at["P_dch"], -1.0)],
             ),
             (
                 through,
                 at["Q_pv"],
                 site.pv.s_max_kva,
-                ((at["P_exp"], 1.0), (at["x"][:, site.owner], self.own_kw)),
+                [(at["P_exp"], 1.0), *((own[n], d.own_kw) for n, d in self.demands.items())],
             ),
-        ):
+        ]
+        for p, q, radius, pieces in inverters:
             size = np.hypot(p, x[q])
             out = size > radius * (1.0 + tolerance)
             if out.any():
@@ -440,11 +573,14 @@ class Injections:
         return imported, exported
 
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
-        """A solution as a dispatch of a served set; flows and voltages follow from it."""
+        """A solution as a dispatch of a served set; flows and voltages follow from it.
+
+        The window must know the demand of the set: it is one without rules.
+        """
         at = self.at
         data = self.data
         net = self.site.network
-        own = self.own_kw * served[:, self.site.owner]
+        own = self.usual.own_kw * served[:, self.site.owner]
         export = np.clip(x[at["P_exp"]], 0.0, data.pv_kw - own)
         imported, exported = self.exchange_kw(x)
         p, q = self._injected(x)

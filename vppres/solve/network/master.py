@@ -18,8 +18,10 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
-from vppres.solve.fleet.relaxation import weight_grid
+from vppres.solve.fleet.relaxation import weight_grid, whole_price
+from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.injections import Injections, Reactance, Rows
+from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -33,6 +35,14 @@ where few discs bind, and sharper ones take several times as many rounds."""
 
 EXACT_DISC = 5e-6
 """The same in a dispatch, whose discs are checked."""
+
+VERIFIED_DISC = 1e-4
+"""The same of the best set of a large window's search, which has to have a dispatch: ten times as
+many rounds lead to the discs themselves, and a set that misses so little of them has one."""
+
+SETTLED = 1e-3
+"""By how much a relaxation of a large window must still change for its limits to be looked for on:
+most of the rounds add a handful of tangents that change nothing."""
 
 INSIDE = (3e-4, 0.0)
 """Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
@@ -58,8 +68,20 @@ COST_NODES = 100
 """Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
 the proof that there is nothing cheaper never ends where it does not end soon."""
 
+COST_ASKED = 100
+"""How often its root may ask whether to go on: 3 to 4 s where that takes longer than all nodes."""
+
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
+
+FEEDERS_SHARE = 0.5
+"""Share of the time of the search for the most service that feeders' own searches may take."""
+
+CLOSE = 0.03
+"""Of the units for which a set may be preferred, how many a set may lack that ends a search."""
+
+SUN_OVER_PRICE = 10.0
+"""By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -70,16 +92,21 @@ TOLERANCE = 1e-6
 
 
 def applies(site: Site, data: WindowData) -> bool:
-    """Whether a window has this form: the paper's mode, no switching rules, weights on a grid.
+    """Whether a window has this form: weights and the price of switching on a grid.
 
-    Service is counted in whole units here, so none of it may be later service.
+    Service is counted in whole units here, so none of it may be later service. With rules all sets
+    come from the search with binaries.
     """
-    plain = not data.physical and data.switching is None and not data.keeps_service
-    return plain and weight_grid(site.customers.weight * site.dt_h) > 0.0
+    unit = weight_grid(site.customers.weight * site.dt_h)
+    if unit == 0.0 or data.keeps_service:
+        return False
+    if data.switching is None:
+        return True
+    return whole_price(data, unit) and data.load_kw.size <= SMALL
 
 
 class NetworkMaster:
-    """The master in the network of one window, in the paper's mode without switching rules.
+    """The master in the network of one window.
 
     Parameters
     ----------
@@ -91,18 +118,29 @@ class NetworkMaster:
         The window.
     deadline : Deadline
         When everything must be done but for what gets a deadline of its own.
+    rules : RuleModel, optional
+        The rules of a window that has some.
     """
 
     def __init__(
-        self, site: Site, reactance: Reactance, data: WindowData, deadline: Deadline
+        self,
+        site: Site,
+        reactance: Reactance,
+        data: WindowData,
+        deadline: Deadline,
+        rules: RuleModel | None = None,
     ) -> None:
         self.deadline = deadline
         self.site = site
         self.data = data
-        self.model = Injections(site, reactance, data)
+        ruled = None if rules is None else rules.rows(data)
+        self.model = Injections(site, reactance, data, ruled)
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
+        self.pair = 0.0
+        if data.switching is not None:
+            self.pair = float(np.round(data.switching.price_of_pair / self.unit))
         self.found: list[Rows] = []
         self.is_large = self.units.size > SMALL
         lower, upper = self.model.bounds()
@@ -152,7 +190,7 @@ class NetworkMaster:
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
-        solver = self._loaded(self._with_cost(self.model.at["x"].ravel(), -self.units))
+        solver = self._loaded(self._with_cost(*self.lack))
         if self.is_large:
             self._start(solver)
         return solver, self._until_carried(solver, self.deadline)
@@ -176,16 +214,23 @@ class NetworkMaster:
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = _ServiceCuts(self.units)
-        most = self._cut(root, cuts)
-        known = _Known(np.ones(x.size), self._in_full(root), np.floor(most + TOLERANCE))
-        self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
-        if known.closed(self.units):
+        linear, held = self._by_feeders(deadline) if self.is_large else (root, None)
+        most = self._cut(linear, cuts)
+        known = _Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
+        known.improve(*self._carried(linear))
+        patience = Patience(deadline, PATIENCE_NODES)
+        if held is None:
+            self._close(solver, linear, known, cuts, patience)
+        else:
+            self._close_large(solver, linear, known, cuts, patience, held)
+        if known.best is None:
+            ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
+            return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
+        if known.closed():
             status = Status.OPTIMAL
         else:
             status = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
-        outcome = Outcome(
-            status, float(self.units @ known.best), float(known.bound), watch.spent_s, DIRECT
-        )
+        outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
     def _close(
@@ -196,34 +241,171 @@ class NetworkMaster:
         cuts: _ServiceCuts,
         patience: Patience,
     ) -> None:
-        """Try sets until the best has as much as the bound, or nothing improves any more."""
+        """Try sets until the best has as much as the bound, or nothing improves any more.
+
+        Prices know sets that are carried in part, which rules may forbid: there all sets come from
+        the search with binaries.
+        """
         x = self.model.at["x"].ravel()
         few = list(self.found)
         rounds = 0
-        while not known.closed(self.units) and not patience.passed:
+        while not known.closed() and not patience.passed:
             rounds = rounds + 1
             before = len(self.found)
-            whole = len(x) <= SMALL and rounds > ROUNDS
-            enough = float(self.units @ known.best)
+            ruled = self.data.switching is not None
+            whole = ruled or (len(x) <= SMALL and rounds > ROUNDS)
+            enough = known.most
             if whole:
                 found = self._searched(few, patience)
             else:
                 found = cuts.most(linear.x[x], enough + 1.0, patience.end)
-            known.take(found, enough)
+            known.take(found)
+            if known.closed():
+                return
             solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
             linear = self._until_carried(solver, self.deadline, worth=enough)
-            if linear.status != Status.OPTIMAL:
+            learnt = self.found[before:]
+            if linear.status == Status.OPTIMAL:
+                self._cut(linear, cuts)
+                known.improve(*self._carried(linear))
+            elif not (whole and learnt):
                 return
-            self._cut(linear, cuts)
-            known.improve(self._in_full(linear), self.units)
             nodes = patience.nodes + ROUND_NODES
-            patience.saw(float(self.units @ known.best), known.bound, nodes)
-            few += self.found[before:] if whole else []
+            patience.saw(known.most, known.bound, nodes)
+            few += learnt if whole else []
+
+    def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
+        """The linear problem with cuts of its feeders, and what their searches say of customers.
+
+        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries.
+        Its cut makes another fraction of the same worth at most, so each is searched once.
+        """
+        solver, linear = self.root
+        x = self.model.at["x"].ravel()
+        held = np.full(len(x), np.nan)
+        open_ = np.repeat(self.data.grid_limit_kw > 0.0, len(self.site.customers))
+        of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
+        searched: set[int] = set()
+        end = deadline.part(FEEDERS_SHARE)
+        while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
+            program = _limited(self._with_cost(*self.lack), self.found)
+            feeders = Feeders(program, linear, of_column, x)
+            new = [number for number in feeders.fractional if number not in searched]
+            cuts = []
+            for number in new:
+                if end.passed:
+                    break
+                found = feeders.search(number, end)
+                searched.add(number)
+                places = found.binaries[open_[found.binaries]]
+                held[places] = found.served[open_[found.binaries]]
+                cuts += [] if found.cut is None else [found.cut]
+            if not cuts:
+                break
+            rows = Rows.joined(cuts)
+            self.found.append(rows)
+            _add(solver, rows)
+            tighter = self._until_carried(solver, deadline)
+            if tighter.status != Status.OPTIMAL:
+                break
+            linear = tighter
+        return linear, held
+
+    def _close_large(
+        self,
+        solver: highspy.Highs,
+        linear: ProgramSolution,
+        known: _Known,
+        cuts: _ServiceCuts,
+        patience: Patience,
+        held: Floats,
+    ) -> None:
+        """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
+
+        The best set is put to the discs themselves at the end: one that exceeds many of them by
+        the little that a bound admits has no dispatch. From then on each better one is.
+        """
+        over = DISC
+        while True:
+            while not known.closed() and not patience.passed:
+                enough = known.most
+                found = cuts.most(
+                    self._shares(linear), enough + 1.0, patience.end, held, known.bound
+                )
+                free = bool(np.isnan(held).all())
+                if not free and not known.follow(found, self.units):
+                    held = np.full(len(held), np.nan)
+                    continue
+                if free:
+                    known.take(found)
+                    if known.closed():
+                        break
+                linear = self._tried(solver, known.tried, DISC, enough)
+                if over < DISC and self.units @ self._in_full(linear) > enough:
+                    linear = self._tried(solver, known.tried, over, enough)
+                if linear.status != Status.OPTIMAL:
+                    break
+                self._cut(linear, cuts)
+                known.improve(*self._carried(linear))
+                patience.saw(known.most, known.bound, patience.nodes + ROUND_NODES)
+            if over < DISC or known.best is None:
+                return
+            over = VERIFIED_DISC
+            carried = self._tried(solver, known.best, over, -np.inf)
+            if carried.status != Status.OPTIMAL:
+                return
+            linear = carried
+            self._cut(linear, cuts)
+            known.best, known.most = self._carried(linear)
+
+    def carries(self, served: Flags) -> bool:
+        """Whether the relaxation in the network serves a set in full."""
+        solver, root = self.root
+        if root.status != Status.OPTIMAL:
+            return True
+        x = self.model.at["x"].ravel()
+        wanted = served.ravel().astype(float)
+        linear = self._tried(solver, wanted, DISC, -np.inf)
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), np.ones(len(x)))
+        # The limits that were added have no price in the first solution.
+        none = np.zeros(solver.getNumRow() - len(root.row_dual))
+        self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
+        done = linear.status == Status.OPTIMAL
+        return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
+
+    def nobody(self) -> Dispatch | None:
+        """Everyone off and every battery idle, None where the network forbids even that."""
+        idle = np.zeros(self.model.size)
+        idle[self.model.at["energy"]] = self.data.soc * self.site.batteries.energy_kwh
+        net = self.site.network
+        u = self.model.u_pu2(idle)[:, 1:]
+        low = (u < net.u_min_pu2[1:] - VOLTAGE_PU2).any()
+        high = (u > net.u_max_pu2[1:] + VOLTAGE_PU2).any()
+        draws = self.data.drawn is not None or self.data.physical
+        if low or high or draws or self.data.switching is not None:
+            return None
+        return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
+
+    def _tried(
+        self, solver: highspy.Highs, served: Floats, over: float, worth: float
+    ) -> ProgramSolution:
+        """Most service if nobody is served beyond a set; a solver that gives up begins anew."""
+        x = self.model.at["x"].ravel()
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
+        linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        if linear.status == Status.NUMERICAL:
+            self._start(solver)
+            linear = self._until_carried(solver, self.deadline, over, worth=worth)
+        return linear
+
+    def _shares(self, linear: ProgramSolution) -> Floats:
+        """How far customers are served by a linear solution."""
+        return np.asarray(linear.x[self.model.at["x"].ravel()])
 
     def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
-        program = _limited(self._with_cost(x, -self.units), self.found)
+        program = _limited(self._with_cost(*self.lack), self.found)
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
@@ -233,10 +415,29 @@ class NetworkMaster:
         """Who is served in full by a linear solution."""
         return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
 
+    def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
+        """Who is served in full by a linear solution, and what that is worth in units."""
+        carried = self._in_full(linear)
+        units = float(self.units @ carried)
+        rules = self.data.switching
+        if rules is None:
+            return carried, units
+        served = carried.reshape(self.data.load_kw.shape) > 0.5
+        if rules.broken(served).any():
+            return carried, -np.inf
+        return carried, units - self.pair * float(rules.changes(served)[1].sum())
+
+    @property
+    def lack(self) -> tuple[Wholes, Floats]:
+        """Columns of service and of switching off, and what of them is minimised, in units."""
+        off = self.model.at["off"].ravel()
+        columns = np.append(self.model.at["x"].ravel(), off)
+        return columns, np.append(-self.units, np.full(len(off), self.pair))
+
     def _searched(self, rows: list[Rows], patience: Patience) -> ProgramSolution:
         """Search with binaries in the network, with some of its limits."""
         x = self.model.at["x"].ravel()
-        program = replace(self._with_cost(x, -self.units), integer=x)
+        program = replace(self._with_cost(*self.lack), integer=x)
         solver = _limited(program, rows).loaded(1.0 - TOLERANCE)
         found = ProgramSolution.of_search(solver, patience)
         return replace(found, x=found.x[x] if found.status.has_answer else found.x)
@@ -264,7 +465,8 @@ class NetworkMaster:
         while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
             limited = _limited(program, self.found)
-            found = ProgramSolution.of(limited.loaded(0.5 * gap_gbp, COST_NODES), deadline)
+            solver = limited.loaded(0.5 * gap_gbp, COST_NODES)
+            found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:
@@ -274,15 +476,17 @@ class NetworkMaster:
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
                 best = served > 0.5
+            if carried.status == Status.OPTIMAL and found.status != Status.OPTIMAL:
+                break  # another search would not end either
         ended = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""
-        x = self.model.at["x"].reshape(1, -1)
+        columns, lack = self.lack
         size = len(self.program.cost)
-        enough = Rows.of(x, self.units, units_min - TOLERANCE, np.inf, size)
+        enough = Rows.of(columns[None, :], -lack, units_min - TOLERANCE, np.inf, size)
         return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
 
     def _of_set(self, served: Floats | Flags) -> Program:
@@ -296,14 +500,24 @@ class NetworkMaster:
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
-        Tangents are put well within the discs first, which ends sooner, or else at them.
+        Tangents are put well within the discs first, which ends sooner, or else at them. With the
+        set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
+        if self.data.switching is not None:
+            data = replace(self.data.for_service(served), switching=None)
+            plain = NetworkMaster(self.site, self.model.reactance, data, self.deadline)
+            return plain.cheapest(served, deadline)
         known = self.found
         program = self._of_set(served)
+        if self.is_large:
+            program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
+        begin = None
         for inside in LARGE_INSIDE if self.is_large else INSIDE:
             self.found = list(known)
-            solver = self._started(self._loaded(program))
+            solver = self._loaded(program)
+            if self.is_large:
+                begin = self._begun(solver, begin, deadline)
             answer = self._until_carried(solver, deadline, EXACT_DISC, inside)
             stricter = len(self.found) > len(known)
             self.found = known  # tangents within the discs hold for no other problem
@@ -334,23 +548,39 @@ class NetworkMaster:
         basis.valid = True
         solver.setBasis(basis)
 
-    def _started(self, solver: highspy.Highs) -> highspy.Highs:
-        """A solver of a set's cost; where nothing costs anything, it begins with the service.
+    @property
+    def _worth_of_sun(self) -> float:
+        """What a kW of PV power is worth in a dispatch, in GBP: more than any saving by losing it.
 
-        There any dispatch is the cheapest. Where import has its price, the service's is far from
-        it, and the way back takes longer than one from the start.
+        Without it, any dispatch would be the cheapest where nothing has a price.
         """
-        if not self.is_large:
-            return solver
+        return float(
+            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.price[1]).max(initial=0.0))
+        )
+
+    def _begun(
+        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
+    ) -> highspy.HighsBasis:
+        """Let a solver of a set's cost begin at a basis, or find the one without tangents.
+
+        Where nothing costs anything, that of the service is near. Where import has its price, it
+        is far, and the way back takes longer than one from the start.
+        """
+        if begin is not None:
+            solver.setBasis(begin)
+            return begin
         prices = self.price[1] * self.program.x_upper[self.price[0]]
         basis = None if prices.any() else self.root[0].getBasis()
         if basis is None or not basis.valid:
             self._start(solver)
-            return solver
-        added = solver.getNumRow() - len(basis.row_status)
-        basis.row_status = [*basis.row_status, *[highspy.HighsBasisStatus.kBasic] * added]
-        solver.setBasis(basis)
-        return solver
+        else:
+            added = solver.getNumRow() - len(basis.row_status)
+            basic = highspy.HighsBasisStatus.kBasic
+            basis.row_status = [*basis.row_status, *[basic] * added]
+            solver.setBasis(basis)
+        ProgramSolution.of(solver, deadline)
+        found: highspy.HighsBasis = solver.getBasis()
+        return found
 
     def _both_ways(self, answer: ProgramSolution) -> Flags:
         """Steps in which a solution imports and exports, (W,)."""
@@ -418,13 +648,19 @@ class NetworkMaster:
     ) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
 
-        Or until no more than so many units are served in full. A solver that meets limits only
-        within a tolerance may violate the same ones for ever: then time ends it.
+        Or until no more than so many units are served in full, or a large relaxation has settled. A
+        solver that meets limits only within a tolerance may violate the same ones for ever: then
+        time ends it.
         """
+        settled = SETTLED if self.is_large and over >= DISC else 0.0
+        before = np.inf
         while True:
             answer = ProgramSolution.of(solver, deadline)
             if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
                 return answer
+            if abs(answer.value - before) < settled:
+                return answer
+            before = answer.value
             x = self._columns(answer)
             found = [
                 *self.model.voltage_rows(x, VOLTAGE_PU2),
@@ -441,28 +677,37 @@ class NetworkMaster:
 
 @dataclass
 class _Known:
-    """The set last tried, the best set that is carried, and the bound on all, in units."""
+    """The set last tried, the bound on all, and the best set that is carried, in units."""
 
     tried: Floats
-    best: Floats
     bound: float
+    best: Floats | None = None
+    most: float = -np.inf
 
-    def closed(self, units: Floats) -> bool:
+    def closed(self) -> bool:
         """Whether the best set has as much as the bound."""
-        return bool(units @ self.best >= self.bound)
+        return self.most >= self.bound
 
-    def take(self, found: ProgramSolution, best: float) -> None:
+    def take(self, found: ProgramSolution) -> None:
         """The next set to try, and what its search proves."""
         if found.status == Status.INFEASIBLE:
-            self.bound = best
+            self.bound = self.most
         elif found.status.has_answer:
             self.tried = np.round(found.x)
-        self.bound = max(best, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
+        self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
-    def improve(self, carried: Floats, units: Floats) -> None:
+    def follow(self, found: ProgramSolution, units: Floats) -> bool:
+        """Try a set of a search that proves nothing, if it would be the best."""
+        better = found.status.has_answer and units @ np.round(found.x) > self.most
+        if better:
+            self.tried = np.round(found.x)
+        return bool(better)
+
+    def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
-        if units @ carried > units @ self.best:
+        if units > self.most:
             self.best = carried
+            self.most = units
 
 
 class _ServiceCuts:
@@ -485,17 +730,29 @@ class _ServiceCuts:
         self.most_units.append(most + TOLERANCE)
         return most + float(self.gains[-1].sum())
 
-    def most(self, shares: Floats, at_least: float, deadline: Deadline) -> ProgramSolution:
+    def most(
+        self,
+        shares: Floats,
+        at_least: float,
+        deadline: Deadline,
+        held: Floats | None = None,
+        at_most: float = np.inf,
+    ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
-        service or lack of it would alone cost too much by the first bound is decided beforehand.
+        service or lack of it would alone cost too much by the first bound is decided beforehand;
+        ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
+        of the units that no set exceeds ends the search.
         """
         away = 1.0 - shares
         spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
         cost = NEAR / max(1.0, float(away.sum())) * away - self.units
         low = self.first_left < -spare
         high = self.first_left <= spare
+        if held is not None:
+            low = np.where(np.isnan(held), low, held > 0.5)
+            high = np.where(np.isnan(held), high, held > 0.5)
         program = Program(
             cost,
             low.astype(float),
@@ -505,7 +762,8 @@ class _ServiceCuts:
             np.array(self.most_units),
             np.arange(len(cost)),
         )
-        found = ProgramSolution.of(program.loaded(1.0 - 2.0 * NEAR), deadline)
+        solver = program.loaded(1.0 - 2.0 * NEAR, enough=CLOSE - at_most)
+        found = ProgramSolution.of(solver, deadline)
         return replace(found, bound=found.bound - NEAR)
 
 

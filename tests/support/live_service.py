@@ -1,0 +1,96 @@
+"""A live service of the tiny feeder, asked without a network in between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import vppres
+from tests.support.asgi import Caller
+from tests.support.long_days import repeated
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
+from vppres.service.serve import opened
+
+HERE = RunOptions(horizon_h=2.0, isolate=False)
+NOON = pd.Timestamp("2026-11-21T12:00Z")
+
+
+def site(tiny: Scenario) -> Scenario:
+    """A day of hours from local midnight, without outage."""
+    day = repeated(tiny, 24)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
+    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+
+
+@contextmanager
+def client(
+    service: Service, folder: Path, clock: SetClock | None = None, access: Access | None = None
+) -> Iterator[Caller]:
+    """A service that is asked without a network in between."""
+    with opened(service, folder, clock) as runner:
+        yield Caller(make_app(runner, access or Access()))
+
+
+def readings(time: pd.Timestamp, quantity: str, values: dict[str, float | None]) -> list[Any]:
+    """One reading of each asset, for an hour."""
+    return [
+        {
+            "source": "scada",
+            "asset": asset,
+            "quantity": quantity,
+            "start": written(time),
+            "resolution": "PT1H",
+            "values": [value],
+        }
+        for asset, value in values.items()
+    ]
+
+
+def heard(time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
+    """Telemetry of both batteries."""
+    return {"series": readings(time, "soc", {"big": soc, "small": soc})}
+
+
+def said(plan: dict[str, Any], kind: str) -> dict[str, Any]:
+    """Set-points of a kind by asset."""
+    return {one["asset"]: one for one in plan["setpoints"] if one["kind"] == kind}
+
+
+def told(run: vppres.Trajectory, t: int) -> dict[str, Any]:
+    """What a SCADA system would send before a step of a run."""
+    time = run.scenario.grid.times[t]
+    b = run.batteries[run.batteries["time"] == time]
+    series = readings(time, "soc", dict(zip(b["id"], b["soc_start"], strict=True)))
+    series += readings(
+        time, "load_kw", dict(zip(run.scenario.customers.id, run.scenario.load_kw[t], strict=True))
+    )
+    series += readings(
+        time, "pv_kw", dict(zip(run.scenario.pv.id, run.scenario.pv_kw[t], strict=True))
+    )
+    if t > 0:
+        begun = run.scenario.grid.times[t - 1]
+        before = run.batteries[run.batteries["time"] == begun]
+        power = before["charge_kw"] - before["discharge_kw"]
+        series += readings(begun, "battery_kw", dict(zip(before["id"], power, strict=True)))
+        series += readings(begun, "import_kw", {"grid": float(run.steps["p_grid_kw"][t - 1])})
+    return {"series": series}
+
+
+def decided(http: Caller, clock: SetClock, time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
+    """The plan of a step for which both batteries were heard."""
+    clock.set(time)
+    assert http.post("/v1/telemetry", heard(time, soc)).status == 200
+    plan: dict[str, Any] = http.post("/v1/steps").json()
+    return plan

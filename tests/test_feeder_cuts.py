@@ -1,0 +1,96 @@
+"""Cuts from each feeder's own search: they hold for every set that the network carries."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.support.small_windows import window
+from vppres.io import find_scenario, read_scenario
+from vppres.model.site import Site
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.solve.deadline import Deadline
+from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
+from vppres.solve.network.injections import Reactance
+from vppres.solve.network.master import NetworkMaster
+from vppres.solve.programs import Program, ProgramSolution
+from vppres.solve.result import Status
+
+TIME_S = 20.0
+
+
+def three_feeders() -> Scenario:
+    """The packaged day of 1.6 times the load, fed at bus 6, where three lines begin."""
+    day = read_scenario(find_scenario("uk-heatwave-2022"))
+    net = day.network
+    ends = net.buses[net.parent], net.buses[1:]
+    moved = Network(
+        *ends, net.r_ohm, net.x_ohm, slack_bus=6, base_kv=net.base_kv, v_min_pu=net.v_min_pu + 0.03
+    )
+    return replace(day, network=moved, load_kw=day.load_kw * 1.6)
+
+
+def test_feeders_are_counted_from_the_slack_bus() -> None:
+    """1 - 2 - 3 and 1 - 4, by hand; a row over both belongs to none."""
+    r = np.full(3, 0.1)
+    net = Network([1, 2, 1], [2, 3, 4], r, r, slack_bus=1, base_kv=11.0)
+    at = {bus: int(number) for bus, number in zip(net.buses, feeder_of_buses(net), strict=True)}
+    assert at[1] == SHARED
+    assert at[2] == at[3] != at[4]
+    rows = sp.csr_array(np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0, 0, 0]]))
+    assert feeder_of_rows(rows, np.array([0, 0, 1])).tolist() == [0, 1, SHARED, SHARED]
+
+
+def test_a_feeders_cut_by_hand() -> None:
+    """Two feeders share 3 kW; a customer of the first needs 2 of its 1.5 kW, or half of it.
+
+    Most service of shares: 0.75 there. As a whole number it is none, so the cut takes 0.75 away.
+    """
+    program = Program(
+        cost=np.array([-1.0, -1.0]),
+        x_lower=np.zeros(2),
+        x_upper=np.ones(2),
+        rows=sp.csc_array(np.array([[2.0, 0.0], [2.0, 1.0]])),
+        lower=np.full(2, -np.inf),
+        upper=np.array([1.5, 3.0]),
+        integer=np.arange(0),
+    )
+    solution = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
+    assert solution.value == pytest.approx(-1.75)
+    feeders = Feeders(program, solution, np.array([0, 1]), np.arange(2))
+    assert feeders.fractional.tolist() == [0]
+    found = feeders.search(0, Deadline(TIME_S))
+    assert found.cut is not None
+    assert found.served.tolist() == [0.0]
+    cut = program.with_range(found.cut.matrix.tocsc(), found.cut.lower, found.cut.upper)
+    tighter = ProgramSolution.of(cut.loaded(), Deadline(TIME_S))
+    assert tighter.value == pytest.approx(-1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("hour", "taken"), [(11, 0.5), (18, 0.0)])
+def test_cuts_leave_every_set_that_is_carried(
+    monkeypatch: pytest.MonkeyPatch, hour: int, taken: float
+) -> None:
+    day = three_feeders()
+    site = Site.of(day)
+    data = window(day, slice(hour, hour + 2), 0.35)
+
+    def master() -> NetworkMaster:
+        return NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+
+    usual, best = master().service(Deadline(TIME_S))
+    assert usual.status == Status.OPTIMAL
+    assert best is not None
+    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    large = master()
+    root = -large.root[1].value
+    assert large.carries(best)
+    linear, _ = large._by_feeders(Deadline(TIME_S))
+    assert usual.value - 1e-2 <= -linear.value <= root - taken + 1e-6
+    outcome, served = master().service(Deadline(TIME_S))
+    assert served is not None
+    assert (outcome.value, outcome.bound) == (usual.value, usual.bound)

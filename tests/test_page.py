@@ -1,0 +1,159 @@
+"""What the page to watch asks for: the overview, the site, and files that a browser may not leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.long_days import repeated
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.access import Access, new_token
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock, written
+from vppres.service.overview import Overview
+from vppres.service.routes.page import FILES
+from vppres.service.runner import Runner, Service
+from vppres.service.serve import opened
+from vppres.service.store import Reading, seconds
+
+NOON = pd.Timestamp("2026-11-21T12:00Z")
+HOUR = pd.Timedelta("1h")
+OPTIONS = RunOptions(horizon_h=2.0, isolate=False)
+
+
+@pytest.fixture
+def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
+    """A service at noon; an outage begins at two."""
+    day = repeated(tiny, 24)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
+    site = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+    with opened(Service(site, OPTIONS), tmp_path, SetClock(NOON)) as runner:
+        outage = {"type": "outage", "start": written(NOON + 2 * HOUR), "end": None}
+        runner.store.put_event("storm", outage, NOON, "test")
+        yield runner
+
+
+def decide(runner: Runner, time: pd.Timestamp, soc: float = 0.3) -> dict[str, Any]:
+    assert isinstance(runner.clock, SetClock)
+    runner.clock.set(time)
+    heard = [Reading(b, "soc", seconds(time), "scada", 3600, soc) for b in ("big", "small")]
+    runner.store.write_readings(heard, time)
+    return runner.step(time)
+
+
+def test_before_the_first_step_there_is_no_plan(runner: Runner) -> None:
+    found = Caller(make_app(runner, Access())).get("/v1/overview").json()
+    assert (found["plan"], found["past"], found["ahead_s"]) == (None, [], None)
+    assert found["now"] == "2026-11-21T12:00:00Z" and found["mode"]["mode"] == "auto"
+
+
+def test_a_plan_tells_what_it_foresees(runner: Runner) -> None:
+    decide(runner, NOON)
+    plan = decide(runner, NOON + HOUR)
+    ahead = plan["ahead"]
+    assert ahead["times"] == ["2026-11-21T14:00:00Z", "2026-11-21T15:00:00Z"]
+    assert ahead["grid_limit_kw"] == [0.0, 0.0]
+    assert ahead["import_kw"] == pytest.approx([0.0, 0.0], abs=1e-3)
+    assert set(ahead["served"]) == {"hospital", "shop", "homes"}
+    assert all(0.15 - 1e-4 <= soc <= 0.85 + 1e-4 for row in ahead["soc"].values() for soc in row)
+    later = decide(runner, NOON + 2 * HOUR, soc=plan["expected"]["soc"]["big"])
+    assert later["expected"]["grid_limit_kw"] == 0.0 and later["expected"]["v_min_bus"] is not None
+
+
+def test_the_overview_names_who_is_off_until_when_and_by_tier(runner: Runner) -> None:
+    decide(runner, NOON)
+    decide(runner, NOON + HOUR)
+    plan = decide(runner, NOON + 2 * HOUR, soc=0.2)
+    found = Caller(make_app(runner, Access())).get("/v1/overview").json()
+    off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
+    assert off and {one["asset"] for one in found["plan"]["off"]} == off
+    tiers = {"hospital": "critical", "shop": "high", "homes": "low"}
+    for one in found["plan"]["off"]:
+        assert one["tier"] == tiers[one["asset"]]
+        row = plan["ahead"]["served"][one["asset"]]
+        back = plan["ahead"]["times"][row.index(True)] if True in row else None
+        assert one["until"] == back
+    last = found["past"][-1]
+    assert last["served"] == {tier: float(name not in off) for name, tier in tiers.items()}
+    assert [step["start"][11:13] for step in found["past"]] == ["12", "13", "14"]
+    assert found["measured"]["soc big"] == {
+        "value": 0.2, "at": "2026-11-21T14:00:00Z", "source": "scada",
+    }  # fmt: skip
+    assert found["sources"] == [
+        {
+            "source": "scada",
+            "last_contact": "2026-11-21T14:00:00Z",
+            "stale": [],
+            "lost": [],
+            "ok": 2,
+        }
+    ]
+
+
+def test_sources_grow_old_and_plans_run_out(runner: Runner) -> None:
+    decide(runner, NOON)
+    clock = runner.clock
+    assert isinstance(clock, SetClock)
+    overview = Overview(runner)
+
+    def now(after: str) -> dict[str, Any]:
+        clock.set(NOON + pd.Timedelta(after))
+        return overview._now()
+
+    assert now("50min")["ahead_s"] == 600.0 and now("50min")["plan"]["active"]
+    assert now("63min")["plan"]["active"] and not now("67min")["plan"]["active"]
+    assert now("67min")["plan"]["off"] == []  # defaults: customers are on
+    assert now("2h")["sources"][0]["stale"] == ["soc of big", "soc of small"]
+    assert now("4h")["sources"][0]["lost"] == ["soc of big", "soc of small"]
+    missed = decide(runner, NOON + 3 * HOUR) and now("3h")
+    assert [step["status"] for step in missed["past"]] == ["ok", "missed", "missed", "ok"]
+    assert missed["steps"]["missed"] == 2
+
+
+def test_what_the_gate_refused_is_named(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "vppres.service.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
+    )
+    decide(runner, NOON)
+    found = Overview(runner)._now()
+    refused = [{"asset": "big", "reason": "no number"}]
+    assert found["plan"]["refused"] == refused and found["past"][0]["refused"] == refused
+
+
+def test_it_is_made_once_for_all_who_ask(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    decide(runner, NOON)
+    made: list[int] = []
+    overview = Overview(runner)
+    really = overview._now
+    monkeypatch.setattr(overview, "_now", lambda: made.append(1) or really())
+    assert overview.text() == overview.text() and len(made) == 1
+    runner.store.put_event("storm", None, NOON, "test")
+    assert b"storm" not in overview.text() and len(made) == 2
+
+
+def test_the_page_asks_for_nothing_but_itself(runner: Runner) -> None:
+    _, token = new_token("panel:read")
+    http = Caller(make_app(runner, Access([token])))
+    assert {path.name for path in (files("vppres.service") / "page").iterdir()} == set(FILES)
+    for name in FILES:
+        answer = http.get("/" if name == "page.html" else f"/page/{name}")
+        assert answer.status == 200, name
+        policy = answer.headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "unsafe" not in policy
+        text = answer.content.decode()
+        assert "http://www.w3.org/2000/svg" in text or "http" not in text, name
+        assert "innerHTML" not in text and "localStorage" not in text, name
+    page = http.get("/").content.decode()
+    assert " style=" not in page and "<script>" not in page and " onclick" not in page
+    assert http.get("/page/nothing.js").status == 404
+    assert http.get("/v1/overview").status == 401 and http.get("/v1/site").status == 401

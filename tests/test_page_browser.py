@@ -1,0 +1,271 @@
+"""The page to watch in a real browser: what it says, by whom it can be used, what it asks for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.browser import FLAGS, chromium, listening
+from tests.support.long_days import repeated
+from tests.support.tiny_day import tiny_scenario
+from vppres.day.options import RunOptions
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.access import Access, new_token
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock
+from vppres.service.runner import Runner, Service
+from vppres.service.serve import opened
+from vppres.service.store import Reading, seconds
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(chromium() is None, reason="no chromium or chrome on the path")
+
+HOUR = pd.Timedelta("1h")
+NIGHT = pd.Timestamp("2026-10-25T00:00Z")
+"""One in the morning of British Summer Time: in an hour it is one o'clock again."""
+DESKTOP = {"width": 1440, "height": 900}
+PHONE = {"width": 390, "height": 844}
+DARK = {"type": "outage", "source": "operator", "start": "2026-10-25T01:00:00Z", "end": None}
+
+
+def site() -> Any:
+    """A day of hours in London, with names that a page must not take for its own."""
+    day = repeated(tiny_scenario(), 24)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24, "Europe/London")
+    title = "Docks & <b>Harbour</b>"
+    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf), title=title)
+
+
+def decide(runner: Runner, time: pd.Timestamp, soc: float = 0.5) -> None:
+    """A step of which both batteries were heard."""
+    assert isinstance(runner.clock, SetClock)
+    runner.clock.set(time)
+    heard = [Reading(b, "soc", seconds(time), "scada", 3600, soc) for b in ("big", "small")]
+    runner.store.write_readings(heard, time)
+    runner.step(time)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Runner, str]]:
+    """A service after three quiet hours, an outage announced for the next one."""
+    options = RunOptions(horizon_h=3.0, isolate=False)
+    folder = tmp_path_factory.mktemp("watched")
+    with opened(Service(site(), options), folder, SetClock(NIGHT - 2 * HOUR)) as runner:
+        runner.store.put_event("storm", DARK, NIGHT, "test")
+        for hour in (-2, -1, 0):
+            decide(runner, NIGHT + hour * HOUR)
+        with listening(make_app(runner, Access())) as address:
+            yield runner, address
+
+
+class Watcher:
+    """An open page, with what it said to the console and every address it asked for."""
+
+    def __init__(self, browser: Any, address: str, size: Any = DESKTOP, scheme: str = "light"):
+        self.page = browser.new_page(viewport=size, color_scheme=scheme, reduced_motion="reduce")
+        self.messages: list[str] = []
+        self.addresses: list[str] = []
+        self.page.on("console", lambda message: self.messages.append(message.text))
+        self.page.on("pageerror", lambda error: self.messages.append(str(error)))
+        self.page.on("request", lambda request: self.addresses.append(request.url))
+        self.page.goto(address)
+        self.address = address
+
+    def __enter__(self) -> Watcher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.page.close()
+
+    def text(self, selector: str) -> str:
+        return " ".join(self.page.locator(selector).inner_text().replace("\u00a0", " ").split())
+
+    def wait_for(self, selector: str, words: str) -> None:
+        self.page.locator(selector, has_text=words).wait_for(timeout=10_000)
+
+
+@pytest.fixture(scope="module")
+def calm(browser: Any, watched: tuple[Runner, str]) -> Iterator[Watcher]:
+    with Watcher(browser, watched[1]) as watcher:
+        watcher.page.wait_for_selector("#chart svg")
+        yield watcher
+
+
+def test_the_first_thing_to_see_is_how_it_stands(calm: Watcher) -> None:
+    assert calm.text("#verdict-words") == "All 3 customers are on."
+    # The doubled hour: the outage begins at one o'clock, in the other zone.
+    assert calm.text("#verdict-more") == "Outage announced from 01:00 GMT, in 60 min."
+    assert calm.text("#clock") == "Sun 25 Oct, 01:00 BST"
+    assert calm.text("#site") == "Docks & <b>Harbour</b>"
+    assert calm.text("#attention-list") == "● Nothing needs you."
+    assert calm.text("#mode") == "Mode: auto"
+    assert calm.text("#sources-table").endswith("scada 0 s ago ● 2 readings in time")
+    assert calm.text("#events-list").startswith("Outage from 01:00 GMT, end not known storm")
+    assert calm.page.title() == "● All 3 customers are on. tiny"
+
+
+def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str]) -> None:
+    plan = watched[0].last
+    assert plan is not None
+    figures = calm.text("#figures")
+    assert figures.startswith("Customers on 3 of 3 critical 1 of 1 · high 1 of 1 · low 1 of 1")
+    assert "80 kWh, 50 %" in figures  # 100 and 60 kWh, half full
+    assert "56 kWh above the lower limit" in figures  # at 0.15
+    assert f"{plan['expected']['import_kw']:.0f} kW no limit known" in figures
+    assert f"{plan['expected']['v_min_pu']:.3f} pu" in figures
+    calm.page.click("#outlook summary")
+    rows = calm.page.locator("#chart-table tbody tr")
+    assert rows.count() == 6  # three that were, three ahead
+    assert rows.nth(2).inner_text().split("\t")[:2] == ["01:00", "ok"]
+    assert rows.nth(3).inner_text().split("\t")[:2] == ["01:00 GMT", "foreseen"]
+    assert rows.nth(3).inner_text().split("\t")[-1] == "0"
+
+
+CONTRAST = (Path(__file__).parent / "support" / "contrast.js").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_all_text_stands_out_and_everything_has_a_name(
+    browser: Any, watched: tuple[Runner, str], size: dict[str, int], scheme: str
+) -> None:
+    """WCAG AA: 4.5 to 1 for text, 3 to 1 for large text; names for what is used."""
+    with Watcher(browser, watched[1], size, scheme) as watcher:
+        page = watcher.page
+        page.wait_for_selector("#chart svg")
+        for level in ("fine", "warning", "alarm"):
+            page.evaluate(
+                "level => { document.getElementById('verdict').className = level; }", level
+            )
+            assert page.evaluate(CONTRAST) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        page.focus("#mode-change")
+        boxes = "all => all.map(one => one.getBoundingClientRect().height)"
+        assert min(page.locator("button:visible, select, #mode-reason").evaluate_all(boxes)) >= 44
+        unnamed = "all => all.filter(one => !one.labels?.length && !one.textContent.trim()).length"
+        assert page.locator("button:visible, select, input:visible").evaluate_all(unnamed) == 0
+        images = "all => all.filter(one => !one.getAttribute('aria-label')).length"
+        assert page.locator("[role=img]").evaluate_all(images) == 0
+        assert page.locator("h1").count() == 1
+
+
+def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
+    browser: Any, watched: tuple[Runner, str]
+) -> None:
+    runner, address = watched
+    with Watcher(browser, address) as watcher:
+        page = watcher.page
+        page.wait_for_selector("#modes input")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "mode"
+        page.keyboard.press("Enter")
+        assert page.evaluate("document.activeElement.value") == "auto"
+        page.keyboard.press("ArrowUp")  # from the first to the last: off
+        assert page.evaluate("document.activeElement.value") == "off"
+        for _ in range(2):
+            page.keyboard.press("Tab")
+        page.keyboard.type("work on the line")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        watcher.wait_for("#confirm-title", "Change the mode to off?")
+        assert "every device does its default" in watcher.text("#confirm-words")
+        page.keyboard.press("Enter")  # what has the focus changes nothing
+        page.wait_for_selector("#confirm", state="hidden")
+        assert runner.mode["mode"] == "auto"
+        assert page.evaluate("document.activeElement.id") == "mode-change"
+        page.keyboard.press("Enter")
+        page.keyboard.press("Escape")
+        assert runner.mode["mode"] == "auto"
+        page.keyboard.press("Enter")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        watcher.wait_for("#mode-said", "The mode is off.")
+        assert runner.mode == {"mode": "off", "until": None, "reason": "work on the line"}
+        watcher.wait_for("#mode", "Mode: off")
+        watcher.wait_for("#verdict-words", "Switched off by the operator")
+    runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
+
+
+def test_nothing_fails_and_nothing_leaves_the_machine(calm: Watcher) -> None:
+    assert calm.messages == []
+    assert [one for one in calm.addresses if not one.startswith(calm.address)] == []
+    assert f"{calm.address}v1/overview" in calm.addresses
+    # The browser itself would stop what a stranger smuggles in.
+    script = (
+        "document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.evil = 1\">')"
+    )
+    calm.page.evaluate(script)
+    assert calm.page.evaluate("window.evil") is None
+    calm.messages.clear()
+
+
+def test_tokens_are_asked_for_and_kept_in_memory_alone(
+    browser: Any, watched: tuple[Runner, str]
+) -> None:
+    secret, token = new_token("panel:read")
+    with (
+        listening(make_app(watched[0], Access([token]))) as address,
+        Watcher(browser, address) as watcher,
+    ):
+        page = watcher.page
+        watcher.wait_for("#token h2", "A token is needed")
+        assert page.evaluate("document.activeElement.id") == "token-text"
+        assert not page.locator("#watched").is_visible()
+        page.keyboard.type("wrong")
+        page.keyboard.press("Enter")
+        watcher.wait_for("#token-words", "Give a token")
+        page.fill("#token-text", secret)
+        page.keyboard.press("Enter")
+        watcher.wait_for("#verdict-words", "All 3 customers are on.")
+        page.check("input[value=off]")
+        page.click("#mode-change")
+        page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "The mode was not changed. The token of panel has no scope")
+        stored = "JSON.stringify([document.cookie, localStorage.length, sessionStorage.length])"
+        assert json.loads(page.evaluate(stored)) == ["", 0, 0]
+        assert not any(secret in one for one in watcher.addresses)
+    assert watched[0].mode["mode"] == "auto"
+
+
+def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:
+    """The last test: it goes on to the next hour, and ends with a service that is gone."""
+    runner, _ = watched
+    decide(runner, NIGHT + HOUR, soc=0.17)
+    assert runner.last is not None
+    off = [one["asset"] for one in runner.last["setpoints"] if one.get("served") is False]
+    with listening(make_app(runner, Access())) as address:
+        watcher = Watcher(browser, address, PHONE, "dark")
+        page = watcher.page
+        page.clock.install()
+        page.goto(address)
+        watcher.wait_for("#verdict-words", "Outage, its end is not known")
+        for name in off:
+            assert name in watcher.text("#off-list")
+        assert "outage; not enough for all, by plan" in watcher.text("#off-list")
+        attention = watcher.text("#attention-list")
+        assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention
+        assert page.locator("#chart .outage").count() >= 2
+        assert page.evaluate(CONTRAST) == []
+    page.clock.fast_forward(30_000)
+    watcher.wait_for("#verdict-words", "No contact with the service since 01:00.")
+    assert watcher.text("#verdict-more").startswith("What stands below was true then. Set-points")
+    assert "Set-points hold until 02:06" in watcher.text("#verdict-more")
+    page.clock.fast_forward("01:10:00")
+    watcher.wait_for("#verdict-more", "Set-points ended at 02:06: devices do their defaults.")
+    assert page.evaluate(CONTRAST) == []
+    page.close()

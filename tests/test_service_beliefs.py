@@ -1,0 +1,205 @@
+"""Outages that nobody knows exactly, over HTTP: what is believed, seen and decided."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from vppres.outlook.durations import of_length
+from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageStatistics
+from vppres.scenario.scenario import Scenario
+from vppres.service.announced import warnings
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+from vppres.service.store import Event, seconds
+
+HOUR = pd.Timedelta("1h")
+TWO_ONSETS = {"start": "2026-11-21T13:00:00Z", "resolution": "PT1H", "probabilities": [0.5, 0.5]}
+TWO_HOURS = {"family": "discrete", "hours": [2.0], "probabilities": [1.0]}
+STORM = {
+    "type": "outage_belief",
+    "issued_at": "2026-11-21T09:00:00Z",
+    "source": "operator-notice",
+    "probability": 0.6,
+    "onset": TWO_ONSETS,
+    "duration": TWO_HOURS,
+}
+
+
+@contextmanager
+def believing(tiny: Scenario, folder: Path, outages: str = "belief") -> Iterator[Any]:
+    """A service of a feeder where every outage is announced, at noon."""
+    quiet = replace(site(tiny), outage_statistics=OutageStatistics("none"))
+    clock = SetClock(NOON)
+    options = replace(HERE, outages=outages, horizon_h=6.0)
+    with client(Service(quiet, options), folder, clock) as http:
+        yield http, clock
+
+
+def grid_on(http: Caller, time: pd.Timestamp, on: bool) -> None:
+    series = readings(time, "grid_on", {"grid": float(on)})
+    assert http.post("/v1/telemetry", {"series": series}).status == 200
+
+
+def test_what_is_believed_follows_from_what_is_said_and_seen(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    with believing(tiny, tmp_path) as (http, clock):
+        assert http.put("/v1/events/storm", STORM).status == 201
+        plan = decided(http, clock, NOON)
+        # In one hour with 0.6 / 2, in two with the other half; each for two hours.
+        assert plan["outage_probability"][:5] == [0.0, 0.3, 0.6, 0.3, 0.0]
+        assert plan["grid"] == {"available": True, "known_by": "profile"}
+        one = NOON + HOUR
+        grid_on(http, one, True)
+        plan = decided(http, clock, one)
+        # It did not come at one: 0.3 of the 0.7 that are left.
+        assert plan["outage_probability"][:4] == [0.0, *[round(0.3 / 0.7, 6)] * 2, 0.0]
+        two = NOON + 2 * HOUR
+        grid_on(http, two, False)
+        plan = decided(http, clock, two, soc=0.2)
+        assert plan["grid"] == {"available": False, "known_by": "reading"}
+        assert plan["outage_probability"][:3] == [1.0, 1.0, 0.0]
+        assert not all(each["served"] for each in said(plan, "customers").values())
+        grid_on(http, two + HOUR, True)
+        assert decided(http, clock, two + HOUR)["grid"]["available"]
+
+
+def test_where_nobody_sees_the_grid_what_is_likely_counts(tiny: Scenario, tmp_path: Path) -> None:
+    with believing(tiny, tmp_path) as (http, clock):
+        http.put("/v1/events/storm", STORM)
+        found = [decided(http, clock, NOON + hours * HOUR, 0.5)["grid"] for hours in range(4)]
+        # At one 0.3, at two 0.43 of what was not seen at one; it is never likely.
+        assert {one["known_by"] for one in found} == {"profile"}
+        likely = {**STORM, "probability": 0.8, "onset": {**TWO_ONSETS, "probabilities": [0.9, 0.1],
+                  "start": "2026-11-21T16:00:00Z"}}  # fmt: skip
+        http.put("/v1/events/storm", likely)
+        found = [decided(http, clock, NOON + hours * HOUR, 0.5)["grid"] for hours in range(4, 7)]
+        assert [one["known_by"] for one in found] == ["belief", "belief", "profile"]
+        assert [one["available"] for one in found] == [False, False, True]
+
+
+def test_the_more_likely_an_outage_the_more_is_kept(tiny: Scenario, tmp_path: Path) -> None:
+    charged = []
+    for place, probability in enumerate((0.0, 0.05, 0.9)):
+        with believing(tiny, tmp_path / str(place)) as (http, clock):
+            http.put("/v1/events/storm", {**STORM, "probability": probability})
+            plan = decided(http, clock, NOON, soc=0.3)
+            charged.append(sum(one["p_kw"] for one in said(plan, "batteries").values()))
+    assert charged == sorted(charged)
+    assert charged[0] < 0.5 * charged[2]
+
+
+def test_a_certain_outage_is_the_special_case(tiny: Scenario, tmp_path: Path) -> None:
+    """As an event or as a belief, with beliefs or with known outages: one decision."""
+    outage = {"type": "outage", "start": "2026-11-21T13:20:00Z", "end": "2026-11-21T15:00:00Z"}
+    sure = {**STORM, "probability": 1.0, "onset": {**TWO_ONSETS, "probabilities": [1.0]},
+            "duration": {"family": "until", "until": "2026-11-21T14:30:00Z"}}  # fmt: skip
+    found = []
+    for place, (outages, event) in enumerate(
+        (o, e) for o in ("known", "belief", "likely") for e in (outage, sure)
+    ):
+        with believing(tiny, tmp_path / str(place), outages) as (http, clock):
+            assert http.put("/v1/events/storm", event).status == 201
+            plans = [decided(http, clock, NOON + hours * HOUR, 0.3) for hours in range(4)]
+            found.append([(plan["setpoints"], plan["grid"]["available"]) for plan in plans])
+            assert plans[0]["outage_probability"][:4] == [0.0, 1.0, 1.0, 0.0]
+    assert all(one == found[0] for one in found)
+    assert [available for _, available in found[0]] == [True, False, False, True]
+
+
+def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path) -> None:
+    with believing(tiny, tmp_path, "known") as (http, _):
+        answer = http.put("/v1/events/storm", STORM)
+        assert answer.status == 422
+        assert answer.json()["problems"][0]["cure"].startswith("Start it with --outages belief")
+    with believing(tiny, tmp_path / "other") as (http, _):
+        for change, words in (
+            ({"onset": {**TWO_ONSETS, "probabilities": [0.5, 0.4]}}, "do not sum to 1"),
+            ({"probability": 1.1}, "less than or equal to 1"),
+            ({"duration": {**TWO_HOURS, "hours": [1.0, 2.0]}}, "without a probability"),
+            ({"duration": {"family": "lognormal", "median_h": 0, "sigma": 1}}, "greater than 0"),
+            ({"duration": {"family": "until", "until": "2026-11-21T13:00:00Z"}}, "ends before"),
+            ({"duration": {"family": "gamma"}}, "does not match any of the expected tags"),
+            ({"limit_kw": 5}, "Input should be 0"),
+        ):
+            answer = http.put("/v1/events/storm", {**STORM, **change})
+            assert answer.status == 422 and words in answer.json()["detail"], answer.json()
+        assert http.get("/v1/events").json() == {}
+
+
+def test_beliefs_keep_their_history_and_may_be_withdrawn(tiny: Scenario, tmp_path: Path) -> None:
+    with believing(tiny, tmp_path) as (http, clock):
+        for probability in (0.2, 0.7):
+            http.put("/v1/events/storm", {**STORM, "probability": probability})
+        http.delete("/v1/events/storm")
+        http.put("/v1/events/storm", STORM)
+        said_so_far = http.get("/v1/events/storm/versions").json()
+        assert [one.get("probability") for one in said_so_far] == [0.2, 0.7, None, 0.6]
+        assert {one["made_at"] for one in said_so_far} == {"2026-11-21T12:00:00Z"}
+        assert http.get("/v1/events/storm").headers["etag"] == '"4"'
+        assert http.get("/v1/events/calm").status == 404
+        http.delete("/v1/events/storm")
+        assert set(decided(http, clock, NOON)["outage_probability"]) == {0.0}
+
+
+def test_a_message_says_since_when_somebody_knew() -> None:
+    noon = seconds(NOON)
+    body = {**STORM, "duration": {"family": "lognormal", "median_h": 7.0, "sigma": 1.33,
+            "max_h": 24.0}}  # fmt: skip
+    first, last = warnings({"storm": Event(3, body, noon - 600, noon - 7200)}, NOON, HOUR)
+    assert [first.issued_at, last.issued_at] == [NOON - 2 * HOUR, NOON - pd.Timedelta("10min")]
+    assert last.onset == OnsetShares(NOON + HOUR, 1.0, (0.5, 0.5))
+    ends = stats.lognorm(s=1.33, scale=7.0).ppf([0.1, 0.5, 0.9])
+    assert [last.duration_p10_h, last.duration_p50_h] == pytest.approx(ends[:2])
+    assert ends[2] > 24.0 == last.duration_p90_h
+
+
+def test_lengths_are_those_of_the_textbook() -> None:
+    edges = np.array([1.5, 2.5, 3.5])
+    for family, law in (
+        ("lognormal", stats.lognorm(s=0.8, scale=2.0)),
+        ("weibull", stats.weibull_min(c=0.8, scale=2.0)),
+    ):
+        found = of_length(OutageLength(family, 2.0, 0.8, max_h=4.0), 1.0, 6)
+        below = law.cdf(edges)
+        expected = [*np.diff(below, prepend=0.0), 1.0 - below[-1], 0.0, 0.0]
+        assert found == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_onsets_in_shorter_steps_share_their_interval() -> None:
+    shares = OnsetShares(NOON, 1.0, (0.25, 0.75))
+    assert shares.begun(np.arange(-1, 6) * 0.5).tolist() == [0, 0, 0.125, 0.25, 0.625, 1, 1]
+    assert (shares.likely, shares.end) == (NOON + HOUR, NOON + 2 * HOUR)
+
+
+def test_who_is_silent_for_long_is_taken_for_what_may_be(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    levels = {"p10": [5.0] * 8, "p50": [10.0] * 8, "p90": [15.0] * 8}
+    body = {"issued_at": "2026-11-21T11:00:00Z", "start": "2026-11-21T12:00:00Z",
+            "resolution": "PT1H"}  # fmt: skip
+    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
+        http.put("/v1/forecasts/load_kw", {**body, "assets": {"shop": levels}})
+        http.put("/v1/forecasts/pv_kw", {**body, "assets": {"roof": levels}})
+        once = readings(NOON, "load_kw", {"shop": 11.0}) + readings(NOON, "pv_kw", {"roof": 9.0})
+        http.post("/v1/telemetry", {"series": once})
+        imports = []
+        for hours in (0, 4):
+            plan = decided(http, clock, NOON + hours * HOUR)
+            imports.append(plan)
+        assert not [words for words in imports[0]["estimated"] if "shop" in words]
+        words = imports[1]["estimated"]
+        assert "load_kw shop is p90 of its forecast" in words
+        assert "pv_kw roof is p10 of its forecast" in words
+        roof = said(imports[1], "pv")["roof"]
+        assert roof["p_kw"] <= 5.0 + 1e-6

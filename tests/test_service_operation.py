@@ -1,0 +1,146 @@
+"""What devices answer, what an operator orders, and steps that nobody waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, client, decided, heard, readings, said, site
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
+
+HOUR = pd.Timedelta("1h")
+
+
+@pytest.fixture
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
+    """A service at noon."""
+    clock = SetClock(NOON)
+    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
+        yield http, clock
+
+
+def test_a_battery_that_refuses_is_left_out_until_it_is_heard(
+    live: tuple[Caller, SetClock],
+) -> None:
+    http, clock = live
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T15:00:00Z"})
+    plan = decided(http, clock, NOON, soc=0.3)
+    name = said(plan, "batteries")["big"]["id"]
+    clock.set(NOON + pd.Timedelta("5min"))
+    for status in ("accepted", "rejected"):
+        answer = http.post(f"/v1/setpoints/{name}/status", {"status": status, "reason": "locked"})
+        assert answer.status == 200 and answer.json()["id"] == name
+    shown = http.get("/v1/setpoints?asset=big").json()["setpoints"][0]
+    assert shown["status"] == "rejected"
+    assert http.get("/v1/setpoints?asset=small").json()["setpoints"][0]["status"] == "new"
+    one = NOON + HOUR
+    clock.set(one)
+    http.post("/v1/telemetry", {"series": readings(one, "soc", {"small": 0.3})})
+    plan = http.post("/v1/steps").json()
+    assert "battery big is out" in plan["estimated"]
+    assert said(plan, "batteries")["big"]["p_kw"] == 0.0
+    plan = decided(http, clock, NOON + 2 * HOUR, soc=0.3)  # it says how it is
+    assert "battery big is out" not in plan["estimated"]
+
+
+def test_only_set_points_that_there_are_can_be_answered(live: tuple[Caller, SetClock]) -> None:
+    http, clock = live
+    plan = decided(http, clock, NOON)
+    name = said(plan, "customers")["shop"]["id"]
+    assert http.post(f"/v1/setpoints/{name}/status", {"status": "succeeded"}).status == 200
+    assert http.post(f"/v1/setpoints/{name}/status", {"status": "done"}).status == 422
+    for other in (name.replace("shop", "shp"), name.replace("T12", "T11"), "..", "x/y/z"):
+        assert http.post(f"/v1/setpoints/{other}/status", {"status": "started"}).status == 404
+
+
+def test_set_points_are_held_until_the_end_of_hold(live: tuple[Caller, SetClock]) -> None:
+    http, clock = live
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
+    first = decided(http, clock, NOON, soc=0.3)
+    assert "must have an end" in http.put("/v1/mode", {"mode": "hold"}).json()["detail"]
+    hold = {"mode": "hold", "until": "2026-11-21T13:30:00Z", "reason": "a look at it"}
+    assert http.put("/v1/mode", hold).json()["mode"] == "hold"
+    held = decided(http, clock, NOON + HOUR, soc=0.3)
+    assert held["status"] == "hold" and held["start"] == "2026-11-21T13:00:00Z"
+    for kind in ("batteries", "pv", "customers"):
+        before, after = said(first, kind), said(held, kind)
+        for asset, one in before.items():
+            values = {"p_kw", "q_kvar", "served"} & set(one)
+            assert {v: one[v] for v in values} == {v: after[asset][v] for v in values}
+    assert said(held, "batteries")["big"]["reason"] == "a look at it"
+    assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"
+    assert http.get("/v1/status").json()["steps"]["hold"] == 1
+
+
+def test_what_is_held_still_passes_the_gate(live: tuple[Caller, SetClock]) -> None:
+    """The battery that was charged is full by now."""
+    http, clock = live
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
+    assert said(decided(http, clock, NOON, soc=0.3), "batteries")["big"]["p_kw"] > 20.0
+    http.put("/v1/mode", {"mode": "hold", "until": "2026-11-21T18:00:00Z"})
+    big = said(decided(http, clock, NOON + HOUR, soc=0.84), "batteries")["big"]
+    assert (big["p_kw"], big["reason"]) == (0.0, "default: more than it has room for")
+
+
+def test_an_operator_orders_some_and_the_others_stay(live: tuple[Caller, SetClock]) -> None:
+    http, clock = live
+    first = decided(http, clock, NOON)
+    manual: dict[str, Any] = {
+        "mode": "manual",
+        "until": "2026-11-21T13:30:00Z",
+        "setpoints": [
+            {"kind": "batteries", "asset": "big", "p_kw": -12.5},
+            {"kind": "batteries", "asset": "small", "p_kw": 500.0},
+            {"kind": "customers", "asset": "shop", "served": False},
+        ],
+    }
+    assert http.put("/v1/mode", {**manual, "setpoints": []}).status == 422
+    for wrong in ({"kind": "customers", "asset": "shop", "p_kw": 5.0},
+                  {"kind": "batteries", "asset": "big", "p_kw": 1.0, "served": True}):  # fmt: skip
+        assert http.put("/v1/mode", {**manual, "setpoints": [wrong]}).status == 422
+    unknown = {**manual, "setpoints": [{"kind": "batteries", "asset": "bigg", "p_kw": 1.0}]}
+    assert http.put("/v1/mode", unknown).json()["problems"][0]["cure"] == "Did you mean big?"
+    assert http.put("/v1/mode", manual).status == 200
+    plan = decided(http, clock, NOON + HOUR)
+    assert plan["status"] == "manual"
+    assert said(plan, "batteries")["big"]["p_kw"] == -12.5
+    assert said(plan, "batteries")["small"]["reason"] == "default: power above its rating"
+    assert said(plan, "customers")["shop"]["served"] is False
+    assert said(plan, "customers")["homes"]["served"] == said(first, "customers")["homes"]["served"]
+    assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"
+
+
+def test_a_step_that_nobody_waits_for_is_a_job(live: tuple[Caller, SetClock]) -> None:
+    http, _ = live
+    http.post("/v1/telemetry", heard(NOON))
+    answer = http.post("/v1/steps", prefer="respond-async")
+    assert (answer.status, answer.headers["preference-applied"]) == (202, "respond-async")
+    place = answer.headers["location"]
+    assert place == f"/v1/jobs/{written(NOON)}"
+    plan = http.post("/v1/steps").json()  # waits for its turn
+    assert http.get(place).json() == {"id": written(NOON), "status": "finished", "plan": plan}
+    assert http.get("/v1/jobs/2026-11-21T11:00:00Z").status == 404
+    assert http.get("/v1/jobs/yesterday").status == 404
+    late = http.post("/v1/steps", {"time": "2026-11-21T11:00:00Z"}, prefer="respond-async")
+    assert late.status == 202
+    http.post("/v1/steps")
+    failed = http.get(late.headers["location"]).json()
+    assert failed["status"] == "failed" and "is over" in failed["reason"]
+
+
+def test_a_request_that_is_sent_again_means_the_same_step(live: tuple[Caller, SetClock]) -> None:
+    http, clock = live
+    http.post("/v1/telemetry", heard(NOON))
+    first = http.post("/v1/steps", idempotency_key="k1").json()
+    clock.set(NOON + HOUR)
+    assert http.post("/v1/steps", idempotency_key="k1").json() == first
+    other = http.post("/v1/steps", {"time": "2026-11-21T13:00:00Z"}, idempotency_key="k1")
+    assert other.status == 422 and "was used for 2026-11-21T12:00:00Z" in other.json()["detail"]
+    assert http.post("/v1/steps", idempotency_key="k2").json()["start"] == "2026-11-21T13:00:00Z"

@@ -1,0 +1,195 @@
+"""A scenario played against the service, the plant being the world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vppres
+from tests.support.asgi import Caller
+from tests.support.command_line import call
+from tests.support.live_service import HERE, NOON, client, site
+from tests.support.long_days import repeated
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.client import Answer, Client
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements
+from vppres.service.world import World, critical_off, energy_allowed
+
+
+class Here(Client):
+    """A client of a service in this process."""
+
+    def __init__(self, http: Caller) -> None:
+        self.http = http
+
+    def ask(self, method: str, path: str, body: Any = None) -> Answer:
+        answer = self.http.ask(method, path, body, {})
+        self.url = "here"
+        return Answer(answer.status, answer.json() if answer.content else None, 0.01)
+
+
+def played(
+    service: Service, scenario: Scenario, folder: Path, play: Play, clock: SetClock | None = None
+) -> Player:
+    """A player that has played."""
+    with client(service, folder, clock) as http:
+        player = Player(World(scenario, service.options), Here(http), play)
+        player.play()
+        return player
+
+
+def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
+    """To the last bit, with what came of it fed back: set-points, telemetry, the next step."""
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    for place, day in enumerate((tiny, vppres.load_scenario("two-outages-cigre-mv"))):
+        run = vppres.run_day(day, options)
+        service = Service(day, options, rehearsal=True)
+        player = played(service, day, tmp_path / str(place), Play(announced=False))
+        assert player.tally.statuses == {"ok": day.grid.n_steps}
+        for t, record in enumerate(player.world.records):
+            now = run.scenario.grid.times[t]
+            for table, columns in (
+                ("customers", ("served", "p_load_kw")),
+                ("batteries", ("charge_kw", "discharge_kw", "q_kvar", "soc_end")),
+                ("pv", ("self_kw", "export_kw", "curtailed_kw", "q_kvar")),
+            ):
+                frame = getattr(run, table)
+                frame = frame[frame["time"] == now]
+                for column in columns:
+                    found = getattr(record, table)[column]
+                    assert np.array_equal(found, frame[column].to_numpy()), (t, table, column)
+            assert record.steps["p_grid_kw"] == run.steps["p_grid_kw"][t]
+
+
+def stormy(tiny: Scenario, days: int) -> Scenario:
+    """Days of hours, each with an outage from two to five in the afternoon."""
+    day = site(tiny)
+    grid = TimeGrid(NOON.normalize(), 60.0, 24 * days)
+    hours = np.arange(24 * days) % 24
+    limits = np.where((hours >= 14) & (hours < 17), 0.0, np.inf)
+    rows = {name: values[hours] for name, values in day.series.items()}
+    return replace(day, grid=grid, **{**rows, "grid_limit_kw": limits})
+
+
+def test_a_week_of_bad_telemetry_leaves_no_critical_customer_off(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """30 % lost, 10 % late, clocks off by 90 s, everything sent twice: two of the days."""
+    faults = TelemetryFaults(lost=0.3, delayed=0.1, skew_s=90.0, repeats=True, seed=3)
+    service = Service(site(tiny), HERE, paced=True)
+    world = stormy(tiny, 2)
+    clock = SetClock(world.grid.start)
+    player = played(service, world, tmp_path, Play(notice_h=6.0, faults=faults), clock)
+    tally = player.tally
+    assert set(tally.statuses) <= {"ok", "fallback"} and sum(tally.statuses.values()) == 48
+    assert tally.off_needlessly == 0 and tally.gate == 0
+    assert tally.estimated > 20 and tally.refused == 0
+    assert max(world.outage) and any(r.steps["fallback"] == "none" for r in player.world.records)
+
+
+def test_who_is_too_slow_misses_steps_and_devices_fall_to_their_default(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("vppres.service.simulate.machine.monotonic", lambda: now[0])
+    monkeypatch.setattr(
+        "vppres.service.simulate.machine.sleep", lambda s: now.append(now.pop() + s)
+    )
+    service = Service(tiny, replace(HERE, horizon_h=0.0), rehearsal=True)
+    with client(service, tmp_path) as http:
+
+        class Slow(Here):
+            def ask(self, method: str, path: str, body: Any = None) -> Answer:
+                if path == "/v1/steps":
+                    now[0] += 15.0  # two and a half steps of 6 s
+                return super().ask(method, path, body)
+
+        player = Player(World(tiny, HERE), Slow(http), Play(speed=600.0, announced=False))
+        tally = player.play()
+        assert tally.statuses == {"ok": 3, "missed": 3}
+        assert http.get("/v1/status").json()["steps"]["missed"] == 3
+    # In an hour that nobody decided batteries rest: the last word is over.
+    missed = player.world.records[1]
+    assert np.abs(missed.batteries["charge_kw"]).max() == 0.0
+
+
+def test_readings_get_lost_late_shifted_and_repeated() -> None:
+    reading = {"source": "a", "start": "2026-11-21T12:00:00Z", "asset": "big"}
+    other = {**reading, "source": "b"}
+    everything = [{**reading, "asset": str(i)} for i in range(1000)]
+    way = Way(TelemetryFaults(lost=0.3, delayed=0.1, seed=1))
+    arrived = [len(way.arriving(t, everything if t == 0 else [])) for t in range(5)]
+    assert arrived[0] == pytest.approx(600, abs=50)
+    assert sum(arrived[1:4]) == pytest.approx(100, abs=30) and min(arrived[1:4]) > 10
+    assert arrived[4] == 0
+    shifted = Way(TelemetryFaults(skew_s=90.0, repeats=True)).arriving(0, [reading, other])
+    assert [one["start"][11:19] for one in shifted] == ["12:01:30", "11:58:30"] * 2
+
+
+def test_energy_that_is_there_is_a_sum_by_hand(tiny: Scenario) -> None:
+    world = World(tiny, HERE)
+    record = world.obey(0, [])
+    critical = np.asarray(tiny.customers.tier == tiny.tiers[0])
+    assert energy_allowed(tiny, record)  # there is grid
+    dark = replace(tiny, grid_limit_kw=np.zeros(tiny.grid.n_steps))
+    b = tiny.batteries
+    there_kw = (
+        tiny.pv_kw[0].sum()
+        + np.minimum(b.p_max_kw, (b.soc_initial - b.soc_min) * b.energy_kwh * b.eta_discharge).sum()
+    )
+    needed_kw = tiny.load_kw[0][critical].sum()
+    assert energy_allowed(dark, record) == (there_kw >= needed_kw)
+    empty = replace(record, batteries={**record.batteries, "soc_start": b.soc_min},
+                    pv={**record.pv, "available_kw": 0.0 * tiny.pv_kw[0]})  # fmt: skip
+    assert not energy_allowed(dark, empty)
+    off = replace(record, customers={**record.customers, "served": np.zeros(len(critical), bool)})
+    assert critical_off(tiny, off).tolist() == critical.tolist()
+
+
+def test_outages_are_announced_in_time(tiny: Scenario) -> None:
+    found = list(announcements(stormy(tiny, 2), 6.0))
+    assert [(str(at), body["start"], body["end"]) for at, _, body in found] == [
+        ("2026-11-21 08:00:00+00:00", "2026-11-21T14:00:00Z", "2026-11-21T17:00:00Z"),
+        ("2026-11-22 08:00:00+00:00", "2026-11-22T14:00:00Z", "2026-11-22T17:00:00Z"),
+    ]
+
+
+def test_the_clock_is_set_where_it_is_not_the_machines(tiny: Scenario, tmp_path: Path) -> None:
+    with client(Service(site(tiny), HERE, paced=True), tmp_path) as http:
+        assert http.put("/v1/clock", {"now": "2026-11-21T12:00:00Z"}).status == 200
+        assert http.post("/v1/steps").json()["start"] == "2026-11-21T12:00:00Z"
+        back = http.put("/v1/clock", {"now": "2026-11-21T11:00:00Z"}).json()
+        assert back["problems"][0]["message"] == "does not go back"
+        assert http.get("/v1/status").json()["now"] == "2026-11-21T12:00:00Z"
+
+
+def test_a_day_is_played_from_the_command_line(tiny: Scenario, tmp_path: Path) -> None:
+    """With a service in a process of its own, as in the tutorial."""
+    from vppres.io.scenario_writer import write_scenario
+
+    day = repeated(tiny, 24)
+    write_scenario(day, tmp_path / "site")
+    asked = (
+        "serve",
+        "simulate",
+        str(tmp_path / "site"),
+        "--horizon",
+        "0",
+        "--no-isolate",
+        "--json",
+    )
+    result = call(*asked)
+    assert result.exit_code == 0, result.stderr
+    import json
+
+    found = json.loads(result.stdout)
+    assert found["steps"] == {"ok": 24}
+    assert found["size"][-1]["open_files"] <= found["size"][0]["open_files"] + 2

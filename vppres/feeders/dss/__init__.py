@@ -1,0 +1,1 @@
+"""OpenDSS circuits: checked, read, and solved again with all phases."""

@@ -1,0 +1,373 @@
+"""An OpenDSS circuit as a pandapower net: its balanced positive-sequence equivalent.
+
+The script is checked and written anew (:mod:`vppres.feeders.dss.text`). OpenDSS builds the circuit
+in a process of its own (:mod:`vppres.feeders.dss.engine`), in an empty folder that is thrown away,
+and only numbers and names come back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats, Names
+from vppres.core.errors import InputError, Problem
+from vppres.core.units import kw_to_mw
+from vppres.feeders.closeness import largest_difference
+from vppres.feeders.dss import text as dss_text
+from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.net.balance import PHASES, PhasePowers
+from vppres.feeders.net.ratings import NO_LIMIT_KA
+from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
+from vppres.scenario.network import BusId
+
+A_PER_KA = 1000.0
+PHASE_COUNT = 3
+TOGETHER = " + "
+SHAPE_TOLERANCE = 1e-6
+"""By how much the shares of a circuit's loads may differ and still count as one share."""
+
+Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "OpenDSSFlow"]
+
+
+def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
+    """Read a circuit.
+
+    Parameters
+    ----------
+    path : Path
+        The master file; what it redirects to lies in its folder.
+    time_limit_s : float, optional
+        For OpenDSS to build the circuit.
+
+    Returns
+    -------
+    net : pandapowerNet
+        Lines, two-winding transformers, loads and generators; one external grid.
+    bus_ids : dict
+        OpenDSS's name of each bus.
+    notes : tuple of str
+        What the balanced equivalent leaves out.
+    phases : PhasePowers, optional
+        What is not balanced, if anything has fewer than three phases.
+    flow : OpenDSSFlow
+        OpenDSS's own solution.
+
+    Raises
+    ------
+    InputError
+        If a line is not one that a network needs, OpenDSS refuses the file or takes too long, or
+        an element has no balanced equivalent here.
+    """
+    script = dss_text.read_script(path)
+    job = {"commands": [command.text for command in script.commands]}
+    found = confined("dss/engine", job, path.name, time_limit_s)
+    if found["problems"]:
+        raise InputError([located(problem, script, path.name) for problem in found["problems"]])
+    net, ids = _build(found)
+    notes = (*script.notes, *found["notes"])
+    return net, ids, notes, _phase_powers(found), OpenDSSFlow(job, path.name, found, time_limit_s)
+
+
+class OpenDSSFlow:
+    """OpenDSS's own solution of the circuit as it is, with regulators where they were found.
+
+    Its loads keep their phases, so that only their sum can follow the powers of a feeder.
+
+    Parameters
+    ----------
+    job : dict
+        The checked commands that build the circuit.
+    name : str
+        Name of the file, for messages.
+    found : dict
+        The circuit as the engine told it.
+    time_limit_s : float
+        For a solution.
+    """
+
+    def __init__(
+        self, job: dict[str, Any], name: str, found: dict[str, Any], time_limit_s: float
+    ) -> None:
+        self.job = job
+        self.name = name
+        self.time_limit_s = time_limit_s
+        self.index = {bus["name"]: i for i, bus in enumerate(found["buses"])}
+        self.given: dict[int, float] | None = self._by_index(found["v_pu"])
+        self.losses_kw: float | None = found["losses_kw"]
+        self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
+        self.closed = {
+            f"{kind}.{element['name']}"
+            for kind in ("line", "transformer")
+            for element in found[f"{kind}s"]
+            if element["closed"]
+        }
+        complete = found.get("complete", [])
+        self.complete = {self.index[bus] for bus in complete if bus in self.index}
+        self.disabled: list[str] = []
+        self.load_kw: dict[BusId, float] = {}
+        self.known: dict[tuple[float, float | None], dict[int, float] | None] = {}
+
+    def of(self, net: Any, feeder: ImportedFeeder) -> OpenDSSFlow:
+        """The flow for a feeder of the circuit's net, with what was opened in the net."""
+        kept = {
+            f"{kind}.{name}"
+            for kind, table in (("line", "line"), ("transformer", "trafo"))
+            for names in net[table].loc[net[table]["in_service"], "name"]
+            for name in str(names).split(TOGETHER)
+        }
+        self.disabled = sorted(self.closed - kept)
+        with_generator = set(feeder.generators.bus)
+        loads = zip(feeder.network.buses, feeder.p_load_kw, strict=True)
+        self.load_kw = {bus: kw for bus, kw in loads if kw > 0 and bus not in with_generator}
+        return self
+
+    def v_pu(
+        self, buses: Names, p_kw: Floats, q_kvar: Floats, v_slack_pu: float | None = None
+    ) -> dict[int, float] | None:
+        """See :class:`vppres.feeders.feeder.SourceFlow`; None for powers of another shape."""
+        drawn = dict(zip(buses, -p_kw, strict=True))
+        shares = [drawn[bus] / kw for bus, kw in self.load_kw.items()]
+        if not shares or np.ptp(shares) > SHAPE_TOLERANCE:
+            return None
+        share = float(np.mean(shares))
+        if (share, v_slack_pu) not in self.known:
+            self.known[share, v_slack_pu] = self._solved(share, 0.0 if share == 0 else 1.0)
+        return self.known[share, v_slack_pu]
+
+    def told(self, feeder: ImportedFeeder) -> tuple[str, ...]:
+        """Causes of a difference, with what is left of it where all phases are."""
+        source = self.as_given()
+        if source is None:
+            return self.causes
+        three = {bus: v for bus, v in source.items() if bus in self.complete}
+        left_pu = largest_difference(feeder, three)
+        if left_pu is None or not self.causes:
+            return self.causes
+        first = f"{self.causes[0]} (buses with three phases differ by at most {left_pu:.2g} pu)"
+        return (first, *self.causes[1:])
+
+    def as_given(self) -> dict[int, float] | None:
+        """Voltages with the circuit's own powers."""
+        return self._solved(1.0, 1.0) if self.disabled else self.given
+
+    def _solved(self, load: float, generation: float) -> dict[int, float] | None:
+        state = {
+            "load": load,
+            "generation": generation,
+            "disabled": self.disabled,
+            "v_slack_pu": None,
+        }
+        job = {**self.job, "state": state}
+        return self._by_index(confined("dss/engine", job, self.name, self.time_limit_s)["v_pu"])
+
+    def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:
+        """Voltages by the index of the bus in the net."""
+        if v_pu is None:
+            return None
+        return {self.index[bus]: v for bus, v in v_pu.items() if bus in self.index}
+
+
+def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
+    """Power of the loads less that of generators on each phase, by bus."""
+    counts = found["single_phases"]
+    if not counts:
+        return None
+    words = [f"{few} of {count} {kind}s" for kind, (few, count) in counts.items()]
+    rows = []
+    for power in found["powers"]:
+        sign = 1.0 if power["kind"] == "load" else -1.0
+        share_kw = sign * power["p_kw"] / max(len(power["nodes"]), 1)
+        at = [share_kw if phase in power["nodes"] else 0.0 for phase in (1, 2, 3)]
+        rows.append(pd.Series(at, list(PHASES), name=power["bus"]))
+    p_kw = pd.DataFrame(rows, columns=list(PHASES), dtype=float)
+    return PhasePowers(f"fewer than three phases have {', '.join(words)}", p_kw)
+
+
+def located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:
+    """A problem of the engine, at the file and row of its command if it has one."""
+    at = problem["command"]
+    if at is None:
+        return Problem(name, problem["message"], problem["cure"])
+    command = script.commands[at]
+    return Problem(command.file, problem["message"], problem["cure"], row=command.row)
+
+
+def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
+    """The pandapower net of the circuit, and its buses' names."""
+    import pandapower as pp
+
+    names = [bus["name"] for bus in found["buses"]]
+    net = pp.create_empty_network(name=found["name"], f_hz=found["frequency_hz"])
+    pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
+    at = {name: i for i, name in enumerate(names)}
+    _add_lines(net, found["lines"], at)
+    for transformer in _banks(found["transformers"]):
+        _add_transformer(net, transformer, at)
+    for capacitor in found["capacitors"]:
+        q_mvar = -float(kw_to_mw(capacitor["kvar"]))
+        pp.create_shunt(net, at[capacitor["bus"]], q_mvar=q_mvar, name=capacitor["name"])
+    _add_powers(net, found["powers"], at)
+    for source in found["sources"]:
+        _add_source(net, source, at[source["bus"]])
+    # Scenario folders read buses as whole numbers where all of them are.
+    whole = all(name.isdecimal() and str(int(name)) == name for name in names)
+    ids: dict[int, BusId] = {i: int(name) if whole else name for i, name in enumerate(names)}
+    for extra in net.bus.index[len(names) :]:
+        ids[int(extra)] = max(int(name) for name in names) + 1 if whole else "vsource"
+    return net, ids
+
+
+def _add_source(net: Any, source: dict[str, Any], bus: int) -> None:
+    """The source's voltage behind its impedance."""
+    import pandapower as pp
+
+    kv = float(net.bus.at[bus, "vn_kv"])
+    behind = pp.create_bus(net, vn_kv=kv, name="vsource")
+    pp.create_ext_grid(net, behind, vm_pu=source["v_pu"], name=source["name"])
+    pp.create_line_from_parameters(
+        net,
+        behind,
+        bus,
+        length_km=1.0,
+        r_ohm_per_km=source["r_ohm"],
+        x_ohm_per_km=source["x_ohm"],
+        c_nf_per_km=0.0,
+        max_i_ka=NO_LIMIT_KA,
+        name="vsource",
+    )
+
+
+def _add_lines(net: Any, lines: list[dict[str, Any]], at: dict[str, int]) -> None:
+    """Lines with their positive-sequence impedances, all at once: one by one takes 4 ms each."""
+    import pandapower as pp
+
+    if not lines:
+        return
+
+    def ohm_per_km(line: dict[str, Any], matrix: str) -> float:
+        return _of_three(line["phases"]) * _positive_sequence(line[matrix], line["phases"])
+
+    pp.create_lines_from_parameters(
+        net,
+        [at[line["start"]] for line in lines],
+        [at[line["end"]] for line in lines],
+        length_km=[line["length"] for line in lines],
+        max_i_ka=[line["amps"] / A_PER_KA for line in lines],
+        r_ohm_per_km=[ohm_per_km(line, "r") for line in lines],
+        x_ohm_per_km=[ohm_per_km(line, "x") for line in lines],
+        c_nf_per_km=[
+            _positive_sequence(line["c"], line["phases"]) / _of_three(line["phases"])
+            for line in lines
+        ],
+        name=[line["name"] for line in lines],
+        in_service=[line["closed"] for line in lines],
+    )
+
+
+def _of_three(n_phases: int) -> float:
+    """How much more current a phase carries than if its power were spread over three."""
+    return 3.0 / min(n_phases, 3)
+
+
+def _positive_sequence(matrix: list[float], n_phases: int) -> float:
+    """Mean self impedance less what the currents of the other phases induce.
+
+    Currents of three phases cancel but for one, those of two phases but for half.
+
+    >>> _positive_sequence([5.0, 2.0, 2.0, 2.0, 5.0, 2.0, 2.0, 2.0, 5.0], 3)
+    3.0
+    >>> _positive_sequence([5.0, 2.0, 2.0, 5.0], 2)
+    4.0
+    """
+    z: Floats = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
+    own = np.trace(z) / n_phases
+    mutual = (z.sum() - np.trace(z)) / max(n_phases * (n_phases - 1), 1)
+    return float(own - 0.5 * (min(n_phases, 3) - 1) * mutual)
+
+
+def _banks(transformers: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Units of single phases between the same buses as one, with the mean of their taps.
+
+    Units on the same phase are parallel, and stay apart.
+    """
+    rest = list(transformers)
+    while rest:
+        first = rest.pop(0)
+        bank = [first]
+        taken = set(first["nodes"])
+        ends = (first["start"], first["end"], first["closed"])
+        for other in list(rest):
+            like = (other["start"], other["end"], other["closed"]) == ends
+            single = max(first["phases"], other["phases"]) < PHASE_COUNT
+            if like and single and not taken & set(other["nodes"]):
+                taken |= set(other["nodes"])
+                bank.append(other)
+                rest.remove(other)
+        yield first if len(bank) == 1 else _bank(bank)
+
+
+def _bank(units: list[dict[str, Any]]) -> dict[str, Any]:
+    """A transformer with the rating of its units, and the mean of everything else."""
+    mean = {
+        name: float(np.mean([unit[name] for unit in units]))
+        for name in ("r_percent", "x_percent", "no_load_percent", "magnetising_percent")
+    }
+    return {
+        **units[0],
+        **mean,
+        "name": TOGETHER.join(unit["name"] for unit in units),
+        "kva": sum(unit["kva"] for unit in units),
+        "kv": np.mean([unit["kv"] for unit in units], axis=0).tolist(),
+    }
+
+
+def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) -> None:
+    """A transformer at its taps: rated voltages are those of the turns that are in use."""
+    import pandapower as pp
+
+    ends = (at[transformer["start"]], at[transformer["end"]])
+    kv = dict(zip(ends, transformer["kv"], strict=True))
+    high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
+    r_percent = transformer["r_percent"]
+    no_load = transformer["no_load_percent"]
+    pp.create_transformer_from_parameters(
+        net,
+        high,
+        low,
+        sn_mva=float(kw_to_mw(transformer["kva"])),
+        vn_hv_kv=kv[high],
+        vn_lv_kv=kv[low],
+        vkr_percent=r_percent,
+        vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
+        pfe_kw=no_load / 100.0 * transformer["kva"],
+        i0_percent=float(np.hypot(no_load, transformer["magnetising_percent"])),
+        name=transformer["name"],
+        in_service=transformer["closed"],
+    )
+
+
+def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> None:
+    """Loads and generators, all phases of a bus together."""
+    import pandapower as pp
+
+    loads = [power for power in powers if power["kind"] == "load"]
+    others = [power for power in powers if power["kind"] != "load"]
+
+    def values(of: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            "buses": [at[power["bus"]] for power in of],
+            "p_mw": kw_to_mw(np.array([power["p_kw"] for power in of])),
+            "q_mvar": kw_to_mw(np.array([power["q_kvar"] for power in of])),
+            "name": [power["name"] for power in of],
+        }
+
+    if loads:
+        pp.create_loads(net, **values(loads))
+    if others:
+        kinds = ["PV" if power["kind"] == "pvsystem" else power["kind"] for power in others]
+        pp.create_sgens(net, **values(others), type=kinds)

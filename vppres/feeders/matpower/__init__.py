@@ -1,0 +1,1 @@
+"""MATPOWER cases: their text, their arithmetic, their tables."""

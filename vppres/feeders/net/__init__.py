@@ -1,0 +1,1 @@
+"""A pandapower net on its way to a radial feeder."""

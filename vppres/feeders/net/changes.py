@@ -1,0 +1,55 @@
+"""Changes to a net that its user asks for, before it is reduced to a feeder."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from vppres.feeders.net.balance import balance_net
+from vppres.feeders.net.grids import one_grid
+from vppres.feeders.net.loops import open_loops
+from vppres.feeders.net.reduce import open_named
+from vppres.scenario.network import BusId
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What may be changed so that a net becomes a balanced radial feeder.
+
+    Parameters
+    ----------
+    open_branches : sequence of str
+        Branches to open, as ``line 7`` or by their name.
+    open_loops : bool
+        Open the branches with the least current until there is no loop.
+    slack : str, optional
+        The grid connection among several: by table and index, name or bus; ``all`` joins them.
+    balance : bool
+        Spread loads of single phases over three.
+    """
+
+    open_branches: Sequence[str] = ()
+    open_loops: bool = False
+    slack: str | None = None
+    balance: bool = False
+
+
+def changed(
+    net: Any, name: str, changes: Changes, bus_ids: Mapping[int, BusId] | None = None
+) -> tuple[Any, tuple[str, ...]]:
+    """A changed copy of a net, and notes on what was changed.
+
+    Raises
+    ------
+    InputError
+        If a branch or grid is not there, or a change is needed that was not asked for.
+    """
+    net = copy.deepcopy(net)
+    notes = [*one_grid(net, name, changes.slack, bus_ids)]
+    notes += balance_net(net, name, changes.balance)
+    open_named(net, name, changes.open_branches)
+    if changes.open_loops:
+        notes += open_loops(net, name)
+    return net, tuple(notes)

@@ -1,0 +1,171 @@
+"""One grid connection from several: chosen by name, or joined where they hold one voltage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.net.elements import few, in_service, label
+from vppres.scenario.network import BusId
+
+ALL = "all"
+"""Word for all grids together."""
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """An external grid, or a generator that can be the grid connection."""
+
+    table: str
+    index: Any
+    bus: int
+    v_pu: float
+    label: str
+    names: frozenset[str]
+
+
+def one_grid(
+    net: Any, name: str, wanted: str | None, bus_ids: Mapping[int, BusId] | None
+) -> Iterator[str]:
+    """Leave one external grid in the net, in place; notes say what becomes of the others.
+
+    Parameters
+    ----------
+    net : pandapowerNet
+        Changed in place.
+    name : str
+        Name of the source, for messages.
+    wanted : str, optional
+        The grid by table and index, by its name or by its bus, or ``all``; needed where there are
+        several.
+    bus_ids : mapping, optional
+        Identifier of each bus, where it is not its index.
+
+    Raises
+    ------
+    InputError
+        If there are several and none is chosen, the choice is not among them, or ``all`` hold
+        different voltages.
+    """
+    grids = [_grid(net, "ext_grid", i, bus_ids) for i in in_service(net, "ext_grid").index]
+    gens = [_grid(net, "gen", i, bus_ids) for i in in_service(net, "gen").index]
+    holding = [grid for grid in gens if bool(net.gen["slack"].at[grid.index])]
+    several = grids + holding
+    if wanted is None:
+        if len({grid.bus for grid in several}) > 1:
+            raise InputError(_undecided(name, several))
+        chosen = several[:1]
+    elif wanted == ALL:
+        chosen = several
+        _check_alike(net, name, several)
+    else:
+        chosen = [grid for grid in several + gens if wanted in grid.names][:1]
+        if not chosen:
+            raise InputError(_unknown(name, wanted, several or gens))
+    if chosen:
+        yield from _keep(net, chosen, several)
+
+
+def _grid(net: Any, table: str, index: Any, bus_ids: Mapping[int, BusId] | None) -> _Grid:
+    row = net[table].loc[index]
+    bus = int(row["bus"])
+    named = str(row["name"]) if isinstance(row["name"], str) else ""
+    words = (f"{table} {index}", named, str(bus_ids[bus] if bus_ids else bus))
+    return _Grid(
+        table,
+        index,
+        bus,
+        float(row["vm_pu"]),
+        label(net, table, index),
+        frozenset(word for word in words if word),
+    )
+
+
+def _undecided(name: str, grids: list[_Grid]) -> Problem:
+    return Problem(
+        name,
+        f"has {len(grids)} external grids: {few(_described(grids))}",
+        "Choose one with --slack, by its name or its bus; --slack all joins those that hold the "
+        "same voltage.",
+    )
+
+
+def _unknown(name: str, wanted: str, grids: list[_Grid]) -> Problem:
+    return Problem(
+        name,
+        "is no external grid of the network",
+        f"There is {few(_described(grids))}." if grids else "Add an external grid to the source.",
+        field="slack",
+        value=wanted,
+    )
+
+
+def _described(grids: list[_Grid]) -> list[str]:
+    return [f"{grid.label} at bus {_bus_word(grid)}" for grid in grids]
+
+
+def _bus_word(grid: _Grid) -> str:
+    """The bus as the source calls it: the one of its names that is not of the element."""
+    words = sorted(grid.names - {f"{grid.table} {grid.index}"})
+    return next((word for word in words if word not in grid.label), words[0] if words else "?")
+
+
+def _check_alike(net: Any, name: str, grids: list[_Grid]) -> None:
+    """Grids that can be one: the same set-point at the same level."""
+    if len({(grid.v_pu, float(net.bus.at[grid.bus, "vn_kv"])) for grid in grids}) > 1:
+        held = [f"{grid.label} {grid.v_pu:g} pu" for grid in grids]
+        raise InputError(
+            Problem(
+                name,
+                f"has grids that hold different voltages: {few(held)}",
+                "Choose one of them.",
+                field="slack",
+                value=ALL,
+            )
+        )
+
+
+def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
+    """Make the first of the chosen the external grid, and take all others out of service."""
+    import pandapower as pp
+
+    first = chosen[0]
+    others = [grid for grid in several if grid is not first]
+    if first.table == "gen":
+        net.gen.loc[first.index, "in_service"] = False
+        pp.create_ext_grid(net, first.bus, vm_pu=first.v_pu, name=first.label)
+        yield f"{_capital(first.label)} is taken as the grid connection."
+    for grid in others:
+        if grid.table == "ext_grid":
+            net.ext_grid.loc[grid.index, "in_service"] = False
+        else:
+            net.gen.loc[grid.index, "slack"] = False
+    elsewhere = [grid for grid in others if grid.bus != first.bus]
+    if len(chosen) > 1:
+        for grid in elsewhere:
+            pp.create_switch(net, first.bus, grid.bus, et="b", closed=True)
+            net.gen.loc[[grid.index] if grid.table == "gen" else [], "in_service"] = False
+        yield (
+            f"{len(chosen)} external grids hold the same voltage and are joined to one grid "
+            f"connection (--slack all): {few(grid.label for grid in chosen)}. Limits and outages "
+            "are those of all together."
+        )
+        return
+    fed = [grid.label for grid in elsewhere if grid.table == "ext_grid"]
+    if fed:
+        yield (
+            f"The grid connection is {first.label} (--slack); no longer feeding, and out of "
+            f"service: {few(fed)}."
+        )
+    generating = [grid.label for grid in elsewhere if grid.table == "gen"]
+    if generating:
+        yield (
+            f"The grid connection is {first.label}; generators with their own active power and no "
+            f"longer the balance of the net: {few(generating)}."
+        )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

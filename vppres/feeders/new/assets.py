@@ -1,0 +1,408 @@
+"""Customers, generators and batteries of a new scenario: the source's, and what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.net.elements import few
+from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
+from vppres.feeders.new.options import (
+    BATTERY_KWH_PER_PEAK_KW,
+    PV_SHARE_OF_BUSES,
+    PV_SHARE_OF_PEAK,
+    TIER_SHARES,
+    NewScenarioOptions,
+)
+from vppres.io import schema
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+
+DECIMALS = 6
+POWER_FACTOR_DECIMALS = 9
+"""Near 1 a power factor needs them: 1 - 1e-9 still has 0.004 % of reactive power."""
+
+TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
+"""Weights of the tiers (paper, Parameter Selection)."""
+
+ONE_TIER = {"all": 1.0}
+"""The tier of all customers where neither the source nor a draw tells them apart."""
+
+LAST_TIER = "low"
+"""Tier of the loads that a source with tiers leaves open."""
+
+PV_INVERTER_RATIO = 1.1
+BATTERY_INVERTER_RATIO = 1.15
+# The paper's fleet: 1.272 MW for 2.542 MWh.
+BATTERY_KW_PER_KWH = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class NewAssets:
+    """Assets of a new scenario.
+
+    Parameters
+    ----------
+    customers, pv, batteries : Customers, PVSystems, Batteries
+        The tables.
+    tiers : dict
+        Tiers and their weights, most important first.
+    peak_kw : array, shape (C,)
+        Load of each customer in the source.
+    of_generator : array, shape (G,)
+        Position of the system that each generator of the source is a part of; -1 for none.
+    notes : tuple of str
+        What was chosen, drawn or left out, in sentences.
+    """
+
+    customers: Customers
+    pv: PVSystems
+    batteries: Batteries
+    tiers: dict[str, float]
+    peak_kw: Floats
+    of_generator: Wholes
+    notes: tuple[str, ...]
+
+
+def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:
+    """The source's assets, with what the options ask to add."""
+    draw_tier, draw_pv = (np.random.default_rng([options.seed, i]) for i in range(2))
+    loaded = np.flatnonzero(feeder.p_load_kw > 0)
+    peak_kw = feeder.p_load_kw[loaded]
+    tier, tiers = _tiers(feeder.tier[loaded], options, draw_tier)
+    customers = _customers(feeder, loaded, tier, tiers)
+    table = generator_table(feeder)
+    kept = _kept(table, options)
+    grouped = _own_systems(table[kept])
+    pv = _systems(grouped, customers)
+    before = 0
+    if options.pv == "sized":
+        sized = _sized_pv(customers, peak_kw, options, draw_pv)
+        before = len(sized)
+        pv = _joined(sized, pv)
+    own = _own_batteries(feeder)
+    added = _added_batteries(customers, peak_kw, options, set(own.id))
+    notes = [
+        _told_tiers(feeder, tier, tiers, options),
+        *_told_generators(feeder, pv, options),
+        *_told_batteries(own, added),
+        *_told_loads(feeder),
+    ]
+    of_generator = _positions(table, kept, grouped, before)
+    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, of_generator, tuple(notes))
+
+
+def written(values: Floats) -> Floats:
+    """Numbers without the noise of their arithmetic, so that a person can read the files."""
+    return np.round(values, DECIMALS)
+
+
+def _tiers(
+    given: Names, options: NewScenarioOptions, draw: np.random.Generator
+) -> tuple[Names, dict[str, float]]:
+    """Tier of each customer: the source's, drawn if that is asked, else one tier for all."""
+    tier = given.copy()
+    free = np.flatnonzero(tier == "")
+    if options.draw_tiers:
+        shares = options.tier_shares or TIER_SHARES
+        tier[draw.permutation(free)] = _drawn_tiers(len(free), shares)
+        return tier, TIER_WEIGHTS
+    if len(free) == len(tier):
+        tier[:] = next(iter(ONE_TIER))
+        return tier, ONE_TIER
+    tier[free] = LAST_TIER
+    return tier, TIER_WEIGHTS
+
+
+def _drawn_tiers(count: int, shares: tuple[float, float, float]) -> list[str]:
+    """Tiers by count: shares rounded, the lowest tier takes what is left."""
+    names = list(TIER_WEIGHTS)
+    first = round(shares[0] * count)
+    second = min(round(shares[1] * count), count - first)
+    return [names[0]] * first + [names[1]] * second + [names[2]] * (count - first - second)
+
+
+def _told_tiers(
+    feeder: ImportedFeeder, tier: Names, tiers: dict[str, float], options: NewScenarioOptions
+) -> str:
+    if len(tiers) == 1:
+        return (
+            f"All {len(tier)} customers are in one tier, {next(iter(tiers))}: the source names "
+            "none, and none was drawn."
+        )
+    count = ", ".join(f"{int((tier == name).sum())} {name}" for name in tiers)
+    given = bool(feeder.tier.any())
+    if not options.draw_tiers:
+        origin = f"from the source's column `tier`, others {LAST_TIER}"
+    elif given:
+        origin = f"from the source's column `tier`, others drawn, seed {options.seed}"
+    else:
+        origin = f"drawn, seed {options.seed}"
+    return f"Customers by tier: {count} ({origin})."
+
+
+def _customers(
+    feeder: ImportedFeeder, loaded: Wholes, tier: Names, tiers: dict[str, float]
+) -> Customers:
+    """One customer per bus with a load."""
+    bus = feeder.network.buses[loaded]
+    p_kw = feeder.p_load_kw[loaded]
+    q_kvar = feeder.q_load_kvar[loaded]
+    leading = np.where(q_kvar < 0, -1.0, 1.0)
+    return Customers(
+        id=_ids("c", bus),
+        bus=bus,
+        tier=tier,
+        weight=np.array([tiers[t] for t in tier]),
+        power_factor=leading * np.round(p_kw / np.hypot(p_kw, q_kvar), POWER_FACTOR_DECIMALS),
+    )
+
+
+def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
+    """What the feeder draws that no customer of the scenario owns."""
+    net = feeder.network
+    fixed = np.flatnonzero((net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0))
+    if len(fixed):
+        sizes = [
+            f"{net.buses[n]} ({net.p_fixed_kw[n]:.4g} kW, {net.q_fixed_kvar[n]:.4g} kvar)"
+            for n in fixed
+        ]
+        yield f"Drawn in every step and owned by no customer: bus {few(sizes)}."
+
+
+def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
+    """Generators of the source with their kind, and why the scenario has them or not.
+
+    Columns ``id``, ``bus``, ``kind``, ``p_kw``, ``p_max_kw``, ``s_kva`` and ``counterpart``.
+    """
+    own = feeder.generators
+    kind = [kind_of(str(w), _name_in(i)) for w, i in zip(own.kind, own.id, strict=True)]
+    table = pd.DataFrame(
+        {f.name: getattr(own, f.name) for f in fields(own)} | {"kind": kind}, dtype=object
+    ).astype({"p_kw": float, "p_max_kw": float, "s_kva": float})
+    fuelled = table["kind"].map(burns_fuel).astype(bool)
+    return table.assign(counterpart=~fuelled & (table["p_max_kw"] >= schema.MIN_KW))
+
+
+def _name_in(identifier: str) -> str:
+    """The name in a label such as ``sgen 8 (WKA 7)``."""
+    return identifier.partition("(")[2].rstrip(")")
+
+
+def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
+    """Generators of the source that the scenario takes, (G,)."""
+    keep = table["counterpart"].to_numpy(bool)
+    if options.pv == "sized":
+        return np.asarray(keep & (table["kind"] != PV).to_numpy(bool))
+    return keep & (options.pv == "existing")
+
+
+def _own_systems(kept: pd.DataFrame) -> pd.DataFrame:
+    """The source's systems by bus and kind: largest power and inverter."""
+    grouped = kept.groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
+    return grouped.reset_index()
+
+
+def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
+    """Position of each generator's system, after those that were sized; -1 for none, (G,)."""
+    pairs = zip(grouped["bus"], grouped["kind"], strict=True)
+    position = {pair: before + i for i, pair in enumerate(pairs)}
+    return np.array(
+        [
+            position[bus, kind] if keep else -1
+            for bus, kind, keep in zip(table["bus"], table["kind"], kept, strict=True)
+        ],
+        dtype=int,
+    )
+
+
+def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:
+    """The source's systems: one behind each customer's meter, PV before other kinds.
+
+    Further kinds at a customer's bus, and systems at buses without a customer, stand alone.
+    """
+    after_pv = np.argsort((own["kind"] != PV).to_numpy(int), kind="stable")
+    first = own.iloc[after_pv].drop_duplicates("bus").index
+    owner = dict(zip(customers.bus, customers.id, strict=True))
+    owned = own.index.isin(first) & own["bus"].isin([*owner]).to_numpy(bool)
+    s_kva = written(own["s_kva"].to_numpy(float))
+    return PVSystems(
+        id=_ids_of_kinds(own),
+        customer=np.where(owned, own["bus"].map(owner), ""),
+        p_max_kw=np.minimum(written(own["p_max_kw"].to_numpy(float)), s_kva),
+        s_max_kva=s_kva,
+        kind=own["kind"].to_numpy(dtype=object),
+        bus=own["bus"].astype(object).mask(owned, None).to_numpy(),
+    )
+
+
+def _ids_of_kinds(systems: pd.DataFrame) -> Names:
+    """Identifiers after kind and bus, without blanks."""
+    pairs = zip(systems["kind"], systems["bus"], strict=True)
+    return np.array([f"{kind.replace(' ', '_')}{bus}" for kind, bus in pairs], dtype=object)
+
+
+def _sized_pv(
+    customers: Customers, peak_kw: Floats, options: NewScenarioOptions, draw: np.random.Generator
+) -> PVSystems:
+    """PV at some of the customers, sized by their peak load."""
+    share = options.pv_share_of_buses
+    share = PV_SHARE_OF_BUSES if share is None else share
+    kw_per_kw = options.pv_share_of_peak or PV_SHARE_OF_PEAK
+    chosen = draw.permutation(len(customers))[: round(share * len(customers))]
+    p_kw = np.zeros(len(customers))
+    p_kw[chosen] = kw_per_kw * peak_kw[chosen]
+    p_kw = written(p_kw)
+    has = np.flatnonzero(p_kw > 0)
+    return PVSystems(
+        id=_ids("pv", customers.bus[has]),
+        customer=customers.id[has],
+        p_max_kw=p_kw[has],
+        s_max_kva=written(PV_INVERTER_RATIO * p_kw[has]),
+    )
+
+
+def _own_batteries(feeder: ImportedFeeder) -> Batteries:
+    """The source's batteries, each for itself."""
+    own = feeder.storages
+    given = ("soc_min", "soc_max", "soc_initial", "eta_charge", "eta_discharge")
+    return _batteries(
+        id=_distinct(_ids("b", own.bus)),
+        bus=own.bus,
+        **{name: written(getattr(own, name)) for name in ("energy_kwh", "p_max_kw", "s_max_kva")},
+        **{name: written(getattr(own, name)) for name in given},
+    )
+
+
+def _added_batteries(
+    customers: Customers, peak_kw: Floats, options: NewScenarioOptions, taken: set[str]
+) -> Batteries:
+    """A battery at every customer, sized by its peak load; the format's defaults elsewhere."""
+    size = options.battery_kwh_per_peak_kw
+    size = BATTERY_KWH_PER_PEAK_KW if size is None else size
+    energy_kwh = written((size if options.add_batteries else 0.0) * peak_kw)
+    has = np.flatnonzero(energy_kwh > 0)
+    p_kw = written(BATTERY_KW_PER_KWH * energy_kwh[has])
+    names = [f"b{bus}" for bus in customers.bus[has]]
+    return _batteries(
+        id=np.array([f"{n}_added" if n in taken else n for n in names], dtype=object),
+        bus=customers.bus[has],
+        energy_kwh=energy_kwh[has],
+        p_max_kw=p_kw,
+        s_max_kva=written(BATTERY_INVERTER_RATIO * p_kw),
+    )
+
+
+def _batteries(**columns: Any) -> Batteries:
+    """Batteries with the format's defaults in the columns that are not given."""
+    count = len(columns["id"])
+    for name, field in schema.BatteryRow.model_fields.items():
+        if not field.is_required():
+            default = np.nan if field.default is None else field.default
+            columns.setdefault(name, np.full(count, default))
+    if np.isnan(columns["soc_initial"]).all():
+        columns["soc_initial"] = columns["soc_min"]
+    columns["grid_forming"] = np.zeros(count, dtype=bool)
+    return Batteries(**columns)
+
+
+def _joined(first: Any, second: Any) -> Any:
+    """Two tables of the same assets as one."""
+    return type(first)(
+        **{
+            f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)])
+            for f in fields(first)
+        }
+    )
+
+
+def _told_generators(
+    feeder: ImportedFeeder, pv: PVSystems, options: NewScenarioOptions
+) -> Iterator[str]:
+    """Systems of the scenario, what was sized, and generators that the scenario does not have."""
+    if len(pv) == 0:
+        yield "No generator: the source has none that the scenario can hold, and none was sized."
+    else:
+        alone = [str(name) for name in pv.id[pv.alone]]
+        yield (
+            f"{pv.counted()}, {pv.p_max_kw.sum():,.1f} kW"
+            + (" (PV invented by size)" if options.pv == "sized" else " (the source's)")
+            + (f"; without a customer, all exported or curtailed: {few(alone)}." if alone else ".")
+        )
+    table = generator_table(feeder)
+    yield from _told_fuelled(table)
+    yield from _told_replaced(table, options)
+    larger = table["counterpart"] & (table["p_max_kw"] > table["s_kva"] * (1 + 1e-9))
+    if larger.any():
+        yield f"Generators keep to their inverter's rating: {few(table['id'][larger])}."
+
+
+def _told_fuelled(table: pd.DataFrame) -> Iterator[str]:
+    """Generators without a counterpart: what they are, how large, and what is missing without."""
+    fuelled = table[table["kind"].map(burns_fuel).astype(bool)]
+    if len(fuelled):
+        names = few(
+            f"{name}, {kind}, {p_kw:.4g} kW"
+            for name, kind, p_kw in zip(
+                fuelled["id"], fuelled["kind"], fuelled["p_max_kw"], strict=True
+            )
+        )
+        given_kw = fuelled["p_kw"].sum()
+        yield (
+            f"Generators with a fuel of their own are left out: {names}. The {given_kw:.4g} kW "
+            "that they give in the source come from the grid here, and are missing in an island."
+        )
+    drawing = table[~table["counterpart"] & (table["p_max_kw"] < schema.MIN_KW)]
+    drawing = drawing.drop(fuelled.index, errors="ignore")
+    if len(drawing):
+        yield f"Generators that give no active power are left out: {few(drawing['id'])}."
+
+
+def _told_replaced(table: pd.DataFrame, options: NewScenarioOptions) -> Iterator[str]:
+    """Generators of the source that the options leave out."""
+    out = table[table["counterpart"] & (options.pv != "existing")]
+    if options.pv == "sized":
+        out = out[out["kind"] == PV]
+    if len(out):
+        yield (
+            f"Generators of the source that --pv {options.pv} leaves out: {few(out['id'])}, "
+            f"{out['p_max_kw'].sum():.4g} kW."
+        )
+
+
+def _told_batteries(own: Batteries, added: Batteries) -> Iterator[str]:
+    """Batteries of the source, and those that were added."""
+    if len(own):
+        yield f"{_amount(own)} of the source."
+    if len(added):
+        yield f"{_amount(added)} invented, sized by the customers' peak loads."
+    if not len(own) and not len(added):
+        yield (
+            "No battery: the source has none, and none was added (--add-batteries). Without one no "
+            "island has a grid."
+        )
+
+
+def _amount(batteries: Batteries) -> str:
+    count = len(batteries)
+    return (
+        f"{count} {'battery' if count == 1 else 'batteries'} of "
+        f"{batteries.energy_kwh.sum():,.1f} kWh and {batteries.p_max_kw.sum():,.1f} kW"
+    )
+
+
+def _ids(prefix: str, buses: Names) -> Names:
+    """Identifiers of assets, after their bus."""
+    return np.array([f"{prefix}{bus}" for bus in buses], dtype=object)
+
+
+def _distinct(names: Names) -> Names:
+    """Names, the second of the same as ``name_2`` and so on."""
+    series = pd.Series(names, dtype=object)
+    number = series.groupby(series).cumcount() + 1
+    return np.where(number > 1, series + "_" + number.astype(str), series).astype(object)

@@ -1,0 +1,359 @@
+"""Options of a new scenario, and their checks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, isclose
+from pathlib import Path
+from typing import Literal
+from zoneinfo import ZoneInfo
+
+import pandas as pd
+
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.series.clocks import check_zone, grid_from, local_midnight, time_of_day
+from vppres.io import schema
+from vppres.scenario.timegrid import UTC, TimeGrid
+
+PVRule = Literal["existing", "sized", "none"]
+PriceRule = Literal["time-of-use", "flat"]
+ProfileUnit = Literal["kw", "mw", "pu"]
+Outage = tuple[pd.Timestamp, pd.Timestamp]
+
+FIRST_DAY = pd.Timestamp("2025-07-01T00:00:00Z")
+# The paper's fleet: 2.542 MWh for a peak load of 4.068 MW.
+BATTERY_KWH_PER_PEAK_KW = 0.625
+TIER_SHARES = (0.2, 0.3, 0.5)
+PV_SHARE_OF_PEAK = 0.5
+PV_SHARE_OF_BUSES = 0.8
+MAX_GAP_MINUTES = 120.0
+
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})")
+_STEPS = "a step that divides the day, for example 60, 30 or 15."
+
+
+@dataclass(frozen=True)
+class NewScenarioOptions:
+    """Rules of a new scenario.
+
+    Parameters
+    ----------
+    start : pandas.Timestamp
+        Beginning of the first day, with time zone.
+    step_minutes : float
+        Step length; it must divide a day.
+    days : int
+        Number of days.
+    outages : tuple of (start, end)
+        Half-open intervals; without any, 12:00 to 18:00 of the first day.
+    draw_tiers : bool
+        Whether customers that the source gives no tier draw one. Otherwise all customers are in
+        one tier, or in the lowest where the source gives a tier to others.
+    tier_shares : tuple of float, optional
+        Shares of the customers that draw critical, high and low, by count; 0.2, 0.3 and 0.5.
+    pv : str
+        ``existing`` takes the source's generators, ``sized`` invents PV in the place of the
+        source's, ``none`` takes no generator at all.
+    pv_share_of_peak, pv_share_of_buses : float, optional
+        Sized PV: this share of the customer's peak load (0.5), at this share of the customers
+        (0.8).
+    add_batteries : bool
+        Whether every customer gets a battery, besides those of the source.
+    battery_kwh_per_peak_kw : float, optional
+        Energy of an added battery for each kW of the customer's peak load; 0.625, that of the
+        paper's fleet.
+    price : str
+        ``time-of-use`` or ``flat``.
+    v_slack_pu : float, optional
+        Voltage of the slack bus; the feeder's if not given.
+    export_limit_kw : float
+        Largest export of the connection; infinite without limit, 0 imports only.
+    export_price_gbp_per_kwh : float
+        What exported energy earns.
+    accept_deviation : bool
+        Whether voltages may be more than 0.005 pu away from those of the source.
+    seed : int
+        Seed of what is drawn: who is in which tier, and who has PV.
+    time_zone : str, optional
+        Zone of the feeder's clocks: days begin and end with it, and times without offset are in
+        it. UTC, and no time without offset, if not given.
+    profiles : str or Path, optional
+        A folder or file of series, or ``source`` for those that come with the network; without it
+        load and PV follow one bundled day.
+    profile_unit : str, optional
+        ``kw``, ``mw`` or ``pu``, for series whose columns and files do not say.
+    profile_step_minutes : float, optional
+        Length of a row of series without times; the first row begins with the scenario.
+    max_gap_minutes : float
+        Longest gap of a series that is filled.
+    """
+
+    start: pd.Timestamp = FIRST_DAY
+    step_minutes: float = 60.0
+    days: int = 1
+    outages: tuple[Outage, ...] = ()
+    draw_tiers: bool = False
+    tier_shares: tuple[float, float, float] | None = None
+    pv: PVRule = "existing"
+    pv_share_of_peak: float | None = None
+    pv_share_of_buses: float | None = None
+    add_batteries: bool = False
+    battery_kwh_per_peak_kw: float | None = None
+    price: PriceRule = "time-of-use"
+    v_slack_pu: float | None = None
+    export_limit_kw: float = inf
+    export_price_gbp_per_kwh: float = 0.0
+    accept_deviation: bool = False
+    seed: int = 0
+    time_zone: str | None = None
+    profiles: str | Path | None = None
+    profile_unit: ProfileUnit | None = None
+    profile_step_minutes: float | None = None
+    max_gap_minutes: float = MAX_GAP_MINUTES
+
+    @property
+    def zone(self) -> str:
+        """Zone of the days."""
+        return self.time_zone or UTC
+
+    @property
+    def grid(self) -> TimeGrid:
+        """The steps of the days; InputError if they do not fill them."""
+        return grid_from(self.start, self.days, self.step_minutes, self.zone)
+
+
+def first_day(start: str | None, date: str | None, zone: str | None) -> pd.Timestamp:
+    """Beginning of the first day, by its time or by its date on the clocks of a zone.
+
+    >>> first_day(None, "2025-10-26", "Europe/London").isoformat()
+    '2025-10-26T00:00:00+01:00'
+    """
+    if start is not None and date is not None:
+        raise InputError(
+            Problem("options", "is given beside a date", "Keep one.", field="start", value=start)
+        )
+    if zone is not None and (problems := check_zone(zone)):
+        raise InputError(problems)
+    if date is not None:
+        return local_midnight(date, zone or UTC)
+    if start is None:
+        return FIRST_DAY if zone is None else local_midnight("2025-07-01", zone)
+    return parse_start(start, zone)
+
+
+def parse_start(text: str, zone: str | None = None) -> pd.Timestamp:
+    """Beginning of the first day, written with its offset, or as its clocks show it.
+
+    >>> parse_start("2025-07-01T00:00+01:00").isoformat()
+    '2025-07-01T00:00:00+01:00'
+    """
+    try:
+        return _dated(text, zone)
+    except ValueError:
+        raise InputError(
+            Problem(
+                "options",
+                "is not a date with a time zone",
+                "Write it with an offset, for example 2025-07-01T00:00Z, or give --time-zone.",
+                field="start",
+                value=text,
+            )
+        ) from None
+
+
+def parse_outage(text: str, start: pd.Timestamp) -> Outage:
+    """An outage written as ``start..end``: times of the first day, or dates with a time zone.
+
+    >>> parse_outage("12:00..18:00", pd.Timestamp("2025-07-01T00:00:00Z"))[1].hour
+    18
+    """
+    parts = text.split("..")
+    try:
+        first, last = (_moment(part, start) for part in parts)
+    except ValueError:
+        raise InputError(
+            Problem(
+                "options",
+                "is not an interval of time",
+                "Write start..end, for example 12:00..18:00 (first day) or "
+                "2025-07-02T06:00Z..2025-07-02T09:00Z.",
+                field="outage",
+                value=text,
+            )
+        ) from None
+    return first, last
+
+
+def _moment(text: str, start: pd.Timestamp) -> pd.Timestamp:
+    """A time of the first day, or a date with its own time zone."""
+    clock = _CLOCK.fullmatch(text.strip())
+    if clock:
+        hours, minutes = (int(part) for part in clock.groups())
+        if hours > 24 or minutes > 59:
+            raise ValueError(text)
+        return time_of_day(start, hours, minutes)
+    return _dated(text).tz_convert(start.tzinfo)
+
+
+def _dated(text: str, zone: str | None = None) -> pd.Timestamp:
+    """A date with its offset, or on the clocks of a zone; in the zone, if there is one."""
+    moment = pd.Timestamp(text.strip())
+    if zone is not None and not pd.isna(moment):
+        if moment.tzinfo is None:
+            return time_of_day(local_midnight(text.strip()[:10], zone), moment.hour, moment.minute)
+        return moment.tz_convert(ZoneInfo(zone))
+    if pd.isna(moment) or moment.tzinfo is None:
+        raise ValueError(text)
+    return moment
+
+
+def check_options(options: NewScenarioOptions) -> list[Problem]:
+    """Options out of their range, and sizes of what was not asked for."""
+    shares = options.tier_shares or TIER_SHARES
+    faults: list[tuple[bool, str, object, str, str]] = [
+        (
+            not (options.step_minutes >= 1 and (1440 / options.step_minutes).is_integer()),
+            "step_minutes",
+            options.step_minutes,
+            "must be at least 1 and divide a day",
+            f"Give {_STEPS}",
+        ),
+        (
+            not 1 <= options.days <= schema.MAX_GRID_DAYS,
+            "days",
+            options.days,
+            f"must lie between 1 and {schema.MAX_GRID_DAYS}",
+            "Give the number of days.",
+        ),
+        (
+            min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9),
+            "tier_shares",
+            shares,
+            "must be shares that add up to 1",
+            "Give critical, high and low, for example 0.2 0.3 0.5.",
+        ),
+        (
+            not _lies(options.pv_share_of_peak, 1e-9, 10),
+            "pv_share_of_peak",
+            options.pv_share_of_peak,
+            "must lie between 0 and 10",
+            "Give kW of PV per kW of peak load, for example 0.5.",
+        ),
+        (
+            not _lies(options.pv_share_of_buses, 0, 1),
+            "pv_share_of_buses",
+            options.pv_share_of_buses,
+            "must lie between 0 and 1",
+            "Give the share of customers with PV, for example 0.8.",
+        ),
+        (
+            not _lies(options.battery_kwh_per_peak_kw, 0, 100),
+            "battery_kwh_per_peak_kw",
+            options.battery_kwh_per_peak_kw,
+            "must lie between 0 and 100",
+            "Give kWh per kW of peak load, for example 0.625.",
+        ),
+        (
+            not options.export_limit_kw >= 0,
+            "export_limit_kw",
+            options.export_limit_kw,
+            "must be at least 0",
+            "Give kW; 0 imports only.",
+        ),
+        (
+            not abs(options.export_price_gbp_per_kwh) <= schema.MAX_PRICE,
+            "export_price_gbp_per_kwh",
+            options.export_price_gbp_per_kwh,
+            f"must lie between -{schema.MAX_PRICE:g} and {schema.MAX_PRICE:g}",
+            "Give GBP per kWh, for example 0.05.",
+        ),
+        (options.seed < 0, "seed", options.seed, "must be at least 0", "Give another seed."),
+        (
+            not 0 <= options.max_gap_minutes <= 7 * 1440,
+            "max_gap_minutes",
+            options.max_gap_minutes,
+            "must lie between 0 and a week",
+            "Give the longest gap that is filled, for example 120.",
+        ),
+        (
+            options.profile_step_minutes is not None and not options.profile_step_minutes > 0,
+            "profile_step_minutes",
+            options.profile_step_minutes,
+            "must be positive",
+            "Give minutes, for example 15.",
+        ),
+        *_sizes_of_nothing(options),
+    ]
+    problems = [
+        Problem("options", message, cure, field=field, value=value)
+        for wrong, field, value, message, cure in faults
+        if wrong
+    ]
+    problems += check_zone(options.zone)
+    return problems or _check_outages(options)
+
+
+def _lies(value: float | None, least: float, most: float) -> bool:
+    """Whether an option is absent or within its bounds."""
+    return value is None or least <= value <= most
+
+
+def _sizes_of_nothing(
+    options: NewScenarioOptions,
+) -> Iterator[tuple[bool, str, object, str, str]]:
+    """Sizes that are given while what they size was not asked for."""
+    asked = {
+        "tier_shares": (options.draw_tiers, "--draw-tiers"),
+        "pv_share_of_peak": (options.pv == "sized", "--pv sized"),
+        "pv_share_of_buses": (options.pv == "sized", "--pv sized"),
+        "battery_kwh_per_peak_kw": (options.add_batteries, "--add-batteries"),
+    }
+    for name, (wanted, flag) in asked.items():
+        value = getattr(options, name)
+        yield (
+            value is not None and not wanted,
+            name,
+            value,
+            "is given, and nothing is drawn or added that it could size",
+            f"Add {flag}, or leave it out.",
+        )
+
+
+def _check_outages(options: NewScenarioOptions) -> list[Problem]:
+    """Outages that are empty, leave the scenario, or cut a step."""
+    try:
+        end = options.grid.end
+    except InputError as error:
+        return [problem for problem in error.problems if isinstance(problem, Problem)]
+    step = pd.Timedelta(minutes=options.step_minutes)
+    problems = []
+    for first, last in outages_of(options):
+        cut = any((moment - options.start) % step != pd.Timedelta(0) for moment in (first, last))
+        message = (
+            "must end after it begins"
+            if not first < last
+            else "lies outside the scenario"
+            if first < options.start or last > end
+            else "begins or ends inside a step"
+            if cut
+            else None
+        )
+        if message:
+            problems.append(
+                Problem(
+                    "options",
+                    message,
+                    f"The scenario is {options.start.isoformat()} to "
+                    f"{end.isoformat()} in steps of {options.step_minutes:g} min.",
+                    field="outage",
+                    value=f"{first.isoformat()}..{last.isoformat()}",
+                )
+            )
+    return problems
+
+
+def outages_of(options: NewScenarioOptions) -> tuple[Outage, ...]:
+    """The outages asked for, or the one of the paper's day."""
+    return options.outages or (parse_outage("12:00..18:00", options.start),)

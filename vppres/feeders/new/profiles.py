@@ -1,0 +1,369 @@
+"""Series of others on the assets of a new scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats, Names
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.feeder import ImportedFeeder, Profile
+from vppres.feeders.net.elements import few as few_names
+from vppres.feeders.new.assets import NewAssets, generator_table
+from vppres.feeders.series.clocks import in_utc
+from vppres.feeders.series.files import units_missing
+from vppres.feeders.series.resample import OnGrid, on_grid
+from vppres.io.checks import RATING_TOLERANCE
+from vppres.io.messages import Suggestions, folded
+from vppres.scenario.network import BusId
+from vppres.scenario.timegrid import TimeGrid
+
+OF_SYSTEM = ("price_gbp_per_kwh", "temperature_c")
+"""Series of the feeder as a whole, by the names of ``system.csv``; they have no unit."""
+
+_KW = {"kw": 1.0, "mw": 1000.0}
+
+
+def timed(
+    profiles: list[Profile], grid: TimeGrid, zone: str | None, row_minutes: float | None
+) -> list[Profile]:
+    """Series with their times in UTC.
+
+    Parameters
+    ----------
+    profiles : list of Profile
+        Series whose index may be clock times, or numbers of rows.
+    grid : TimeGrid
+        The steps; rows without times begin with the first of them.
+    zone : str, optional
+        Zone of clock times.
+    row_minutes : float, optional
+        Length of a row without time.
+
+    Raises
+    ------
+    InputError
+        If times need a zone, or rows a length, that was not given.
+    """
+    problems: list[Problem] = []
+    done: list[Profile] = []
+    for profile in profiles:
+        index = profile.values.index
+        if isinstance(index, pd.DatetimeIndex):
+            times, found = in_utc(index, zone, profile.where)
+        else:
+            times, found = _rows_in_utc(index, grid, row_minutes, profile.where)
+        problems += found
+        if not found:
+            values = pd.Series(profile.values.to_numpy(float), times)
+            done.append(replace(profile, values=values))
+    if problems:
+        raise InputError(folded(dict.fromkeys(problems)))
+    return done
+
+
+def _rows_in_utc(
+    index: pd.Index, grid: TimeGrid, row_minutes: float | None, where: str
+) -> tuple[pd.DatetimeIndex, list[Problem]]:
+    """Times of rows that are only counted; the first begins with the scenario."""
+    if row_minutes is None:
+        return pd.DatetimeIndex([], tz="UTC"), [
+            Problem(
+                where,
+                "has rows without times",
+                "Say how long a row is with --profile-step, in minutes; the first begins with the "
+                "scenario.",
+            )
+        ]
+    times = pd.date_range(grid.start, periods=len(index), freq=pd.Timedelta(minutes=row_minutes))
+    return times.tz_convert("UTC"), []
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Series of a new scenario.
+
+    Parameters
+    ----------
+    load_kw : array, shape (T, C)
+        Demand of the customers.
+    pv_kw : array, shape (T, P)
+        Available power of the systems.
+    system : dict
+        Series of the feeder that were given, (T,) each, by name.
+    notes : tuple of str
+        Where they come from, in sentences.
+    """
+
+    load_kw: Floats
+    pv_kw: Floats
+    system: dict[str, Floats] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Target:
+    """What a series is for: one position of a kind, and the power that 1 pu means."""
+
+    kind: str
+    at: int
+    rating_kw: float
+
+
+def place_profiles(
+    profiles: list[Profile],
+    feeder: ImportedFeeder,
+    assets: NewAssets,
+    shapes: tuple[Floats, Floats],
+    grid: TimeGrid,
+    most_gap_min: float,
+) -> Series:
+    """Series on the grid, by customer and system.
+
+    A series is for a customer or a system of the scenario, by identifier, or for an element of the
+    source, by its label such as ``load 3`` or its name; elements behind one customer add up. What
+    has no series follows ``shapes``.
+
+    Parameters
+    ----------
+    profiles : list of Profile
+        What was given.
+    feeder : ImportedFeeder
+        The source.
+    assets : NewAssets
+        The scenario's assets.
+    shapes : tuple of array
+        Loads as shares of their peaks (T,) and systems' power in kW (T, P), for those without a
+        series.
+    grid : TimeGrid
+        The steps.
+    most_gap_min : float
+        Longest gap that is filled.
+
+    Raises
+    ------
+    InputError
+        With every problem, those of one kind folded.
+    """
+    sorter = _Sorter(feeder, assets)
+    problems = [*units_missing([p for p in profiles if p.name not in OF_SYSTEM])]
+    placed: dict[tuple[str, int], Floats] = {}
+    gaps: list[str] = []
+    system: dict[str, Floats] = {}
+    unused: dict[str, list[str]] = {}
+    for profile in profiles:
+        target, found = sorter.target(profile)
+        problems += found
+        if target is None or (not profile.unit and target.kind != "system series"):
+            continue
+        if target.kind in _UNUSED:
+            unused.setdefault(target.kind, []).append(profile.name)
+            continue
+        values, found = on_grid(profile.values, grid, most_gap_min, profile.where, profile.name)
+        problems += found
+        if found:
+            continue
+        gaps += _told_gap(profile, values)
+        key = (target.kind, target.at)
+        if target.kind == "system series":
+            system[profile.name] = values.values
+        elif key in placed:
+            problems.append(_twice(profile))
+        else:
+            placed[key] = profile.factor * _scale(profile, target) * values.values
+    load_kw, load_notes = _loads(placed, feeder, assets, shapes[0])
+    pv_kw, pv_notes = _systems(placed, feeder, assets, shapes[1])
+    problems += _negative(load_kw, assets.customers.id, "customer")
+    problems += _negative(pv_kw, assets.pv.id, "system")
+    problems += _too_large(pv_kw, assets)
+    if problems:
+        raise InputError(folded(problems))
+    notes = [
+        _told_origin(profiles),
+        *(f"{_UNUSED[kind]}: {few_names(names)}." for kind, names in unused.items()),
+        *load_notes,
+        *pv_notes,
+    ]
+    if gaps:
+        notes.append(
+            "Missing values of the series lie on a straight line between their neighbours: "
+            f"{few_names(gaps)}."
+        )
+    return Series(load_kw, np.minimum(pv_kw, assets.pv.p_max_kw), system, tuple(notes))
+
+
+_UNUSED = {
+    "battery": "Series of batteries are not followed, as batteries are dispatched",
+    "left out": "Series of elements that the scenario does not have",
+}
+
+
+class _Sorter:
+    """Knows what every name stands for."""
+
+    def __init__(self, feeder: ImportedFeeder, assets: NewAssets) -> None:
+        self.known: dict[str, list[_Target]] = {}
+        for name in OF_SYSTEM:
+            self._add(name, _Target("system series", 0, 1.0))
+        for i, name in enumerate(assets.customers.id):
+            self._add(str(name), _Target("customer", i, float(assets.peak_kw[i])))
+        for i, name in enumerate(assets.pv.id):
+            self._add(str(name), _Target("system", i, float(assets.pv.p_max_kw[i])))
+        customers = set(assets.customers.bus)
+        for i, name in enumerate(feeder.loads.id):
+            kind = "load" if feeder.loads.bus[i] in customers else "left out"
+            self._add_element(str(name), _Target(kind, i, float(feeder.loads.p_kw[i])))
+        table = generator_table(feeder)
+        for i, (name, p_max_kw) in enumerate(zip(table["id"], table["p_max_kw"], strict=True)):
+            kind = "left out" if assets.of_generator[i] < 0 else "generator"
+            self._add_element(str(name), _Target(kind, i, float(p_max_kw)))
+        for i, name in enumerate(feeder.storages.id):
+            self._add_element(str(name), _Target("battery", i, 1.0))
+        self.suggestions = Suggestions(
+            [*assets.customers.id, *assets.pv.id, *self.known],
+            "Name a customer or system of the scenario, or an element of the network.",
+        )
+
+    def _add_element(self, label: str, target: _Target) -> None:
+        """An element by its label, by table and index, and by its name."""
+        short, _, name = label.partition(" (")
+        for text in dict.fromkeys((label, short, name.removesuffix(")"))):
+            if text:
+                self._add(text, target)
+
+    def _add(self, name: str, target: _Target) -> None:
+        self.known.setdefault(name, []).append(target)
+
+    def target(self, profile: Profile) -> tuple[_Target | None, list[Problem]]:
+        """What a series is for."""
+        found = self.known.get(profile.name, [])
+        if len(found) == 1:
+            return found[0], []
+        if found:
+            message = f"is the name of {len(found)} elements of the network"
+            cure = "Use the label, such as 'load 3'."
+        else:
+            message = "is neither an asset of the scenario nor an element of the network"
+            cure = self.suggestions.cure(profile.name)
+        return None, [Problem(profile.where, message, cure, field="id", value=profile.name)]
+
+
+def _scale(profile: Profile, target: _Target) -> float:
+    """KW for a value of the series."""
+    return _KW.get(profile.unit, target.rating_kw)
+
+
+def _twice(profile: Profile) -> Problem:
+    return Problem(
+        profile.where,
+        "has a series already",
+        "Keep one series for each element.",
+        field="id",
+        value=profile.name,
+    )
+
+
+def _loads(
+    placed: dict[tuple[str, int], Floats],
+    feeder: ImportedFeeder,
+    assets: NewAssets,
+    shape: Floats,
+) -> tuple[Floats, list[str]]:
+    """Demand of the customers, (T, C): their own series, or the sum of their loads'."""
+    loads = feeder.loads
+    at_bus: dict[BusId, list[int]] = {}
+    for e, bus in enumerate(loads.bus):
+        at_bus.setdefault(bus, []).append(e)
+    load_kw = np.outer(shape, assets.peak_kw)
+    without: list[str] = []
+    for i, (name, bus) in enumerate(zip(assets.customers.id, assets.customers.bus, strict=True)):
+        if ("customer", i) in placed:
+            load_kw[:, i] = placed["customer", i]
+            continue
+        given = [e for e in at_bus.get(bus, []) if ("load", e) in placed]
+        rest_kw = assets.peak_kw[i] - loads.p_kw[given].sum()
+        if not given or abs(rest_kw) > 1e-6:
+            without.append(str(name))
+        if given:
+            own = np.sum([placed["load", e] for e in given], axis=0)
+            load_kw[:, i] = own + shape * (rest_kw if abs(rest_kw) > 1e-6 else 0.0)
+    return load_kw, [_invented(without, len(assets.customers), "Load")] if without else []
+
+
+def _systems(
+    placed: dict[tuple[str, int], Floats],
+    feeder: ImportedFeeder,
+    assets: NewAssets,
+    shape_kw: Floats,
+) -> tuple[Floats, list[str]]:
+    """Available power of the systems, (T, P): their own series, or the sum of their elements'."""
+    most_kw = generator_table(feeder)["p_max_kw"].to_numpy(float)
+    pv_kw = shape_kw.copy()
+    parts: dict[int, list[int]] = {}
+    for e, position in enumerate(assets.of_generator):
+        if position >= 0:
+            parts.setdefault(int(position), []).append(e)
+    without: list[str] = []
+    for i, name in enumerate(assets.pv.id):
+        if ("system", i) in placed:
+            pv_kw[:, i] = placed["system", i]
+            continue
+        mine = parts.get(i, [])
+        given = [e for e in mine if ("generator", e) in placed]
+        rest_kw = most_kw[mine].sum() - most_kw[given].sum()
+        if not given or rest_kw > 1e-6:
+            without.append(str(name))
+        if given:
+            own = np.sum([placed["generator", e] for e in given], axis=0)
+            pv_kw[:, i] = own + shape_kw[:, i] * rest_kw / assets.pv.p_max_kw[i]
+    return pv_kw, [_invented(without, len(assets.pv), "Available power")] if without else []
+
+
+def _invented(names: list[str], count: int, what: str) -> str:
+    """What fills in for series that were not given."""
+    of = "all of them" if len(names) == count else few_names(names)
+    rule = " (kinds other than PV: the largest power)" if what != "Load" else ""
+    return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
+
+
+def _told_origin(profiles: list[Profile]) -> str:
+    files = list(dict.fromkeys(profile.where for profile in profiles))
+    return f"{len(profiles)} series from {few_names(files)}; reactive power follows power factors."
+
+
+def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:
+    if found.filled:
+        yield f"{profile.name} ({found.filled} values, up to {found.longest_gap_min:g} min)"
+
+
+def _negative(values: Floats, names: Names, what: str) -> list[Problem]:
+    """Assets whose series falls below zero."""
+    return [
+        Problem(
+            "profiles",
+            f"falls to {values[:, i].min():.4g} kW",
+            "Demand and generation count from 0: give generation as a system of its own.",
+            field=what,
+            value=names[i],
+        )
+        for i in np.flatnonzero((values < -1e-9).any(axis=0))
+    ]
+
+
+def _too_large(pv_kw: Floats, assets: NewAssets) -> list[Problem]:
+    """Systems whose series exceeds their largest power."""
+    pv = assets.pv
+    most = pv_kw.max(axis=0, initial=0.0)
+    return [
+        Problem(
+            "profiles",
+            f"reaches {most[i]:.4g} kW, and its largest power is {pv.p_max_kw[i]:.4g} kW",
+            "Correct the unit of the series, or the power in the network.",
+            field="system",
+            value=pv.id[i],
+        )
+        for i in np.flatnonzero(most > pv.p_max_kw * (1.0 + RATING_TOLERANCE))
+    ]

@@ -1,0 +1,330 @@
+"""A first scenario for an imported feeder: tiers, PV, batteries, profiles and an outage by rule.
+
+Every rule is a starting point to be edited: the folder that is written is the user's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.closeness import (
+    check_deviation,
+    source_deviation,
+    told_causes,
+    told_deviation,
+)
+from vppres.feeders.feeder import ImportedFeeder, Profile
+from vppres.feeders.net.elements import few
+from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
+from vppres.feeders.new.options import NewScenarioOptions, PriceRule, check_options, outages_of
+from vppres.feeders.new.profiles import Series, place_profiles, timed
+from vppres.feeders.series.files import Reading, read_profiles
+from vppres.io import atomic_folder
+from vppres.io.editor import add_editor_schema
+from vppres.io.scenario_writer import fill_scenario_folder
+from vppres.scenario.assets import PV, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.source import Source
+from vppres.scenario.timegrid import TimeGrid
+
+NOTES_FILE = "notes.md"
+OWN_PROFILES = "source"
+"""What stands for the series of the network itself."""
+
+# Demand and PV power of the packaged day of 19 July 2022, hour by hour, as shares of their peaks.
+LOAD_SHAPE = (
+    0.790,
+    0.791,
+    0.795,
+    0.803,
+    0.812,
+    0.834,
+    0.880,
+    0.937,
+    0.945,
+    0.930,
+    0.933,
+    0.916,
+    0.899,
+    0.874,
+    0.882,
+    0.909,
+    0.973,
+    1.000,
+    0.979,
+    0.940,
+    0.928,
+    0.895,
+    0.810,
+    0.794,
+)
+PV_SHAPE = (
+    0.000,
+    0.000,
+    0.000,
+    0.000,
+    0.010,
+    0.087,
+    0.239,
+    0.414,
+    0.621,
+    0.787,
+    0.905,
+    1.000,
+    0.988,
+    0.896,
+    0.774,
+    0.616,
+    0.419,
+    0.231,
+    0.105,
+    0.027,
+    0.000,
+    0.000,
+    0.000,
+    0.000,
+)
+
+# Hours of the day (from, to) and prices; mean, lowest and highest price of the paper.
+FLAT_PRICE = 0.36
+NIGHT = (0, 6)
+NIGHT_PRICE = 0.20
+EVENING = (16, 20)
+EVENING_PRICE = 0.54
+TEMPERATURE_C = 20.0
+
+
+def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = None) -> Scenario:
+    """A scenario on an imported feeder; the feeder's loads are the customers' peaks.
+
+    Parameters
+    ----------
+    feeder : ImportedFeeder
+        One customer for each bus with a load.
+    options : NewScenarioOptions, optional
+        Rules; the defaults if not given.
+
+    Raises
+    ------
+    InputError
+        If an option is out of its range, or the feeder has no load.
+    """
+    return _built(feeder, options or NewScenarioOptions())[0]
+
+
+def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenario, list[str]]:
+    """The scenario, and what was chosen, drawn or left out."""
+    problems = check_options(options) + _check_feeder(feeder, options)
+    if problems:
+        raise InputError(problems)
+    grid = options.grid
+    assets = new_assets(feeder, options)
+    series = _series(feeder, options, assets, grid)
+    constant_c = np.full(grid.n_steps, TEMPERATURE_C)
+    scenario = Scenario(
+        name=_name(feeder.name),
+        title=f"{feeder.name}: {len(assets.customers)} customers, {_length(options)}",
+        grid=grid,
+        network=_network(feeder, options),
+        customers=assets.customers,
+        pv=assets.pv,
+        batteries=assets.batteries,
+        load_kw=written(series.load_kw),
+        pv_kw=written(series.pv_kw),
+        price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(options.price, grid)),
+        temperature_c=series.system.get("temperature_c", constant_c),
+        grid_limit_kw=_grid_limit(options, grid),
+        tiers=tuple(assets.tiers),
+        export_limit_kw=np.array(options.export_limit_kw),
+        export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
+        controller=ControllerDefaults(mode="physical"),
+    )
+    return scenario, [*assets.notes, *series.notes, *_told_constants(options, series)]
+
+
+def _series(
+    feeder: ImportedFeeder, options: NewScenarioOptions, assets: NewAssets, grid: TimeGrid
+) -> Series:
+    """Load and available power: those that were given, and the bundled day for the rest."""
+    shape = _profile(LOAD_SHAPE, grid)
+    available_kw = _available(assets.pv, grid)
+    if options.profiles is None:
+        load_kw = np.outer(shape, assets.peak_kw)
+        return Series(load_kw, available_kw, notes=tuple(_told_bundled(assets.pv)))
+    profiles = timed(
+        _given_profiles(feeder, options), grid, options.time_zone, options.profile_step_minutes
+    )
+    return place_profiles(
+        profiles, feeder, assets, (shape, available_kw), grid, options.max_gap_minutes
+    )
+
+
+def _given_profiles(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Profile]:
+    """Series of the network itself, or of files."""
+    if str(options.profiles) != OWN_PROFILES:
+        reading = Reading(options.time_zone, options.profile_unit)
+        return read_profiles(str(options.profiles), reading)
+    if feeder.profiles:
+        return [*feeder.profiles]
+    raise InputError(
+        Problem(
+            feeder.name,
+            "has no series of its own",
+            "Give a folder with --profiles, or leave it out for the bundled day.",
+        )
+    )
+
+
+def write_new_scenario(
+    feeder: ImportedFeeder, options: NewScenarioOptions, folder: str | Path
+) -> list[str]:
+    """Write a new scenario's folder, whole or not at all, with ``notes.md`` on what was chosen.
+
+    ``scenario.schema.json`` lets an editor complete and check ``scenario.toml``.
+
+    Returns
+    -------
+    list of str
+        The notes.
+
+    Raises
+    ------
+    InputError
+        As :func:`new_scenario`, if the folder holds something, or if the voltages are further
+        from the source's than the options accept.
+    """
+    scenario, chosen = _built(feeder, options)
+    deviation = source_deviation(feeder, scenario)
+    check_deviation(feeder, deviation, options.accept_deviation)
+    told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
+    scenario = replace(scenario, source=Source.of(feeder.name, notes=told, deviation=deviation))
+    notes = list(dict.fromkeys([*told, told_deviation(feeder, deviation)]))
+    text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
+    with atomic_folder(folder) as aside:
+        fill_scenario_folder(scenario, aside)
+        add_editor_schema(aside)
+        (aside / NOTES_FILE).write_text(text, encoding="utf-8", newline="\n")
+    return notes
+
+
+def assumptions(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[str]:
+    """What was simplified and what was chosen by rule, in sentences."""
+    return [*feeder.notes, *_built(feeder, options)[1]]
+
+
+def _told_bundled(pv: PVSystems) -> Iterator[str]:
+    """That load and generation are the bundled day's."""
+    kinds = dict.fromkeys(pv.kind)
+    shaped = "load and PV follow" if PV in kinds else "load follows"
+    yield f"Invented: {shaped} one bundled summer day; the source's loads are the peaks."
+    constant = [str(name) for name in pv.id[pv.kind != PV]]
+    if constant:
+        yield f"Without a series, at their largest power in every step: {few(constant)}."
+
+
+def _told_constants(options: NewScenarioOptions, series: Series) -> Iterator[str]:
+    """Prices and temperature that no series gives."""
+    words = []
+    if "price_gbp_per_kwh" not in series.system:
+        words.append(f"prices ({options.price})")
+    if "temperature_c" not in series.system:
+        words.append(f"the temperature, {TEMPERATURE_C:g} °C")
+    if words:
+        yield f"Invented: {' and '.join(words)}."
+
+
+def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Problem]:
+    """A feeder without load, with unknown tiers, or with a slack voltage out of bounds."""
+    problems = []
+    if not (feeder.p_load_kw > 0).any():
+        problems.append(
+            Problem(
+                feeder.name,
+                "has no load",
+                "Add the loads to the source: each bus with a load becomes a customer.",
+            )
+        )
+    problems += [
+        Problem(
+            feeder.name,
+            "is not a tier",
+            f"Write {', '.join(TIER_WEIGHTS)} into the loads' column tier, or leave it empty.",
+            field="tier",
+            value=tier,
+        )
+        for tier in sorted({*feeder.tier} - {"", *TIER_WEIGHTS})
+    ]
+    v_pu = feeder.network.v_slack_pu if options.v_slack_pu is None else options.v_slack_pu
+    if not Network.v_min_pu <= v_pu <= Network.v_max_pu:
+        problems.append(
+            Problem(
+                feeder.name,
+                f"must lie between {Network.v_min_pu:g} and {Network.v_max_pu:g}, the "
+                "limits of the voltages",
+                "Give another one with --v-slack, or correct the source.",
+                field="v_slack_pu",
+                value=v_pu,
+            )
+        )
+    return problems
+
+
+def _network(feeder: ImportedFeeder, options: NewScenarioOptions) -> Network:
+    if options.v_slack_pu is None:
+        return feeder.network
+    return replace(feeder.network, v_slack_pu=options.v_slack_pu)
+
+
+def _hours(grid: TimeGrid) -> Floats:
+    """Hour of the day at the middle of every step, shape (T,)."""
+    middle = grid.times + pd.Timedelta(minutes=grid.step_minutes / 2)
+    return np.asarray(middle.hour + middle.minute / 60 + middle.second / 3600, dtype=float)
+
+
+def _profile(shape: tuple[float, ...], grid: TimeGrid) -> Floats:
+    """An hourly shape at every step, linear between the middles of the hours."""
+    return np.interp(_hours(grid), np.arange(24) + 0.5, shape, period=24)
+
+
+def _available(pv: PVSystems, grid: TimeGrid) -> Floats:
+    """Power of each system: the bundled day's for PV, the largest for every other kind, (T, P)."""
+    shape = np.where(pv.kind == PV, _profile(PV_SHAPE, grid)[:, None], 1.0)
+    return shape * pv.p_max_kw
+
+
+def _price(rule: PriceRule, grid: TimeGrid) -> Floats:
+    """Import price of every step in GBP/kWh, shape (T,)."""
+    price = np.full(grid.n_steps, FLAT_PRICE)
+    if rule == "time-of-use":
+        hours = _hours(grid)
+        for (start, end), value in ((NIGHT, NIGHT_PRICE), (EVENING, EVENING_PRICE)):
+            price[(hours >= start) & (hours < end)] = value
+    return price
+
+
+def _grid_limit(options: NewScenarioOptions, grid: TimeGrid) -> Floats:
+    """No limit but in the outages, shape (T,)."""
+    times = grid.times
+    dark = np.logical_or.reduce(
+        [(times >= first) & (times < last) for first, last in outages_of(options)]
+    )
+    return np.where(dark, 0.0, np.inf)
+
+
+def _name(source: str) -> str:
+    """A name that a scenario may have."""
+    stem = source.rpartition(".")[0] or source
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", stem).strip("-._") or "feeder"
+
+
+def _length(options: NewScenarioOptions) -> str:
+    return "1 day" if options.days == 1 else f"{options.days} days"

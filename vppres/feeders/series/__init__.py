@@ -1,0 +1,1 @@
+"""Series of others: their times, their files, their gaps."""

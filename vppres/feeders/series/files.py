@@ -1,0 +1,222 @@
+"""Series in files: a folder or one file, CSV or Parquet, wide, long, or one file per asset."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.feeder import Profile
+from vppres.feeders.series.clocks import in_utc
+from vppres.io.messages import few
+from vppres.io.tables import Table, read_table
+
+SUFFIXES = (".csv", ".parquet")
+TIMES = ("time", "timestamp", "datetime")
+IDS = ("id", "asset", "name", "element")
+VALUES = ("value", "p", "power")
+_UNIT = re.compile(r"(?:_|\s*\[|\s*\(|\s+)(kw|mw|pu|p\.u\.)[\])]?$", re.IGNORECASE)
+_PLAIN = re.compile(r"(kw|mw|pu|p\.u\.)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How times and values of files are meant, where they do not say so themselves.
+
+    Parameters
+    ----------
+    zone : str, optional
+        Zone of times without offset.
+    unit : str, optional
+        ``kw``, ``mw`` or ``pu``.
+    """
+
+    zone: str | None = None
+    unit: str | None = None
+
+
+def read_profiles(path: str | Path, reading: Reading) -> list[Profile]:
+    """Series of a file, or of all CSV and Parquet files of a folder.
+
+    A file has a column of times (``time``, ``timestamp`` or ``datetime``) and is of one of three
+    kinds: long, with the columns ``id`` and a value; of one asset, after which the file is named,
+    with a single column named ``value``, ``p`` or after a unit; or wide, with a column for each
+    asset. The unit is the end of a column's or file's name, such as ``_kw``, or ``reading``'s.
+
+    Raises
+    ------
+    InputError
+        With every problem of every file, those of one kind folded.
+    """
+    path = Path(path)
+    profiles: list[Profile] = []
+    problems: list[Problem] = []
+    for file in _files(path):
+        table, found = read_table(file)
+        problems += found
+        if table is None:
+            continue
+        read, found = _read(table, reading)
+        profiles += read
+        problems += found
+    if problems:
+        raise InputError(problems)
+    return profiles
+
+
+def _files(path: Path) -> list[Path]:
+    """The file, or the files of the folder by name."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError(
+            Problem(
+                f"profiles {path.name}",
+                "there is no such file or folder",
+                "Correct the path, or write 'source' for the network's own series.",
+            )
+        )
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+    if not files:
+        raise InputError(
+            Problem(
+                f"profiles {path.name}",
+                "has neither a CSV nor a Parquet file",
+                "Give a folder with series, or one file.",
+            )
+        )
+    return files
+
+
+def _read(table: Table, reading: Reading) -> tuple[list[Profile], list[Problem]]:
+    """All series of a file."""
+    frame = table.frame
+    names = {str(name).strip().lower(): str(name) for name in frame.columns}
+    clock = next((names[word] for word in TIMES if word in names), None)
+    if clock is None:
+        return [], [
+            Problem(
+                table.file,
+                "has no column of times",
+                f"Name it {TIMES[0]}; the other columns are assets, or id and value.",
+            )
+        ]
+    key = next((names[word] for word in IDS if word in names), None)
+    rest = [str(name) for name in frame.columns if name not in (clock, key)]
+    if not rest:
+        return [], [Problem(table.file, "has no column of values", "Add one for each asset.")]
+    if key is not None:
+        return _long(table, clock, key, rest, reading)
+    return _wide(table, clock, rest, reading)
+
+
+def _wide(
+    table: Table, clock: str, columns: list[str], reading: Reading
+) -> tuple[list[Profile], list[Problem]]:
+    """A column for each asset; a single column of values is that of the file's asset."""
+    times, problems = in_utc(pd.Index(table.frame[clock]), reading.zone, table.file, clock)
+    stem, file_unit = _named(Path(table.file).stem)
+    single = len(columns) == 1 and _is_value(columns[0])
+    profiles = []
+    for column in columns:
+        name, unit = _named(column)
+        unit = unit or (_plain(column) if single else "") or file_unit or reading.unit or ""
+        values, found = _numbers(table, column)
+        problems += found
+        if len(times) == len(values):
+            profiles.append(
+                Profile(table.file, stem if single else name, pd.Series(values, times), unit)
+            )
+    return profiles, problems
+
+
+def _long(
+    table: Table, clock: str, key: str, columns: list[str], reading: Reading
+) -> tuple[list[Profile], list[Problem]]:
+    """One row for each time and asset; hours that clocks show twice are told apart by asset."""
+    if len(columns) > 1:
+        return [], [
+            Problem(
+                table.file,
+                f"has the column {key} and {len(columns)} columns of values",
+                "Keep one column of values.",
+            )
+        ]
+    values, problems = _numbers(table, columns[0])
+    unit = _named(columns[0])[1] or _plain(columns[0]) or _named(Path(table.file).stem)[1]
+    ids = table.frame[key].astype(str).str.strip().to_numpy()
+    profiles = []
+    for name in dict.fromkeys(ids):
+        rows = np.flatnonzero(ids == name)
+        times, found = in_utc(
+            pd.Index(table.frame[clock].iloc[rows]), reading.zone, table.file, clock
+        )
+        problems += found
+        if len(times):
+            series = pd.Series(values[rows], times)
+            profiles.append(Profile(table.file, str(name), series, unit or reading.unit or ""))
+    return profiles, problems
+
+
+def _numbers(table: Table, column: str) -> tuple[np.ndarray, list[Problem]]:
+    """Numbers of a column; empty cells are gaps."""
+    cells = table.frame[column]
+    if cells.dtype.kind in "iuf":
+        return cells.to_numpy(dtype=float), []
+    texts = table.texts(column)
+    values = pd.to_numeric(texts.where(texts != ""), errors="coerce").to_numpy(dtype=float)
+    wrong = np.flatnonzero((np.isnan(values) & (texts != "").to_numpy()) | np.isinf(values))
+    told = [int(i) for i in wrong if texts.iloc[i].lower() not in ("nan", "null", "na", "none")]
+    return np.where(np.isinf(values), np.nan, values), few(
+        told,
+        lambda i: Problem(
+            table.file,
+            "is not a number",
+            "Correct it, or leave it empty: a gap is filled, and the notes say so.",
+            row=int(table.frame.index[i]),
+            field=column,
+            value=texts.iloc[i][:60],
+        ),
+    )
+
+
+def _named(text: str) -> tuple[str, str]:
+    """A name without its unit, and the unit.
+
+    >>> _named("load 3_mw"), _named("pv18 [kW]"), _named("c18")
+    (('load 3', 'mw'), ('pv18', 'kw'), ('c18', ''))
+    """
+    found = _UNIT.search(text)
+    if found is None or found.start() == 0:
+        return text.strip(), ""
+    return text[: found.start()].strip(), found.group(1).lower().replace(".", "")
+
+
+def _plain(text: str) -> str:
+    """A unit that is all of a name."""
+    return text.strip().lower().replace(".", "") if _PLAIN.fullmatch(text.strip()) else ""
+
+
+def _is_value(column: str) -> bool:
+    """Whether a column is named after what it holds and not after an asset."""
+    return bool(_plain(column)) or _named(column)[0].lower() in VALUES
+
+
+def units_missing(profiles: list[Profile]) -> Iterator[Problem]:
+    """Series of which nobody said the unit, one problem a file."""
+    files: dict[str, list[str]] = {}
+    for profile in profiles:
+        if not profile.unit:
+            files.setdefault(profile.where, []).append(profile.name)
+    for where, names in files.items():
+        more = f", and {len(names) - 1} more" if len(names) > 1 else ""
+        yield Problem(
+            where,
+            f"does not say the unit of {names[0]}{more}",
+            "End the column's or the file's name in _kw, _mw or _pu, or give --profile-unit.",
+        )

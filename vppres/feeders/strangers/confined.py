@@ -1,0 +1,100 @@
+"""Work in a process of its own: an empty folder that is thrown away, a clock, no file to write."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from vppres.core.errors import InputError, Problem
+from vppres.core.parent import me
+from vppres.io.atomic import scratch_folder
+
+TIME_LIMIT_S = 10.0
+"""For a library to read a file; the published feeders take less than one."""
+
+START_LIMIT_S = 60.0
+"""For the process to load its libraries, which a busy machine does slowly."""
+
+ALARM = int(getattr(signal, "SIGALRM", 0))
+"""Signal by which the process's own clock ends it; Windows has only the clock of this side."""
+
+
+def confined(
+    engine: str, job: dict[str, Any], name: str, time_limit_s: float = TIME_LIMIT_S
+) -> dict[str, Any]:
+    """What an engine answers.
+
+    Parameters
+    ----------
+    engine : str
+        One of :mod:`vppres.feeders.strangers.child`.
+    job : dict
+        What JSON can hold.
+    name : str
+        The file, for messages.
+    time_limit_s : float, optional
+        From the moment in which the engine is loaded.
+
+    Raises
+    ------
+    InputError
+        If there is no answer in time, or none at all.
+    """
+    child = Path(__file__).with_name("child.py")
+    text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s, "parent": me()})
+    too_long = InputError(
+        Problem(
+            name,
+            f"is not read within {time_limit_s:g} s",
+            "Give the feeder alone, with sizes that equipment has.",
+        )
+    )
+    with scratch_folder() as folder:
+        try:
+            # -I: neither variables nor files of the user say what is loaded; -B: no cache written.
+            done = subprocess.run(
+                [sys.executable, "-I", "-B", str(child)],
+                input=text,
+                text=True,
+                encoding="utf-8",
+                cwd=folder,
+                env=_environment(folder),
+                capture_output=True,
+                check=False,
+                timeout=START_LIMIT_S + time_limit_s,
+            )
+        except subprocess.TimeoutExpired:
+            raise too_long from None
+    if ALARM and done.returncode == -ALARM:
+        raise too_long
+    try:
+        answer = json.loads(done.stdout)
+    except ValueError:
+        raise InputError(
+            Problem(
+                name,
+                f"ends the process that reads it (status {done.returncode})",
+                "Look for sizes that no equipment has, such as a line of a million phases.",
+            )
+        ) from None
+    assert isinstance(answer, dict)
+    return answer
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Variables of the process: nothing of the user's, no program to find, one thread."""
+    return {
+        "HOME": str(folder),
+        "TMPDIR": str(folder),
+        "PATH": "",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "DSS_CAPI_ALLOW_DOSCMD": "0",
+        "DSS_CAPI_ALLOW_CHANGE_DIR": "0",
+        "DSS_CAPI_ALLOW_EDITOR": "0",
+    }

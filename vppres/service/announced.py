@@ -1,0 +1,226 @@
+"""From events to what they say of the steps ahead: import limits, prices, and messages of outages.
+
+An outage is a fact in the steps that it touches; a belief is one in none. Both become messages for
+controllers that plan with beliefs, of which a certain outage is the special case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.day.options import RunOptions
+from vppres.day.outages import BELIEF, LIKELY, LOOKAHEAD_H
+from vppres.outlook.durations import Z90
+from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageWarning
+from vppres.service.payloads import read_duration, read_moment
+from vppres.service.store import Event, moment
+from vppres.service.window import Window
+
+HOUR = pd.Timedelta(hours=1)
+
+
+def prices(events: Iterable[Event], window: Window) -> Floats:
+    """Import prices of a window, (W,): those of events over those of the profile."""
+    found = window.series["price_gbp_per_kwh"].copy()
+    for body in _bodies(events, "price"):
+        window.lay(found, body, body["price_gbp_per_kwh"])
+    return found
+
+
+def limits_kw(events: Iterable[Event], window: Window) -> Floats:
+    """Import limits of a window as long as there is grid, (W,)."""
+    found = window.series["grid_limit_kw"].copy()
+    for body in _bodies(events, "import_limit"):
+        touched = window.touched(read_moment(body["start"]), _moment(body["end"]))
+        found = np.where(touched, np.minimum(found, float(body["limit_kw"])), found)
+    return np.asarray(found)
+
+
+def outages(events: Iterable[Event], window: Window) -> Flags:
+    """Which steps of a window a certain outage touches, (W,)."""
+    found = np.zeros(len(window.times), dtype=bool)
+    for body in _bodies(events, "outage", "outage_belief"):
+        interval = certain_interval(body)
+        if interval is not None:
+            found |= window.touched(*interval)
+    return found
+
+
+def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:
+    """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
+    if body["type"] == "outage":
+        return read_moment(body["start"]), _moment(body["end"])
+    onset = body["onset"]
+    length = body["duration"]
+    if body["probability"] < 1.0 or len(_possible(onset["probabilities"])) > 1 or length is None:
+        return None
+    start = _shares(onset).likely
+    if length["family"] == "until":
+        return start, read_moment(length["until"])
+    if length["family"] == "discrete" and len(_possible(length["probabilities"])) == 1:
+        only = _possible(length["probabilities"])[0]
+        return start, start + length["hours"][only] * HOUR
+    return None
+
+
+def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
+    """Refuse what the controller would have to round.
+
+    Raises
+    ------
+    InputError
+        For an uncertain outage where outages are taken for known, or for unknown.
+    """
+    if options.outages in (BELIEF, LIKELY) or certain_interval(body) is not None:
+        return
+    raise InputError(
+        Problem(
+            "event",
+            f"is uncertain, and the service takes outages for {options.outages}",
+            f"Start it with --outages {BELIEF}, or announce a certain outage.",
+            field="type",
+            value="outage_belief",
+        )
+    )
+
+
+def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta) -> list[Any]:
+    """Messages of all outages that may be now or later.
+
+    Parameters
+    ----------
+    events : mapping of str to Event
+        What is announced.
+    now : pandas.Timestamp
+        A step's beginning: whatever is stored is known by then.
+    step : pandas.Timedelta
+        Length of a step.
+    """
+    found = []
+    for name, event in events.items():
+        message = _message(name, event.body, now, step)
+        if message is not None:
+            # Since when somebody knew, and what is said now.
+            issued = {min(moment(at), now) for at in (event.since, event.made_at)}
+            found += [replace(message, issued_at=at) for at in sorted(issued)]
+    return found
+
+
+def _message(
+    name: str, body: Mapping[str, Any], now: pd.Timestamp, step: pd.Timedelta
+) -> OutageWarning | None:
+    """What an event says of an outage; None if it says nothing, or nothing that counts now."""
+    if body["type"] not in ("outage", "outage_belief"):
+        return None
+    interval = certain_interval(body)
+    if interval is None:
+        return _uncertain(name, body, now, step)
+    start, end = interval
+    # One that was seen is explained by what was said of it, when it is over too.
+    if end is not None and end + LOOKAHEAD_H * HOUR <= now:
+        return None
+    begun = _step_of(start, now, step)
+    lasts_h = None if end is None else -((begun - end) // step) * (step / HOUR)
+    return OutageWarning(now, name, onset_likely=begun, probability=1.0, duration_p50_h=lasts_h)
+
+
+def _uncertain(
+    name: str, body: Mapping[str, Any], now: pd.Timestamp, step: pd.Timedelta
+) -> OutageWarning:
+    """A belief as a message: distributions, and the quantiles that sum them up."""
+    shares = _shares(body["onset"])
+    length = _length(body["duration"], _step_of(shares.likely, now, step), step)
+    known = shares.end - shares.start <= step
+    onset = _step_of(shares.start, now, step)
+    times: dict[str, Any] = (
+        {"onset_likely": onset}
+        if known
+        else {
+            "onset_earliest": shares.start,
+            "onset_likely": shares.likely,
+            "onset_latest": shares.end,
+            "onset": shares,
+        }
+    )
+    return OutageWarning(
+        now,
+        name,
+        probability=body["probability"],
+        length=length,
+        **times,
+        **_quantiles_h(length),
+    )
+
+
+def _length(
+    body: Mapping[str, Any] | None, begun: pd.Timestamp, step: pd.Timedelta
+) -> OutageLength | None:
+    """How long it lasts; up to a known end, from its likeliest beginning on."""
+    if body is None:
+        return None
+    if body["family"] == "until":
+        steps = max(-((begun - read_moment(body["until"])) // step), 1)
+        return OutageLength("discrete", hours=(steps * (step / HOUR),), probability=(1.0,))
+    if body["family"] == "discrete":
+        return OutageLength(
+            "discrete", hours=tuple(body["hours"]), probability=tuple(body["probabilities"])
+        )
+    lognormal = body["family"] == "lognormal"
+    return OutageLength(
+        body["family"],
+        scale_h=body["median_h" if lognormal else "scale_h"],
+        shape=body["sigma" if lognormal else "shape"],
+        max_h=np.inf if body["max_h"] is None else body["max_h"],
+    )
+
+
+def _quantiles_h(length: OutageLength | None) -> dict[str, Any]:
+    """The lengths that 10, 50 and 90 % stay below, for people."""
+    if length is None:
+        return {}
+    if length.family == "discrete":
+        order = np.argsort(length.hours)
+        below = np.cumsum(np.array(length.probability)[order])
+        places = np.searchsorted(below, np.array([0.1, 0.5, 0.9]) - 1e-9)
+        values = np.array(length.hours)[order][np.minimum(places, len(order) - 1)]
+    elif length.family == "lognormal":
+        values = length.scale_h * np.exp(length.shape * Z90 * np.array([-1.0, 0.0, 1.0]))
+    else:
+        values = length.scale_h * (-np.log([0.9, 0.5, 0.1])) ** (1.0 / length.shape)
+    names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
+    return {
+        name: float(min(value, length.max_h)) for name, value in zip(names, values, strict=True)
+    }
+
+
+def _shares(onset: Mapping[str, Any]) -> OnsetShares:
+    probability = np.array(onset["probabilities"]) / sum(onset["probabilities"])
+    start = read_moment(onset["start"]).tz_convert("UTC")
+    return OnsetShares(
+        start, read_duration(onset["resolution"]) / HOUR, tuple(probability.tolist())
+    )
+
+
+def _step_of(time: pd.Timestamp, now: pd.Timestamp, step: pd.Timedelta) -> pd.Timestamp:
+    """Beginning of the step that covers a time, where one begins now."""
+    return now + ((time - now) // step) * step
+
+
+def _possible(probabilities: list[float]) -> list[int]:
+    """Places of what can happen."""
+    return [place for place, each in enumerate(probabilities) if each > 0.0]
+
+
+def _bodies(events: Iterable[Event], *kinds: str) -> list[Mapping[str, Any]]:
+    return [event.body for event in events if event.body["type"] in kinds]
+
+
+def _moment(text: str | None) -> pd.Timestamp | None:
+    return None if text is None else read_moment(text)

@@ -1,0 +1,104 @@
+"""Errors as problem+json (RFC 9457), each mistake with its cure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from vppres.core.errors import InputError, Problem, StorageError, VppresError
+from vppres.service.access import Denied
+
+PROBLEM = "application/problem+json"
+MOST_PROBLEMS = 50
+
+TITLES = {
+    400: "The request cannot be read",
+    401: "Nobody knows who asks",
+    403: "This may not be asked",
+    404: "There is no such thing",
+    405: "This cannot be done here",
+    412: "It has changed since",
+    413: "The request is too large",
+    422: "The request has mistakes",
+    429: "Too many requests",
+    500: "Something broke",
+    503: "The service is not ready",
+}
+
+
+def answer_errors(app: FastAPI) -> None:
+    """Let an application answer errors as problems."""
+
+    @app.exception_handler(RequestValidationError)
+    async def mistaken(_: Request, error: RequestValidationError) -> Response:
+        problems = [
+            Problem(
+                "request",
+                str(details["msg"]).removeprefix("Value error, "),
+                "The fields are described in /openapi.json.",
+                field=".".join(str(part) for part in details["loc"])[:200],
+            )
+            for details in error.errors()[:MOST_PROBLEMS]
+        ]
+        return problem_answer(422, problems[0].message, problems)
+
+    @app.exception_handler(VppresError)
+    async def known(_: Request, error: VppresError) -> Response:
+        if isinstance(error, InputError):
+            first = str(error).splitlines()[0]
+            return problem_answer(422, first, [p for p in error.problems if isinstance(p, Problem)])
+        return problem_answer(503 if isinstance(error, StorageError) else 500, str(error))
+
+    @app.exception_handler(Denied)
+    async def denied(_: Request, error: Denied) -> Response:
+        return denied_answer(error)
+
+    @app.exception_handler(HTTPException)
+    async def refused(_: Request, error: HTTPException) -> Response:
+        return problem_answer(error.status_code, str(error.detail))
+
+    @app.exception_handler(Exception)
+    async def unforeseen(_: Request, error: Exception) -> Response:
+        # What it was stands in the log of the service, and nowhere else.
+        return problem_answer(500, "The service has a mistake. Its log says which.")
+
+
+def problem_answer(status: int, detail: str, problems: Sequence[Problem] = ()) -> Response:
+    """RFC 9457."""
+    body = {
+        "type": "about:blank",
+        "title": TITLES.get(status, "The request was refused"),
+        "status": status,
+        "detail": detail,
+        "problems": listed(problems),
+    }
+    headers = {"WWW-Authenticate": "Bearer"} if status == 401 else None
+    return JSONResponse(body, status, headers, media_type=PROBLEM)
+
+
+def denied_answer(error: Denied) -> Response:
+    """To who may not; with the time to wait where that would help."""
+    answer = problem_answer(error.status, str(error))
+    if error.wait_s > 0.0:
+        answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    return answer
+
+
+def listed(problems: Sequence[Problem]) -> list[dict[str, Any]]:
+    """Problems as JSON, not more than anybody reads."""
+    return [
+        {
+            "where": problem.where,
+            "message": problem.message,
+            "cure": problem.cure,
+            "field": problem.field,
+            "value": None if problem.value is None else str(problem.value)[:100],
+        }
+        for problem in problems[:MOST_PROBLEMS]
+    ]

@@ -1,0 +1,82 @@
+"""How often somebody may ask: a bucket for each, which fills as time goes by."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from vppres.service.access import Denied
+
+MOST_KNOWN = 1_000
+"""Buckets that are remembered; the one that was not used for longest is forgotten."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Requests a second in the long run, and how many may come at once."""
+
+    per_s: float
+    at_once: float
+
+
+RATES = {
+    "read": Rate(200.0, 400.0),
+    "telemetry": Rate(50.0, 200.0),
+    "events": Rate(5.0, 100.0),
+    "operator": Rate(10.0, 100.0),
+    "denied": Rate(1.0, 30.0),
+}
+"""By scope, for each token; and for each address whose requests are denied."""
+
+
+class Limits:
+    """Counts requests.
+
+    Parameters
+    ----------
+    rates : mapping of str to Rate
+        What is granted, by kind; other kinds are free.
+    now : callable
+        Seconds of a clock that nobody sets.
+
+    Examples
+    --------
+    >>> limits = Limits({"read": Rate(per_s=2.0, at_once=1.0)}, now=lambda: 0.0)
+    >>> limits.wait_s("panel", "read"), limits.wait_s("panel", "read")
+    (0.0, 0.5)
+    """
+
+    def __init__(
+        self, rates: Mapping[str, Rate] = RATES, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.rates = dict(rates)
+        self.now = now
+        self._left: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
+
+    def check(self, who: str, kind: str) -> None:
+        """Take one.
+
+        Raises
+        ------
+        Denied
+            If there is none.
+        """
+        wait_s = self.wait_s(who, kind)
+        if wait_s > 0.0:
+            raise Denied(429, "Too many requests: slow down.", wait_s)
+
+    def wait_s(self, who: str, kind: str) -> float:
+        """Take one; 0 if there was one, else how long to wait for the next."""
+        rate = self.rates.get(kind)
+        if rate is None:
+            return 0.0
+        now = self.now()
+        left, at = self._left.pop((who, kind), (rate.at_once, now))
+        left = min(rate.at_once, left + (now - at) * rate.per_s)
+        granted = left >= 1.0
+        self._left[who, kind] = (left - granted, now)
+        if len(self._left) > MOST_KNOWN:
+            self._left.popitem(last=False)
+        return 0.0 if granted else (1.0 - left) / rate.per_s

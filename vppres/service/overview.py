@@ -1,0 +1,244 @@
+"""What the page to watch shows, in two answers: what a site is, and how it is now."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Iterable, Mapping
+from typing import Any, get_args
+
+import numpy as np
+import pandas as pd
+
+from vppres.service.clock import written
+from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
+from vppres.service.payloads import ModeRequest
+from vppres.service.plans import at
+from vppres.service.runner import Runner
+from vppres.service.store import Reading, moment, seconds
+
+PAST_H = 12.0
+"""How much of what was is told."""
+
+MOST_PAST = 96
+"""Steps of it at most."""
+
+REFRESH_S = 1
+"""For how long the same is told, if nothing was changed."""
+
+DEFAULT = "default: "
+"""How the reason of a set-point begins that the gate did not let pass."""
+
+
+def site_of(runner: Runner) -> dict[str, Any]:
+    """What no step changes: names, limits, ratings, and the modes that there are."""
+    day = runner.scenario
+    b = day.batteries
+    return {
+        "name": day.name,
+        "title": day.title,
+        "time_zone": day.grid.zone,
+        "step_s": round(day.grid.step_minutes * 60),
+        "played": runner.played,
+        "modes": list(get_args(ModeRequest.model_fields["mode"].annotation)),
+        "tiers": list(day.tiers),
+        "v_min_pu": day.network.v_min_ac_pu,
+        "v_max_pu": day.network.v_max_ac_pu,
+        "customers": {
+            str(name): str(tier)
+            for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
+        },
+        "batteries": {
+            str(name): {
+                "energy_kwh": float(b.energy_kwh[i]),
+                "p_max_kw": float(b.p_max_kw[i]),
+                "soc_min": float(b.soc_min[i]),
+                "soc_max": float(b.soc_max[i]),
+            }
+            for i, name in enumerate(b.id)
+        },
+    }
+
+
+class Overview:
+    """How a service is, made once for all who ask.
+
+    Parameters
+    ----------
+    runner : Runner
+        The service.
+    """
+
+    def __init__(self, runner: Runner) -> None:
+        self.runner = runner
+        self._tiers = site_of(runner)["customers"]
+        self._turn = threading.Lock()
+        self._past: dict[str, dict[str, Any]] = {}
+        self._made: tuple[Any, bytes] | None = None
+
+    def fresh(self) -> bytes | None:
+        """What was made already, if it holds still, or is just being made anew."""
+        if self._made is None:
+            return None
+        return self._made[1] if self._made[0] == self._key() or self._turn.locked() else None
+
+    def text(self) -> bytes:
+        """The overview as JSON; the same for a second, if there are only readings that are new."""
+        with self._turn:
+            key = self._key()
+            if self._made is None or self._made[0] != key:
+                content = json.dumps(self._now(), allow_nan=False, separators=(",", ":"))
+                self._made = (key, content.encode())
+            return self._made[1]
+
+    def _key(self) -> Any:
+        return self.runner.store.changes, self.runner.clock.now().floor(f"{REFRESH_S}s")
+
+    def _now(self) -> dict[str, Any]:
+        runner = self.runner
+        now = runner.clock.now()
+        plan = runner.last
+        readings = runner.store.latest(now, INSTANT)
+        return {
+            "now": written(now.floor("s")),
+            "mode": runner.mode,
+            "ahead_s": None if plan is None else runner.ahead_s,
+            "steps": runner.outcomes,
+            "events": {name: event.body for name, event in runner.store.events().items()},
+            "sources": self._sources(readings, now),
+            "measured": self._measured(readings, now),
+            "plan": None if plan is None else self._told(plan, now),
+            "past": self._recent(now),
+        }
+
+    def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
+        """What holds of the last plan, without the customers that are on."""
+        points = [at(one, now) for one in plan["setpoints"]]
+        ahead = plan["ahead"]
+        return {
+            **{key: value for key, value in plan.items() if key not in ("setpoints", "ahead")},
+            "valid_until": max((one["valid_until"] for one in points), default=None),
+            "active": any(one["active"] for one in points),
+            "batteries": {
+                one["asset"]: {"p_kw": one["p_kw"], "reason": one["reason"]}
+                for one in points
+                if one["kind"] == "batteries"
+            },
+            "off": self._off(points, ahead),
+            "refused": refused_of(points),
+            "ahead": None if ahead is None else {**ahead, "served": self._shares(ahead)},
+        }
+
+    def _off(
+        self, points: Iterable[Mapping[str, Any]], ahead: Mapping[str, Any] | None
+    ) -> list[dict[str, Any]]:
+        """Who is off, why, and when it is meant to be on again."""
+        found = []
+        for one in points:
+            if one["kind"] != "customers" or one["served"]:
+                continue
+            served = [] if ahead is None else ahead["served"].get(one["asset"], [])
+            back = next((t for t, on in enumerate(served) if on), None)
+            found.append(
+                {
+                    "asset": one["asset"],
+                    "tier": self._tiers.get(one["asset"]),
+                    "reason": one["reason"],
+                    "until": None if ahead is None or back is None else ahead["times"][back],
+                }
+            )
+        return found
+
+    def _shares(self, ahead: Mapping[str, Any]) -> dict[str, list[float]]:
+        """Share of each tier's customers that is meant to be on, by step."""
+        return {
+            tier: np.mean([ahead["served"][name] for name in names], axis=0).tolist()
+            for tier, names in self._by_tier().items()
+        }
+
+    def _by_tier(self) -> dict[str, list[str]]:
+        tiers: dict[str, list[str]] = {}
+        for name, tier in self._tiers.items():
+            tiers.setdefault(tier, []).append(name)
+        return tiers
+
+    def _sources(self, readings: Iterable[Reading], now: pd.Timestamp) -> list[dict[str, Any]]:
+        """Each source: when it was last heard from, and what of what it tells is late."""
+        step_s = self.runner.length.total_seconds()
+        found: dict[str, dict[str, Any]] = {
+            source: {"source": source, "last_contact": contact, "stale": [], "lost": [], "ok": 0}
+            for source, contact in last_heard(self.runner.store).items()
+        }
+        for one in readings:
+            holds_s = max(one.resolution_s, step_s)
+            age_s = seconds(now) - one.time
+            source = found[one.source]
+            if age_s <= holds_s:
+                source["ok"] += 1
+            else:
+                state = "stale" if age_s <= LOST_AFTER * holds_s else "lost"
+                source[state].append(f"{one.quantity} of {one.asset}")
+        return list(found.values())
+
+    def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:
+        """The last readings of batteries and of the import."""
+        begun = self.runner.begun(now) - self.runner.length
+        found = [one for one in readings if one.quantity in ("soc", "online")]
+        means = self.runner.store.between(begun, now, MEAN)
+        found += [one for one in means if one.asset == GRID]
+        return {
+            f"{one.quantity} {one.asset}": {
+                "value": one.value,
+                "at": written(moment(one.time)),
+                "source": one.source,
+            }
+            for one in found
+        }
+
+    def _recent(self, now: pd.Timestamp) -> list[dict[str, Any]]:
+        """The last hours, step by step; each plan is read once."""
+        length = self.runner.length
+        n_steps = min(MOST_PAST, math.ceil(pd.Timedelta(hours=PAST_H) / length))
+        last = self.runner.last
+        if last is None:
+            return []
+        begin = pd.Timestamp(last["start"]) - (n_steps - 1) * length
+        times = [written(begin + t * length) for t in range(n_steps)]
+        known = self._past
+        missing = [time for time in times if time not in known]
+        new = self.runner.store.plans(pd.Timestamp(missing[0])) if missing else []
+        fresh = {plan["start"]: self._summary(plan) for plan in new}
+        self._past = {
+            time: found for time in times if (found := fresh.get(time) or known.get(time))
+        }
+        return list(self._past.values())
+
+    def _summary(self, plan: Mapping[str, Any]) -> dict[str, Any]:
+        """A step in a few numbers."""
+        on = {
+            one["asset"]: one["served"] for one in plan["setpoints"] if one["kind"] == "customers"
+        }
+        solve = plan["solve"] or {}
+        expected = plan["expected"]
+        return {
+            "start": plan["start"],
+            "status": plan["status"],
+            "reason": plan.get("reason") or solve.get("fallback_reason"),
+            "fallback": solve.get("fallback"),
+            "refused": refused_of(plan["setpoints"]) if plan["solve"] else [],
+            "served": {
+                tier: sum(on[name] for name in names) / len(names)
+                for tier, names in self._by_tier().items()
+            },
+            "expected": expected,
+        }
+
+
+def refused_of(points: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Set-points that the gate did not let pass, and why."""
+    return [
+        {"asset": one["asset"], "reason": one["reason"].removeprefix(DEFAULT)}
+        for one in points
+        if one["reason"].startswith(DEFAULT)
+    ]

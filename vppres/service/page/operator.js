@@ -1,0 +1,62 @@
+// The operator's part: which mode, for how long, why, and whether that is meant.
+
+import { MODE_WORDS } from "./words.js";
+
+const $ = (id) => document.getElementById(id);
+
+export class Operator {
+  constructor(ask, now) {
+    this.ask = ask; // sends a request, with the token if there is one
+    this.now = now; // what time it is at the service
+    this.present = null;
+    $("mode-form").addEventListener("submit", (event) => { event.preventDefault(); this.confirm(); });
+    $("mode").addEventListener("click", (event) => { event.preventDefault(); this.chosen()?.focus(); $("operator").scrollIntoView(); });
+    $("confirm").addEventListener("close", () => this.confirmed());
+  }
+
+  offer(modes) {
+    $("modes").replaceChildren(...modes.filter((mode) => mode !== "manual").map((mode) => {
+      const label = document.createElement("label"), input = document.createElement("input");
+      Object.assign(input, { type: "radio", name: "mode", value: mode, required: true });
+      label.append(input, `${mode}: ${MODE_WORDS[mode]?.[0] ?? ""}`);
+      return label;
+    }));
+  }
+
+  // The mode that holds; what the operator has chosen and not yet sent is left alone.
+  show(mode) {
+    if (this.present === mode) return;
+    this.present = mode;
+    const input = $("modes").querySelector(`[value="${CSS.escape(mode)}"]`);
+    if (input) input.checked = true;
+  }
+
+  chosen() { return $("modes").querySelector(":checked"); }
+
+  confirm() {
+    const mode = this.chosen()?.value;
+    if (!mode) return;
+    const hours = $("mode-hours");
+    const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
+    $("confirm-title").textContent = `Change the mode to ${mode}?`;
+    $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""} ${span}`;
+    $("confirm-no").textContent = `No, leave it at ${this.present}`;
+    $("confirm-yes").textContent = `Yes, change it to ${mode}`;
+    $("confirm").returnValue = "";
+    $("confirm").showModal();
+  }
+
+  async confirmed() {
+    $("mode-change").focus();
+    if ($("confirm").returnValue !== "yes") return;
+    const hours = Number($("mode-hours").value);
+    const until = hours ? new Date(this.now().getTime() + hours * 3.6e6).toISOString() : null;
+    const body = { mode: this.chosen().value, until, reason: $("mode-reason").value };
+    $("mode-change").disabled = true;
+    const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })
+      .then((answer) => `The mode is ${answer.mode}.`, (error) => `The mode was not changed. ${error.message}`);
+    $("mode-change").disabled = false;
+    $("mode-change").focus();
+    $("mode-said").textContent = said;
+  }
+}

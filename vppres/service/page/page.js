@@ -1,0 +1,276 @@
+// Asks the service every two seconds, and shows what it says. Nothing is fetched from elsewhere.
+
+import { chart, meter, stepsOf } from "./chart.js";
+import { Operator } from "./operator.js";
+import {
+  MARKS, SiteClock, announced, attention, counted, covers, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+} from "./words.js";
+
+const EVERY_MS = 2000, PATIENCE_MS = 5000;
+const LOST_MS = 10000; // without an answer, after which the page says that it is out of date
+
+const KNOWN_BY = { reading: ", as read", "last reading": ", as last read", event: ", as announced", belief: ", as is likely", profile: ", as foreseen" };
+
+const $ = (id) => document.getElementById(id);
+let token = null; // in memory alone
+const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new Date(), heard: new Date(), lost: false };
+let heardAt = performance.now(); // on this machine's clock, which nobody sets
+
+async function ask(path, options = {}) {
+  const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
+  const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS) });
+  const body = await answer.json().catch(() => ({}));
+  if (!answer.ok) throw Object.assign(new Error(body.detail ?? `The service answers ${answer.status}.`), { status: answer.status });
+  return body;
+}
+
+async function look() {
+  try {
+    if (!view.site) {
+      view.site = await ask("v1/site");
+      view.clock = new SiteClock(view.site.time_zone);
+      operator.offer(view.site.modes);
+    }
+    view.overview = await ask("v1/overview");
+    heardAt = performance.now();
+    view.heard = new Date(view.overview.now);
+    wantToken(null);
+  } catch (error) {
+    if (error.status === 401 || error.status === 403) wantToken(error.message);
+  }
+  show();
+}
+
+function wantToken(words) {
+  if (words === null) {
+    $("token").hidden = true;
+    $("token-other").hidden = token === null;
+    return;
+  }
+  if ($("token").hidden) {
+    $("token").hidden = false;
+    $("token-text").focus();
+  }
+  $("token-words").textContent = token === null ? "This service answers only to those whom it knows." : words;
+}
+
+$("token").addEventListener("submit", (event) => {
+  event.preventDefault();
+  token = $("token-text").value.trim();
+  $("token-text").value = "";
+  look();
+});
+$("token-other").addEventListener("click", () => { $("token").hidden = false; $("token-text").focus(); });
+
+// A clock that is played does not run on by itself.
+function tell() {
+  const since = performance.now() - heardAt;
+  view.lost = since > LOST_MS;
+  view.now = new Date(view.heard.getTime() + (view.site?.played ? 0 : since));
+  return since;
+}
+
+function write(id, text) {
+  const place = typeof id === "string" ? $(id) : id;
+  if (place.textContent !== text) place.textContent = text; // else a screen reader says it again
+}
+
+function node(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+function show() {
+  const since = tell();
+  document.body.classList.toggle("lost", view.lost);
+  const [level, words, more] = verdict(view);
+  $("verdict").className = level;
+  write("verdict-mark", MARKS[level]);
+  write("verdict-words", words);
+  write("verdict-more", more ?? "");
+  write("contact", view.lost ? "\u2716 no contact" : view.overview ? `live, ${since < 3500 ? "just now" : `${lasting(since)} ago`}` : "");
+  if (!view.overview) return;
+  write("site", `${view.site.title}${view.site.played ? " (its clock is set)" : ""}`);
+  write("clock", view.clock.full.format(view.now));
+  document.title = `${MARKS[level]} ${words} ${view.site.name}`;
+  const { mode } = view.overview.mode;
+  write("mode", `Mode: ${mode}`);
+  $("mode").className = mode === "auto" ? "" : "unusual";
+  operator.show(mode);
+  $("watched").hidden = false;
+  showAttention();
+  showFigures();
+  showChart();
+  showOff();
+  showBatteries();
+  showSources();
+  showEvents();
+  showSteps();
+}
+
+// Rebuilds a part where what it says has changed; focus and reading go on undisturbed elsewhere.
+const shown = new Map();
+function renew(id, content, build) {
+  const key = JSON.stringify(content);
+  if (shown.get(id) === key) return;
+  shown.set(id, key);
+  $(id).replaceChildren(...build());
+}
+
+function showAttention() {
+  const items = attention(view);
+  renew("attention-list", items, () => items.length
+    ? items.map(([level, text]) => node("li", { class: level }, node("span", { "aria-hidden": "true" }, MARKS[level]), node("span", {}, text)))
+    : [node("li", { class: "fine" }, node("span", { "aria-hidden": "true" }, MARKS.fine), node("span", {}, "Nothing needs you."))]);
+}
+
+function figure(title, value, unit, bar, ...notes) {
+  return node("div", { class: "figure card" }, node("h2", {}, title),
+    node("p", { class: "value" }, value, " ", node("span", { class: "unit" }, unit)), ...(bar ? [bar] : []),
+    ...notes.filter(Boolean).map((note) => node("p", { class: "note" }, note)));
+}
+
+function showFigures() {
+  const { plan, measured } = view.overview;
+  const content = [plan, measured, view.lost, Math.floor(view.now / 60000)];
+  renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure()]);
+}
+
+function customersFigure() {
+  const off = offByTier(view), all = Object.values(view.site.customers);
+  const n = Object.values(off).reduce((a, b) => a + b, 0);
+  const tiers = view.site.tiers.map((tier) => [tier, all.filter((one) => one === tier).length]).filter(([, many]) => many);
+  const notes = tiers.map(([tier, many]) => `${tier} ${many - off[tier]} of ${many}`);
+  return figure("Customers on", String(all.length - n), `of ${all.length}`,
+    meter((all.length - n) / all.length, { rest: "over", name: `${all.length - n} of ${all.length} customers are on` }), notes.join(" \u00b7 "));
+}
+
+function storedFigure() {
+  let held = 0, usable = 0, all = 0, least = 0, discharged = 0;
+  for (const [name, b] of Object.entries(view.site.batteries)) {
+    const soc = socNow(view, name);
+    if (soc === null) continue;
+    held += soc * b.energy_kwh;
+    usable += Math.max(0, soc - b.soc_min) * b.energy_kwh;
+    all += b.energy_kwh;
+    least += b.soc_min * b.energy_kwh;
+    discharged -= view.overview.plan?.batteries[name]?.p_kw ?? 0;
+  }
+  if (!all) return figure("Stored energy", "\u2013", "kWh", null, "No battery was heard of.");
+  const power = discharged > 0.5 ? `giving ${kilo(discharged)} kW` : discharged < -0.5 ? `charging ${kilo(-discharged)} kW` : "at rest";
+  const low = lowest(view);
+  return figure("Stored energy", kilo(held), `kWh, ${percent(held / all)}`,
+    meter(held / all, { kind: "store", marks: [least / all], name: `${percent(held / all)}, lower limit ${percent(least / all)}` }),
+    `${kilo(usable)} kWh above the lower limit; ${power}`, low && low.share < held / all - 0.005 ? `planned: ${percent(low.share)} at ${view.clock.at(low.time, view.now)}` : "");
+}
+
+function importFigure() {
+  const expected = view.overview.plan?.expected, reading = view.overview.measured["import_kw grid"];
+  const limit = expected?.grid_limit_kw ?? null;
+  const value = expected?.import_kw ?? reading?.value ?? null;
+  if (value === null) return figure("Import", "\u2013", "kW", null, "Not known.");
+  const marks = limit ? [1 / 1.25] : [];
+  const bar = limit ? meter(value / (1.25 * limit), { marks, kind: value > 1.01 * limit ? "over" : "", name: `${percent(value / limit)} of the limit` }) : null;
+  const words = limit === 0 ? `no grid${KNOWN_BY[view.overview.plan?.grid?.known_by] ?? ""}` : limit === null ? "no limit known" : `limit ${kilo(limit)} kW`;
+  const metered = reading && reading.value !== null ? `measured ${kilo(reading.value)} kW at ${view.clock.at(reading.at, view.now)}` : "";
+  return figure(value < -0.5 ? "Export" : "Import", kilo(Math.abs(value)), "kW", bar, words, metered);
+}
+
+function voltageFigure() {
+  const { v_min_pu: low, v_max_pu: high } = view.site;
+  const expected = view.overview.plan?.expected;
+  if (!expected || expected.v_min_pu === null) return figure("Lowest voltage", "\u2013", "pu", null, "Not known.");
+  const span = high - low, place = (value) => (value - low + 0.15 * span) / (1.3 * span);
+  const inside = expected.v_min_pu >= low && expected.v_max_pu <= high;
+  return figure("Lowest voltage", expected.v_min_pu.toFixed(3), "pu",
+    meter(place(expected.v_max_pu), { from: place(expected.v_min_pu), kind: inside ? "" : "over", marks: [place(low), place(high)], name: inside ? "within limits" : "outside limits" }),
+    `${expected.v_min_bus ? `at bus ${expected.v_min_bus}; ` : ""}highest ${expected.v_max_pu.toFixed(3)}, limits ${low} to ${high}`);
+}
+
+function showChart() {
+  const { past, plan } = view.overview;
+  const width = Math.max(300, Math.floor($("chart").clientWidth));
+  renew("chart", [past, plan?.ahead, width, Math.floor(view.now / 60000)], () => [chart(view, width) ?? node("p", { class: "note" }, "No step has been decided yet.")]);
+  renew("chart-table", [past, plan?.ahead], () => chartTable());
+}
+
+function table(heads, rows) {
+  return [node("thead", {}, node("tr", {}, ...heads.map((head) => node("th", { scope: "col" }, head)))),
+    node("tbody", {}, ...rows.map(([first, ...rest]) => node("tr", {}, node("th", { scope: "row" }, first), ...rest.map((cell) => node("td", {}, cell)))))];
+}
+
+function chartTable() {
+  const tiers = view.site.tiers;
+  const known = (value, words) => (value === null || value === undefined ? "\u2013" : words(value));
+  return table(["Step", "State", ...tiers.map((tier) => `${tier} on`), "Stored", "Import (kW)", "Limit (kW)"],
+    stepsOf(view).map((step) => [view.clock.at(step.begin, view.now), step.status, ...tiers.map((tier) => (step.decided ? percent(step.served[tier] ?? 1) : "\u2013")),
+      known(step.stored, percent), known(step.import, kilo), step.decided ? known(step.limit, kilo) : "\u2013"]));
+}
+
+function showOff() {
+  const { off = [], status } = view.overview.plan ?? {};
+  renew("off-list", [off, status, view.overview.now.slice(0, 13)], () => {
+    if (!off.length) return [node("p", {}, "Nobody is off.")];
+    const dark = outage(view) !== null;
+    const groups = grouped(off, (one) => JSON.stringify([one.tier, one.reason, one.until]));
+    const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones.map((one) => one.asset)]);
+    rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
+    return [node("table", {}, ...table(["Tier", "Customers", "Why", "Back, as planned"],
+      rows.map(([[tier, reason, until], names]) => [tier, node("span", { class: "names" }, `${names.length}: ${list(names, 12)}`), why(reason, dark),
+        until ? view.clock.at(until, view.now) : "not in what is planned"])))];
+  });
+}
+
+function showBatteries() {
+  const { plan, measured } = view.overview;
+  const all = Object.entries(view.site.batteries);
+  const key = [plan?.batteries, all.map(([name]) => measured[`soc ${name}`]), plan?.expected?.soc, Math.floor(view.now / 60000)];
+  renew("batteries-list", key, () => all.map(([name, b]) => {
+    const soc = socNow(view, name), point = plan?.batteries[name], reading = measured[`soc ${name}`];
+    const power = point?.p_kw ?? 0;
+    const words = power > 0.05 ? `\u25b2 charges ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc gives ${(-power).toFixed(1)} kW` : "rests";
+    const old = !reading || reading.value === null ? "never read" : view.now - new Date(reading.at) > 1500 * view.site.step_s ? `read ${lasting(view.now - new Date(reading.at))} ago` : "";
+    const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
+    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, soc === null ? "not known" : percent(soc)),
+      meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),
+      node("span", { class: "note" }, words), ...notes.map((note) => node("span", { class: "late note" }, note)));
+  }));
+}
+
+function showSources() {
+  const { sources } = view.overview;
+  renew("sources-table", [sources, Math.floor(view.now / 5000)], () => sources.length
+    ? table(["Source", "Last contact", "State"], sources.map((one) => {
+      const state = one.lost.length ? ["late", `\u25a0 ${one.lost.length} lost: ${list(one.lost)}`] : one.stale.length ? ["late", `\u25b2 ${one.stale.length} late: ${list(one.stale)}`] : ["", `\u25cf ${counted(one.ok, "reading")} in time`];
+      return [one.source, `${lasting(view.now - new Date(one.last_contact))} ago`, node("span", { class: state[0] }, state[1])];
+    }))
+    : table(["Source"], [["None was ever heard from."]]));
+}
+
+function showEvents() {
+  const events = Object.entries(view.overview.events).filter(([, event]) => !event.end || new Date(event.end) > view.now);
+  renew("events-list", [events, Math.floor(view.now / 60000)], () => events.length
+    ? events.map(([name, event]) => node("li", {}, announced(event, view), " ", node("span", { class: "note" }, `${name}, ${event.source ?? ""}${covers(event, view.now) ? ", now" : ""}`)))
+    : [node("li", {}, "Nothing is announced.")]);
+}
+
+function showSteps() {
+  const { past, steps } = view.overview;
+  const odd = past.filter((step) => step.status !== "ok" || step.refused.length).reverse();
+  renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
+    ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),
+      `${step.fallback ? `, ${step.fallback.replaceAll("_", " ")}` : ""}${step.reason ? `: ${step.reason}` : ""}`,
+      step.refused.length ? `. Gate: ${list(step.refused.map((one) => `${one.asset} ${one.reason}`))}` : ""))
+    : [node("li", {}, "None in the last hours.")]);
+  write("steps-counts", `Since the beginning: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
+}
+
+const operator = new Operator(ask, () => view.now);
+new ResizeObserver(() => view.overview && showChart()).observe($("chart"));
+setInterval(show, 1000);
+(async function watch() {
+  await look();
+  setTimeout(watch, EVERY_MS);
+})();

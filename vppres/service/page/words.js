@@ -1,0 +1,240 @@
+// What the page says: an overview in, sentences out. Nothing here touches the page.
+
+export const ALARM = "alarm", WARNING = "warning", NOTE = "note", FINE = "fine";
+const RANK = { [ALARM]: 0, [WARNING]: 1, [NOTE]: 2 };
+export const MARKS = { [ALARM]: "\u25a0", [WARNING]: "\u25b2", [NOTE]: "\u25cb", [FINE]: "\u25cf" };
+
+const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
+export const NAMED_HERE = 3; // assets of a kind, before "and n more"
+
+// Times as the clocks at the site show them; the zone is named wherever it is not the one of now.
+export class SiteClock {
+  constructor(zone) {
+    const format = (options) => new Intl.DateTimeFormat("en-GB", { timeZone: zone, hourCycle: "h23", ...options });
+    const hm = { hour: "2-digit", minute: "2-digit" };
+    this.hm = format(hm);
+    this.full = format({ weekday: "short", day: "numeric", month: "short", ...hm, timeZoneName: "short" });
+    this.day = format({ weekday: "short", day: "numeric", month: "short" });
+    this.weekday = format({ weekday: "short" });
+    this.seconds = format({ ...hm, second: "2-digit" });
+    this.named = format({ timeZoneName: "short" });
+  }
+  zone(time) { return this.named.formatToParts(time).find((part) => part.type === "timeZoneName").value; }
+  at(time, now) {
+    const t = new Date(time);
+    const day = this.day.format(t) === this.day.format(now) ? "" : `${this.weekday.format(t)} `;
+    const zone = this.zone(t) === this.zone(now) ? "" : ` ${this.zone(t)}`;
+    return `${day}${this.hm.format(t)}${zone}`;
+  }
+}
+
+export function lasting(ms) {
+  if (ms < 90 * SECOND) return `${Math.max(0, Math.round(ms / SECOND))} s`;
+  if (ms < 90 * MINUTE) return `${Math.round(ms / MINUTE)} min`;
+  const hours = Math.floor(ms / HOUR), minutes = Math.round((ms % HOUR) / MINUTE);
+  if (hours >= 48) return `${Math.round(ms / (24 * HOUR))} days`;
+  return minutes % 60 ? `${hours} h ${minutes} min` : `${Math.round(ms / HOUR)} h`;
+}
+
+export const kilo = (value) => Math.round(value).toLocaleString("en-GB");
+export const percent = (share) => `${Math.round(100 * share)}\u00a0%`;
+export const counted = (n, one, many = `${one}s`) => `${n.toLocaleString("en-GB")} ${n === 1 ? one : many}`;
+export const list = (names, most = NAMED_HERE) =>
+  names.length <= most + 1 ? names.join(", ") : `${names.slice(0, most).join(", ")} and ${names.length - most} more`;
+
+// The outage of now, if there is one: told by an event, or known to the plan.
+export function outage(view) {
+  const { plan, events } = view.overview;
+  const known = Object.values(events).filter((event) => event.type === "outage" && covers(event, view.now));
+  const dark = plan?.active && (plan.grid?.available === false || plan.expected?.grid_limit_kw === 0);
+  if (!known.length && !dark) return null;
+  const ends = known.map((event) => event.end).filter(Boolean).sort();
+  if (known.length) return { end: ends.length === known.length ? ends.at(-1) : null };
+  const back = plan.ahead?.grid_limit_kw.findIndex((limit) => limit !== 0) ?? -1;
+  return { end: back < 0 ? null : plan.ahead.times[back] };
+}
+
+export const covers = (event, now) =>
+  new Date(event.start) <= now && (!event.end || now < new Date(event.end));
+
+export function offByTier(view) {
+  const off = Object.fromEntries(view.site.tiers.map((tier) => [tier, 0]));
+  for (const one of view.overview.plan?.off ?? []) off[one.tier] += 1;
+  return off;
+}
+
+// The one thing to see first: [level, sentence, more].
+export function verdict(view) {
+  if (!view.site || !view.overview) {
+    return view.lost ? [ALARM, "The service does not answer.", "Nothing is known about the site."] : [NOTE, "Asking the service", ""];
+  }
+  const { plan, mode, ahead_s } = view.overview;
+  const at = (time) => view.clock.at(time, view.now);
+  const ends = plan?.valid_until ? holds(view, at) : "";
+  if (view.lost) return [ALARM, `No contact with the service since ${at(view.heard)}.`, `What stands below was true then. ${ends}`];
+  if (!plan) return [WARNING, "No step has been decided yet.", "Devices do their defaults until the first one is."];
+  if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.`, ends];
+  if (plan.status === "failed") return [ALARM, "The present step could not be decided: every device does its default.", plan.reason];
+  if (plan.status === "missed") return [WARNING, "The present step was missed: devices do their defaults.", plan.reason];
+  const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
+  const [first] = view.site.tiers, all = Object.keys(view.site.customers).length;
+  const dark = outage(view);
+  const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", its end is not known"}` : "";
+  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: every device does its default.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
+  const words = n === 0 ? `all ${counted(all, "customer")} are on` : `${n} of ${counted(all, "customer")} ${n === 1 ? "is" : "are"} off`;
+  if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${off[first]} ${first} ${off[first] === 1 ? "customer is" : "customers are"} off.`, `${capital(words)}. ${next(view, at)}`];
+  const saved = n > 0 ? `, all ${first} ones on` : "";
+  if (dark) return [WARNING, `${head}: ${words}${saved}.`, next(view, at)];
+  if (n > 0) return [WARNING, `${capital(words)}${saved}.`, next(view, at)];
+  if (plan.status === "fallback") return [WARNING, `${capital(words)}, decided by a fallback.`, plan.solve.fallback_reason ?? ""];
+  return [FINE, `${capital(words)}.`, next(view, at)];
+}
+
+function holds(view, at) {
+  const over = new Date(view.overview.plan.valid_until);
+  return view.now < over ? `Set-points hold until ${at(over)}; then devices do their defaults.` : `Set-points ended at ${at(over)}: devices do their defaults.`;
+}
+
+const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+
+// What comes next: the end of what is stored in an outage, the outage that is announced without.
+function next(view, at) {
+  if (outage(view)) return foreseen(view, at);
+  const events = Object.values(view.overview.events).filter((event) => event.type === "outage" && new Date(event.start) > view.now);
+  const ahead = view.overview.plan?.ahead;
+  const dark = ahead?.grid_limit_kw.indexOf(0) ?? -1;
+  if (dark >= 0) events.push({ start: ahead.times[dark], end: ahead.times.find((_, t) => t > dark && ahead.grid_limit_kw[t] !== 0) });
+  if (!events.length) return possible(view, at) || "No outage is announced.";
+  const [first] = events.sort((a, b) => new Date(a.start) - new Date(b.start));
+  return `Outage announced from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
+}
+
+// What is believed of outages that nobody announced for certain.
+function possible(view, at) {
+  const { outage_probability: likely, start } = view.overview.plan ?? {};
+  if (!Array.isArray(likely) || !likely.length) return "";
+  const most = Math.max(...likely), t = likely.indexOf(most);
+  const time = new Date(new Date(start).getTime() + t * view.site.step_s * 1000);
+  return most < 0.005 ? "" : `Outage possible: ${percent(most)} at ${at(time)}.`;
+}
+
+// Where stored energy goes, as planned.
+function foreseen(view, at) {
+  const now = storedShare(view.site, (name) => socNow(view, name));
+  const low = lowest(view);
+  if (now === null) return "";
+  return `Stored energy ${percent(now)}${low && low.share < now - 0.005 ? `, as planned ${percent(low.share)} at ${at(low.time)}` : ""}.`;
+}
+
+// Stored energy as a share of what batteries hold that are heard of; none if there are none.
+export function storedShare(site, socOf) {
+  let held = 0, all = 0;
+  for (const [name, b] of Object.entries(site.batteries)) {
+    const soc = socOf(name);
+    if (soc === null || soc === undefined) continue;
+    held += soc * b.energy_kwh;
+    all += b.energy_kwh;
+  }
+  return all ? held / all : null;
+}
+
+// The least that is meant to be stored, and when.
+export function lowest(view) {
+  const ahead = view.overview.plan?.ahead;
+  const shares = (ahead?.times ?? []).map((_, t) => storedShare(view.site, (name) => ahead.soc[name]?.[t]));
+  if (!shares.length || shares.includes(null)) return null;
+  const least = Math.min(...shares), t = shares.findIndex((share) => share <= least + 0.01);
+  return { share: least, time: new Date(new Date(ahead.times[t]).getTime() + view.site.step_s * 1000) };
+}
+
+// Everything that is not as it should be, the worst first: [level, sentence].
+export function attention(view) {
+  const { plan, mode, sources, events, past } = view.overview;
+  const at = (time) => view.clock.at(time, view.now);
+  const found = [];
+  const say = (level, text) => found.push([level, text]);
+  for (const one of sources) {
+    const silent = lasting(view.now - new Date(one.last_contact));
+    if (one.lost.length) say(ALARM, `${one.source}: ${list(one.lost)} lost. Last contact ${silent} ago.`);
+    if (one.stale.length) say(WARNING, `${one.source}: ${list(one.stale)} late. Last contact ${silent} ago.`);
+  }
+  if (!sources.length) say(WARNING, "No source has ever been heard from.");
+  if (plan?.solve) {
+    if (plan.status === "fallback") say(WARNING, `Fallback ${plan.solve.fallback}: ${plan.solve.fallback_reason ?? "no reason given"}.`);
+    if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
+    for (const [reason, names] of grouped(plan.refused, (one) => one.reason)) {
+      say(ALARM, `The gate refused ${list(names.map((one) => one.asset))}: ${reason}. Defaults were sent.`);
+    }
+    if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
+    const { v_min_pu: low, v_max_pu: high, import_kw: drawn, grid_limit_kw: limit } = plan.expected;
+    if (low !== null && low < view.site.v_min_pu) say(ALARM, `Voltage below its limit: ${low.toFixed(3)} pu${plan.expected.v_min_bus ? ` at bus ${plan.expected.v_min_bus}` : ""}.`);
+    if (high !== null && high > view.site.v_max_pu) say(ALARM, `Voltage above its limit: ${high.toFixed(3)} pu.`);
+    if (limit > 0 && drawn > 0.98 * limit) say(WARNING, `Import is at its limit: ${kilo(drawn)} of ${kilo(limit)} kW.`);
+  }
+  if (outage(view)) {
+    for (const [name, b] of Object.entries(view.site.batteries)) {
+      const soc = socNow(view, name);
+      if (soc !== null && soc - b.soc_min < 0.05) say(WARNING, `Battery ${name} is nearly empty: ${percent(soc)}, lower limit ${percent(b.soc_min)}.`);
+    }
+  }
+  const [first] = view.site.tiers, row = plan?.ahead?.served[first] ?? [];
+  const short = row.findIndex((share) => share < 1);
+  if (short >= 0) say(WARNING, `As planned, ${percent(1 - row[short])} of the ${first} customers are off from ${at(plan.ahead.times[short])} on.`);
+  const missed = past.filter((step) => step.status === "missed").length;
+  const failed = past.filter((step) => step.status === "failed").length;
+  if (missed) say(WARNING, `${capital(counted(missed, "step"))} missed in the last hours.`);
+  if (failed) say(WARNING, `${capital(counted(failed, "step"))} could not be decided in the last hours.`);
+  if (mode.mode !== "auto") say(WARNING, `Mode ${mode.mode}${mode.until ? ` until ${at(mode.until)}` : ", until further notice"}${mode.reason ? `: ${mode.reason}` : ""}.`);
+  for (const event of Object.values(events)) {
+    if (event.type === "alert" && covers(event, view.now)) say(WARNING, `${event.source}: ${event.text}`);
+  }
+  return found.sort((a, b) => RANK[a[0]] - RANK[b[0]]);
+}
+
+export function grouped(items, key) {
+  const groups = new Map();
+  for (const one of items) groups.set(key(one), [...(groups.get(key(one)) ?? []), one]);
+  return groups;
+}
+
+// Measured if that is younger than the plan, else what the plan expects.
+export function socNow(view, name) {
+  const reading = view.overview.measured[`soc ${name}`];
+  return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
+}
+
+const REASONS = { plan: "by plan", corrected: "by plan, corrected", critical_only: "only the first tier is kept on" };
+
+export function why(reason, dark) {
+  const [kind, ...rest] = reason.split(": ");
+  if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
+  const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
+  return kind === "plan" && dark ? "outage; not enough for all, by plan" : words;
+}
+
+// An event in a sentence, whatever its kind.
+export function announced(event, view) {
+  const at = (time) => view.clock.at(time, view.now);
+  const span = event.start ? `${covers(event, view.now) ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end not known"}` : "";
+  switch (event.type) {
+    case "outage": return `Outage ${span}`;
+    case "import_limit": return `Import at most ${kilo(event.limit_kw)} kW ${span}`;
+    case "price": return `Prices ${span}: ${event.price_gbp_per_kwh.slice(0, 3).map((p) => p.toFixed(2)).join(", ")}${event.price_gbp_per_kwh.length > 3 ? ", \u2026" : ""} GBP/kWh`;
+    case "alert": return `${event.text} (${span})`;
+    case "outage_belief": return belief(event, at);
+    default: return `${event.type.replaceAll("_", " ")} ${span}`;
+  }
+}
+
+function belief(event, at) {
+  const onset = event.onset?.start ? `, from ${at(event.onset.start)} on` : "";
+  const length = event.duration?.median_h ? `, for ${event.duration.median_h} h or so` : "";
+  return `Outage possible: ${percent(event.probability ?? 1)}${onset}${length}`;
+}
+
+export const MODE_WORDS = {
+  auto: ["decide every step", "From the next step on the controller decides."],
+  hold: ["keep the last set-points", "From the next step on the last set-points are kept as they are."],
+  manual: ["carry out what the operator asks", "From the next step on the operator\u2019s set-points are carried out."],
+  off: ["defaults only", "From the next step on every device does its default: batteries rest, PV feeds what it can, and all customers are connected, in an outage too."],
+};

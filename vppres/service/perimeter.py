@@ -1,0 +1,171 @@
+"""What every request passes before it reaches a route, and what every answer tells a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.exceptions import HTTPException
+
+from vppres.service.access import Denied
+from vppres.service.answers import denied_answer, problem_answer
+from vppres.service.routes.guard import Guard
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+
+MOST_STEPS_ASKED = 4
+"""Requests for a step that wait at the same time: each holds a thread while it is decided."""
+
+MOST_BYTES = 8_000_000
+"""Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
+
+TOO_LARGE = f"The request has more than {MOST_BYTES} bytes. Send it in parts."
+GUARDED = "/v1/"
+SAFE = ("GET", "HEAD", "OPTIONS")
+ANYWHERE = "*"
+
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+}
+ENCRYPTED = {"Strict-Transport-Security": "max-age=31536000"}
+
+
+class Perimeter:
+    """Lets requests pass that call the service by its name, from whom it knows, and not too large.
+
+    A browser sends whatever a page of a stranger asks it to, to this machine too. It names the
+    host that the page believes to ask and, where something may change, the page's origin.
+
+    Parameters
+    ----------
+    app : ASGI application
+        The routes.
+    guard : Guard
+        Whom it knows; what they may, the routes ask.
+    hosts : iterable of str
+        Names of the service, ``*`` for any.
+    encrypted : bool
+        Whether it listens with TLS itself.
+    """
+
+    def __init__(
+        self, app: Any, guard: Guard, hosts: Iterable[str], encrypted: bool = False
+    ) -> None:
+        self.app = app
+        self.guard = guard
+        self.hosts = frozenset(host.strip("[]").lower() for host in hosts)
+        self.headers = HEADERS | (ENCRYPTED if encrypted else {})
+        self._steps_asked = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        send = _with_headers(send, self.headers)
+        try:
+            self._check(scope)
+        except HTTPException as error:
+            await problem_answer(error.status_code, error.detail)(scope, receive, send)
+        except Denied as error:
+            await denied_answer(error)(scope, receive, send)
+        else:
+            await self._pass(scope, _with_limit(receive, MOST_BYTES), send)
+
+    async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """On to the routes; a few may wait for a step, others are sent away."""
+        if (scope["method"], scope["path"]) != ("POST", "/v1/steps"):
+            await self.app(scope, receive, send)
+            return
+        if self._steps_asked >= MOST_STEPS_ASKED:
+            busy = Denied(429, "Others wait for the step already.", 1.0)
+            await denied_answer(busy)(scope, receive, send)
+            return
+        self._steps_asked += 1
+        try:
+            await self.app(scope, receive, send)
+        finally:
+            self._steps_asked -= 1
+
+    def _check(self, scope: Scope) -> None:
+        """Whether a request may go on, by its head alone."""
+        headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
+        if not self._is_ours(headers.get(b"host", "")):
+            raise HTTPException(400, "The service has another name. Give it with --name.")
+        origin = headers.get(b"origin")
+        changes = scope["method"] not in SAFE
+        if changes and origin is not None and not self._is_ours(origin_host(origin)):
+            raise HTTPException(403, "The request was made up by a page from elsewhere.")
+        length = headers.get(b"content-length", "0")
+        if length.isdecimal() and (len(length) > 20 or int(length) > MOST_BYTES):
+            raise HTTPException(413, TOO_LARGE)
+        if scope["path"].startswith(GUARDED):
+            client = scope.get("client") or ("",)
+            self.guard.check(headers.get(b"authorization"), client[0])
+
+    def _is_ours(self, host: str) -> bool:
+        name = host_name(host)
+        return ANYWHERE in self.hosts or (name is not None and name in self.hosts)
+
+
+def _with_headers(send: Send, headers: Mapping[str, str]) -> Send:
+    """Answers with these headers, where they have no others of the name."""
+
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            given = {name.lower() for name, _ in message["headers"]}
+            added = [(name.lower().encode(), value.encode()) for name, value in headers.items()]
+            message["headers"] = [*message["headers"], *(h for h in added if h[0] not in given)]
+        await send(message)
+
+    return sending
+
+
+def _with_limit(receive: Receive, most_bytes: int) -> Receive:
+    """A body that is cut off where it becomes too large, whatever its head says."""
+    read = 0
+
+    async def receiving() -> Message:
+        nonlocal read
+        message = await receive()
+        read += len(message.get("body", b""))
+        if read > most_bytes:
+            raise HTTPException(413, TOO_LARGE)
+        return message
+
+    return receiving
+
+
+def host_name(host: str) -> str | None:
+    """The name in a ``Host`` header, without port; None where there is none.
+
+    >>> host_name("[::1]:8420"), host_name("VPP.example:443"), host_name("a b"), host_name("")
+    ('::1', 'vpp.example', None, None)
+    """
+    try:
+        parts = urlsplit(f"//{host}")
+        port = parts.port
+    except ValueError:
+        return None
+    plain = parts.netloc == host and not host.endswith(":") and "@" not in host
+    return parts.hostname if plain and (port is None or port > 0) and " " not in host else None
+
+
+def origin_host(origin: str) -> str:
+    """Host and port of an origin; nothing for ``null``.
+
+    >>> origin_host("https://vpp.example:8420"), origin_host("null")
+    ('vpp.example:8420', '')
+    """
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""

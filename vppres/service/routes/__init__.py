@@ -1,0 +1,1 @@
+"""What is asked for over HTTP, a module for each subject."""

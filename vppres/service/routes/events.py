@@ -1,0 +1,79 @@
+"""Routes of what is announced."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Response
+from starlette.exceptions import HTTPException
+
+from vppres.service import payloads
+from vppres.service.announced import check_belief
+from vppres.service.clock import written
+from vppres.service.routes.guard import Guard
+from vppres.service.runner import Runner
+from vppres.service.store import moment
+from vppres.service.window import check_forecast
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Events come, change and go."""
+    router = APIRouter()
+
+    @router.get("/v1/events")
+    def events(_: str = guarded("read")) -> dict[str, Any]:
+        """All events that hold."""
+        found = runner.store.events()
+        return {name: {"version": event.version, **event.body} for name, event in found.items()}
+
+    @router.get("/v1/events/{identifier}")
+    def event(
+        identifier: payloads.Name, response: Response, _: str = guarded("read")
+    ) -> dict[str, Any]:
+        """One of them."""
+        found = runner.store.events().get(identifier)
+        if found is None:
+            raise HTTPException(404, "There is no such event.")
+        response.headers["ETag"] = f'"{found.version}"'
+        return {"version": found.version, **found.body}
+
+    @router.get("/v1/events/{identifier}/versions")
+    def versions(identifier: payloads.Name, _: str = guarded("read")) -> list[dict[str, Any]]:
+        """All that was ever said of an event, in its order; withdrawn where it has no type."""
+        found = runner.store.event_versions(identifier)
+        return [
+            {"version": one.version, "made_at": written(moment(one.made_at)), **one.body}
+            for one in found
+        ]
+
+    @router.put("/v1/events/{identifier}")
+    def put_event(
+        identifier: payloads.Name,
+        body: payloads.Event,
+        response: Response,
+        actor: str = guarded("events"),
+        if_match: Annotated[str | None, Header()] = None,
+    ) -> dict[str, Any]:
+        """An outage or belief, an import limit, prices or an alert; it replaces the old one."""
+        before = runner.store.events().get(identifier)
+        if if_match is not None and (before is None or if_match != f'"{before.version}"'):
+            raise HTTPException(412, "The event has another version than If-Match names.")
+        if isinstance(body, payloads.Prices):
+            check_forecast("load_kw", {}, body.start, body.resolution, runner.scenario)
+        plain = payloads.plain(body)
+        if isinstance(body, payloads.Belief):
+            check_belief(plain, runner.options)
+        version = runner.store.put_event(identifier, plain, runner.clock.now(), actor)
+        response.status_code = 201 if before is None else 200
+        response.headers["ETag"] = f'"{version}"'
+        return {"version": version, **plain}
+
+    @router.delete("/v1/events/{identifier}")
+    def delete_event(identifier: payloads.Name, actor: str = guarded("events")) -> dict[str, Any]:
+        """Withdraw an event; its history stays."""
+        if identifier not in runner.store.events():
+            raise HTTPException(404, "There is no such event.")
+        version = runner.store.put_event(identifier, None, runner.clock.now(), actor)
+        return {"version": version}
+
+    return router

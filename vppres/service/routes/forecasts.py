@@ -1,0 +1,32 @@
+"""The route of what is expected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from starlette.exceptions import HTTPException
+
+from vppres.service import payloads
+from vppres.service.clock import written
+from vppres.service.routes.guard import Guard
+from vppres.service.runner import Runner
+from vppres.service.window import check_forecast
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Forecasts come in."""
+    router = APIRouter()
+
+    @router.put("/v1/forecasts/{quantity}")
+    def forecast(
+        quantity: str, body: payloads.Forecasts, actor: str = guarded("events")
+    ) -> dict[str, Any]:
+        """What is expected of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
+        if quantity not in ("load_kw", "pv_kw"):
+            raise HTTPException(404, "There are forecasts of load_kw and pv_kw.")
+        check_forecast(quantity, body.assets, body.start, body.resolution, runner.scenario)
+        runner.store.put_forecast(quantity, payloads.plain(body), runner.clock.now(), actor)
+        return {"quantity": quantity, "issued_at": written(body.issued_at)}
+
+    return router

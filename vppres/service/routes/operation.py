@@ -1,0 +1,49 @@
+"""Routes of how the service is, and what it is told to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+
+from vppres.service import payloads
+from vppres.service.clock import written
+from vppres.service.knowledge import check_setpoints, last_heard
+from vppres.service.routes.guard import Guard
+from vppres.service.runner import Runner
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Status is looked at, the mode set."""
+    router = APIRouter()
+
+    @router.get("/v1/status")
+    def status(_: str = guarded("read")) -> dict[str, Any]:
+        """Sources, what is late, steps so far, and the mode."""
+        last = runner.last
+        return {
+            "now": written(runner.clock.now()),
+            "site": runner.scenario.name,
+            "mode": runner.mode,
+            "rehearsal": runner.rehearsal,
+            "step": None if last is None else {"start": last["start"], "status": last["status"]},
+            "steps": runner.outcomes,
+            "sources": last_heard(runner.store),
+            "heard": [vars(one) for one in runner.heard],
+        }
+
+    @router.put("/v1/mode")
+    def mode(body: payloads.ModeRequest, actor: str = guarded("operator")) -> dict[str, Any]:
+        """Decide, hold the last set-points, give the operator's or defaults, from the next step."""
+        check_setpoints(body.setpoints, runner.scenario)
+        asked = payloads.plain(body)
+        runner.store.put_setting("mode", asked, runner.clock.now(), actor)
+        return runner.mode
+
+    @router.put("/v1/clock")
+    def clock(body: payloads.ClockRequest, _: str = guarded("operator")) -> dict[str, str]:
+        """Set the clock of a service that is played: it never goes back."""
+        runner.set_clock(body.now)
+        return {"now": written(runner.clock.now())}
+
+    return router

@@ -1,0 +1,128 @@
+"""Routes of what is decided."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import pandas as pd
+from fastapi import APIRouter, Header, Query, Response
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from vppres.core.errors import InputError, Problem
+from vppres.service import payloads
+from vppres.service.clock import written
+from vppres.service.plans import at, etag
+from vppres.service.routes.guard import Guard
+from vppres.service.runner import Runner
+
+RESPOND_ASYNC = "respond-async"
+NEW = {"status": "new"}
+"""Of a set-point of which nobody has said what became of it."""
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Steps are asked for, plans and set-points looked at."""
+    router = APIRouter()
+
+    @router.post("/v1/steps", responses={202: {"description": "It is decided; see Location."}})
+    def step(
+        body: payloads.StepRequest | None = None,
+        _: str = guarded("operator"),
+        prefer: Annotated[str | None, Header(max_length=200)] = None,
+        idempotency_key: Annotated[str | None, Header(min_length=1, max_length=100)] = None,
+    ) -> Any:
+        """Decide a step, or give its stored plan: to ask twice does no harm.
+
+        ``Prefer: respond-async`` gets the job in place of the plan. With an ``Idempotency-Key`` a
+        request for the present step that is sent again later still means the same step.
+        """
+        time = None if body is None else body.time
+        if idempotency_key is not None:
+            time = _step_of(idempotency_key, time)
+        if RESPOND_ASYNC in (prefer or ""):
+            name = runner.begin(time)
+            headers = {"Location": f"/v1/jobs/{name}", "Preference-Applied": RESPOND_ASYNC}
+            return JSONResponse(runner.job(name), 202, headers)
+        return runner.step(time)
+
+    def _step_of(key: str, time: pd.Timestamp | None) -> pd.Timestamp:
+        wanted = runner.begun(runner.clock.now()) if time is None else time.tz_convert("UTC")
+        found = runner.store.step_of_key(key, wanted)
+        if time is not None and found != wanted:
+            raise HTTPException(422, f"The Idempotency-Key was used for {written(found)}.")
+        return found
+
+    @router.get("/v1/jobs/{name}")
+    def job(name: payloads.Name, _: str = guarded("read")) -> dict[str, Any]:
+        """A step that was asked for: queued, started, finished with its plan, or failed."""
+        found = runner.job(name)
+        if found is None:
+            raise HTTPException(404, "There is no such job.")
+        return found
+
+    @router.get("/v1/plan")
+    def plan(
+        response: Response,
+        _: str = guarded("read"),
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Any:
+        """The last plan; ``stale`` when it is over, ``none`` before the first."""
+        found = runner.last
+        if found is None:
+            return {"status": "none"}
+        shown = found if runner.ahead_s > 0.0 else {**found, "status": "stale"}
+        tag = etag(shown)
+        headers = {"ETag": tag, "Cache-Control": "no-cache"}
+        if if_none_match == tag:
+            return Response(status_code=304, headers=headers)
+        return JSONResponse(shown, headers=headers)
+
+    @router.get("/v1/setpoints")
+    def setpoints(
+        time: Annotated[str | None, Query(alias="at", max_length=40)] = None,
+        asset: Annotated[str | None, Query(max_length=payloads.LONGEST_NAME)] = None,
+        _: str = guarded("read"),
+    ) -> Response:
+        """What devices must do at a time, now if not given; defaults when that is over."""
+        now = runner.clock.now() if time is None else _moment(time)
+        found = runner.store.last_step(now)
+        every = [] if found is None else found["setpoints"]
+        chosen = [at(one, now) for one in every if asset in (None, one["asset"])]
+        said = runner.store.acks(one["id"] for one in chosen)
+        chosen = [{**one, "status": said.get(one["id"], NEW)["status"]} for one in chosen]
+        body = {"at": written(now), "setpoints": chosen}
+        return JSONResponse(body, headers={"Cache-Control": "no-store"})
+
+    @router.post("/v1/setpoints/{identifier:path}/status")
+    def status(
+        identifier: payloads.Name,
+        body: payloads.SetpointStatus,
+        actor: str = guarded("telemetry"),
+    ) -> dict[str, Any]:
+        """What became of a set-point; a battery that refuses is left out until it is heard."""
+        found = _setpoint(identifier)
+        if found is None:
+            raise HTTPException(404, "There is no such set-point.")
+        said = body.model_dump()
+        runner.store.put_ack(found, said, runner.clock.now(), actor)
+        return {"id": identifier, **said}
+
+    def _setpoint(identifier: str) -> dict[str, Any] | None:
+        try:
+            time = payloads.read_moment(identifier.partition("/")[0])
+        except ValueError:
+            return None
+        plan = runner.store.step(time) or {"setpoints": []}
+        return next((one for one in plan["setpoints"] if one["id"] == identifier), None)
+
+    return router
+
+
+def _moment(text: str) -> pd.Timestamp:
+    try:
+        return payloads.read_moment(text)
+    except ValueError as error:
+        raise InputError(
+            Problem("request", str(error), "Give a time.", field="at", value=text)
+        ) from None

@@ -1,0 +1,351 @@
+"""Plays a scenario against a service over its own HTTP interface, the plant being the world.
+
+Demonstration, tutorial and soak test in one: what devices measure is posted, what is announced is
+put, and the set-points that come back are obeyed until they end. The clock of the service is set
+step by step, so that a week takes as long as its steps take to decide.
+"""
+
+from __future__ import annotations
+
+import random
+import time as machine
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.scenario.scenario import Scenario
+from vppres.service.client import Client
+from vppres.service.clock import written
+from vppres.service.payloads import read_moment
+from vppres.service.runner import Service
+from vppres.service.started import started
+from vppres.service.world import Series, World, critical_off, energy_allowed
+
+Progress = Callable[[int, int], None]
+
+LOOKS = 8
+"""How often the size of its own service is looked at."""
+
+LATEST_STEPS = 3
+"""By how many steps a delayed reading is late at most."""
+
+
+@dataclass(frozen=True)
+class TelemetryFaults:
+    """What happens to readings on their way.
+
+    Parameters
+    ----------
+    lost, delayed : float
+        Share that never arrives, and that arrives one to three steps late.
+    skew_s : float
+        By how much clocks are off: half of the sources are ahead, the others behind.
+    repeats : bool
+        Whether everything is sent twice.
+    seed : int
+        Of the draws.
+    """
+
+    lost: float = 0.0
+    delayed: float = 0.0
+    skew_s: float = 0.0
+    repeats: bool = False
+    seed: int = 0
+
+
+class Way:
+    """The way of readings from the devices to the service.
+
+    Parameters
+    ----------
+    faults : TelemetryFaults
+        What happens on it.
+    """
+
+    def __init__(self, faults: TelemetryFaults) -> None:
+        self.faults = faults
+        self._random = random.Random(faults.seed)
+        self._late: dict[int, list[Series]] = {}
+        self._sources: list[str] = []
+
+    def arriving(self, t: int, sent: list[Series]) -> list[Series]:
+        """Readings that arrive before a step, of those that are sent at its beginning."""
+        now = self._late.pop(t, [])
+        for one in sent:
+            reading = self._by_its_clock(one)
+            drawn = self._random.random()
+            if drawn < self.faults.lost:
+                continue
+            if drawn < self.faults.lost + self.faults.delayed:
+                late = t + self._random.randint(1, LATEST_STEPS)
+                self._late.setdefault(late, []).append(reading)
+            else:
+                now.append(reading)
+        return now * 2 if self.faults.repeats else now
+
+    def _by_its_clock(self, reading: Series) -> Series:
+        """A reading with the time that its source believes."""
+        if not self.faults.skew_s:
+            return reading
+        if reading["source"] not in self._sources:
+            self._sources.append(reading["source"])
+        sign = 1 if self._sources.index(reading["source"]) % 2 == 0 else -1
+        off = pd.Timedelta(seconds=sign * self.faults.skew_s)
+        return {**reading, "start": written(read_moment(reading["start"]) + off)}
+
+
+@dataclass(frozen=True)
+class Play:
+    """How a scenario is played.
+
+    Parameters
+    ----------
+    speed : float
+        Simulated over real time; 0 is as fast as steps are decided.
+    notice_h : float
+        How long before it begins an outage is announced, in h.
+    announced : bool
+        Whether outages are announced at all: in a rehearsal the service knows them.
+    faults : TelemetryFaults
+        What happens to readings.
+    """
+
+    speed: float = 0.0
+    notice_h: float = 24.0
+    announced: bool = True
+    faults: TelemetryFaults = field(default_factory=TelemetryFaults)
+
+
+@dataclass
+class Tally:
+    """What happened so far.
+
+    Parameters
+    ----------
+    statuses : dict
+        Steps by what became of them; ``missed`` where the machine was too slow for the speed.
+    answers_s : list of float
+        How long each step's answer took, and
+    overheads_s : list of float
+        how much of it no solver took.
+    estimated, refused : int
+        Words of estimates in plans, and readings that the service did not take.
+    off, off_needlessly : int
+        Customers of the first tier times steps that were off, and those of them that the step's
+        energy allowed.
+    gate : int
+        Set-points that the service held back.
+    """
+
+    statuses: dict[str, int] = field(default_factory=dict)
+    answers_s: list[float] = field(default_factory=list)
+    overheads_s: list[float] = field(default_factory=list)
+    estimated: int = 0
+    refused: int = 0
+    off: int = 0
+    off_needlessly: int = 0
+    gate: int = 0
+
+    def count(self, status: str) -> None:
+        """One more step."""
+        self.statuses[status] = self.statuses.get(status, 0) + 1
+
+    def heard(self, plan: dict[str, Any], seconds: float) -> None:
+        """An answer to a step."""
+        self.count(plan["status"])
+        self.answers_s.append(seconds)
+        solver_s = 0.0 if plan["solve"] is None else plan["solve"]["seconds"] or 0.0
+        self.overheads_s.append(seconds - solver_s)
+        self.estimated += len(plan["estimated"])
+        if plan["solve"] is not None:
+            self.gate += sum(one["reason"].startswith("default: ") for one in plan["setpoints"])
+
+    def summary(self) -> dict[str, Any]:
+        """In numbers."""
+        found: dict[str, Any] = {"steps": self.statuses}
+        for name, values in (("answer_s", self.answers_s), ("overhead_s", self.overheads_s)):
+            if values:
+                p50, p95 = np.percentile(values, [50, 95])
+                found[name] = {"median": round(float(p50), 4), "p95": round(float(p95), 4)}
+        return {
+            **found,
+            "estimates": self.estimated,
+            "readings_refused": self.refused,
+            "set_points_held_back": self.gate,
+            "critical_off": self.off,
+            "critical_off_though_energy_allowed": self.off_needlessly,
+        }
+
+
+class Player:
+    """Plays a scenario against a service.
+
+    Parameters
+    ----------
+    world : World
+        Who lives it.
+    client : Client
+        The service, whose clock can be set.
+    play : Play
+        How.
+    """
+
+    def __init__(self, world: World, client: Client, play: Play) -> None:
+        self.world = world
+        self.client = client
+        self.how = play
+        self.tally = Tally()
+        self._way = Way(play.faults)
+        self._told: list[dict[str, Any]] = []
+        self._announcements = list(announcements(world.scenario, play.notice_h))
+
+    def play(self, progress: Progress | None = None) -> Tally:
+        """From the scenario's first step to its last."""
+        scenario = self.world.scenario
+        begin = machine.monotonic()
+        for t in range(scenario.grid.n_steps):
+            if self._present(begin) > t:
+                self.tally.count("missed")
+            else:
+                self._wait_until(begin, t)
+                self._step(t)
+            record = self.world.obey(t, self._told)
+            off = int(critical_off(scenario, record).sum())
+            self.tally.off += off
+            self.tally.off_needlessly += off if energy_allowed(scenario, record) else 0
+            if progress is not None:
+                progress(t + 1, scenario.grid.n_steps)
+        return self.tally
+
+    def _step(self, t: int) -> None:
+        """What is said and asked at the beginning of a step."""
+        now = self.world.scenario.grid.times[t]
+        self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
+        if self.how.announced:
+            self._announce(now)
+        arriving = self._way.arriving(t, self.world.readings(t))
+        if arriving:
+            answer = self.client.wanted("POST", "/v1/telemetry", {"series": arriving})
+            self.tally.refused += len(answer.body["refused"])
+        answer = self.client.wanted("POST", "/v1/steps")
+        self.tally.heard(answer.body, answer.seconds)
+        self._told = self.client.wanted("GET", "/v1/setpoints").body["setpoints"]
+
+    def _announce(self, now: pd.Timestamp) -> None:
+        """Put what is due."""
+        due = [one for one in self._announcements if one[0] <= now]
+        self._announcements = [one for one in self._announcements if one[0] > now]
+        for _, name, body in due:
+            self.client.wanted("PUT", f"/v1/events/{name}", body)
+
+    def _real_s(self, t: int) -> float:
+        """When a step begins, in real time since the beginning."""
+        return t * self.world.scenario.grid.dt_h * 3600.0 / self.how.speed
+
+    def _present(self, begin: float) -> int:
+        """The step that the clock is in; the first one where steps wait for us."""
+        if not self.how.speed:
+            return 0
+        return int((machine.monotonic() - begin) / self._real_s(1))
+
+    def _wait_until(self, begin: float, t: int) -> None:
+        if self.how.speed:
+            machine.sleep(max(begin + self._real_s(t) - machine.monotonic(), 0.0))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the service is that is played against.
+
+    Parameters
+    ----------
+    url : str or None
+        Of one that runs, with its clock to be set; None for one of its own.
+    token : str or None
+        For the one that runs.
+    port : int or None
+        Of its own one; a free one if not given.
+    state : Path or None
+        State of its own one; a folder that is dropped in the end if not given.
+    """
+
+    url: str | None = None
+    token: str | None = None
+    port: int | None = None
+    state: Path | None = None
+
+
+def simulate(
+    service: Service,
+    scenario: Scenario,
+    play: Play,
+    place: Place,
+    told: Callable[[str], None] = lambda _: None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Play a scenario against a service, and say in numbers what happened.
+
+    Parameters
+    ----------
+    service : Service
+        What is served, where the service is one of its own; how the plant behaves in any case.
+    scenario : Scenario
+        What comes.
+    play : Play
+        How it is played.
+    place : Place
+        Where the service is.
+    told : callable, optional
+        Is told in a line where it can be watched.
+    progress : callable, optional
+        Called as ``progress(steps done, steps in all)`` after every step.
+
+    Returns
+    -------
+    dict
+        Figures that JSON can hold.
+    """
+    world = World(scenario, service.options)
+    if place.url is not None:
+        with closing(Client(place.url, place.token)) as client:
+            return Player(world, client, play).play(progress).summary()
+    with ExitStack() as stack:
+        folder = place.state or Path(stack.enter_context(TemporaryDirectory(prefix="vppres-")))
+        own = stack.enter_context(started(service, folder, place.port))
+        client = stack.enter_context(closing(Client(own.url)))
+        told(f"Watch it at {own.url}")
+        player = Player(world, client, play)
+        sizes = []
+
+        def look(done: int, total: int) -> None:
+            if done % max(total // LOOKS, 1) == 0:
+                sizes.append({"step": done, **own.size()})
+            if progress is not None:
+                progress(done, total)
+
+        return {**player.play(look).summary(), "size": sizes}
+
+
+def announcements(
+    scenario: Scenario, notice_h: float
+) -> Iterator[tuple[pd.Timestamp, str, dict[str, Any]]]:
+    """When which event is announced, for each outage of a scenario: time, name and body."""
+    times = scenario.grid.times
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    out = np.concatenate([[False], scenario.outage, [False]])
+    starts = np.flatnonzero(~out[:-1] & out[1:]).tolist()
+    ends = np.flatnonzero(out[:-1] & ~out[1:]).tolist()
+    for number, (start, end) in enumerate(zip(starts, ends, strict=True), start=1):
+        body = {
+            "type": "outage",
+            "source": "simulation",
+            "start": written(times[start]),
+            "end": written(times[end - 1] + step),
+        }
+        yield times[start] - pd.Timedelta(hours=notice_h), f"outage-{number}", body

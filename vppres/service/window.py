@@ -1,0 +1,145 @@
+"""The steps that a decision looks at, and what is expected of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.io.messages import did_you_mean
+from vppres.live.controller import Controller
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.payloads import read_duration, read_moment
+
+MEDIAN = "p50"
+CAUTIOUS = {"load_kw": "p90", "pv_kw": "p10"}
+"""Quantiles that stand in for what has been silent for too long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The steps that a decision looks at.
+
+    Parameters
+    ----------
+    times : DatetimeIndex, length W
+        Their beginnings.
+    length : Timedelta
+        Of each.
+    series : dict of str to array, shape (W, ...)
+        What the profile says of them.
+    """
+
+    times: pd.DatetimeIndex
+    length: pd.Timedelta
+    series: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, controller: Controller, time: pd.Timestamp) -> Window:
+        """The window of a controller's step."""
+        times = controller.window(time)
+        scenario = controller.scenario
+        inside = (scenario.grid.times >= times[0]) & (scenario.grid.times <= times[-1])
+        series = {name: values[inside] for name, values in scenario.series.items()}
+        return cls(times, pd.Timedelta(minutes=scenario.grid.step_minutes), series)
+
+    def touched(self, start: pd.Timestamp, end: pd.Timestamp | None) -> Flags:
+        """Which steps an interval touches, (W,); one without end never ends."""
+        touched = np.asarray(self.times + self.length > start)
+        return touched if end is None else touched & np.asarray(self.times < end)
+
+    def lay(self, series: Floats, body: Mapping[str, Any], values: list[float]) -> None:
+        """Put those values of a body in a series' place that begin with a step of the window."""
+        start = read_moment(body["start"]).tz_convert("UTC")
+        every = read_duration(body["resolution"])
+        for row, time in enumerate(self.times):
+            place, rest = divmod(time - start, every)
+            if not rest and 0 <= place < len(values):
+                series[row] = values[place]
+
+    def expected(
+        self,
+        quantity: str,
+        ids: Iterable[Any],
+        forecast: Mapping[str, Any] | None,
+        lost: Iterable[str] = (),
+    ) -> tuple[pd.DataFrame, list[str]]:
+        """What is expected, (W, items), and of which items that are lost it is cautious.
+
+        Parameters
+        ----------
+        quantity : {"load_kw", "pv_kw"}
+            Of customers or PV systems.
+        ids : iterable
+            These.
+        forecast : mapping, optional
+            The one that was issued last; over it stands nothing, under it the profile.
+        lost : iterable of str
+            Who has been silent for too long.
+        """
+        table = pd.DataFrame(self.series[quantity].copy(), self.times, [str(name) for name in ids])
+        silent = set(lost)
+        cautious = []
+        for name, quantiles in (forecast or {"assets": {}})["assets"].items():
+            if name not in table.columns:
+                continue
+            level = CAUTIOUS[quantity]
+            if name in silent and quantiles[level] is not None:
+                cautious.append(name)
+            else:
+                level = MEDIAN
+            column = table[name].to_numpy(float).copy()
+            self.lay(column, forecast or {}, quantiles[level])
+            table[name] = column
+        return table, cautious
+
+
+def check_forecast(
+    quantity: str,
+    assets: Iterable[str],
+    start: pd.Timestamp,
+    length: pd.Timedelta,
+    of: Scenario,
+) -> None:
+    """Whether a forecast is of the site and its steps.
+
+    Raises
+    ------
+    InputError
+        With everything that is not.
+    """
+    known = [str(name) for name in (of.customers if quantity == "load_kw" else of.pv).id]
+    problems = [
+        Problem("forecast", "is not at the site", did_you_mean(name, known, "Leave it out."))
+        for name in assets
+        if name not in known
+    ]
+    step = pd.Timedelta(minutes=of.grid.step_minutes)
+    if length != step:
+        problems.append(
+            Problem(
+                "forecast",
+                "is not the length of a step",
+                f"Steps last {of.grid.step_minutes:g} min.",
+                field="resolution",
+                value=str(length),
+            )
+        )
+    elif (start - of.grid.start) % step != pd.Timedelta(0):
+        problems.append(
+            Problem(
+                "forecast",
+                "is not the beginning of a step",
+                f"Steps last {of.grid.step_minutes:g} min; one begins at {written(of.grid.start)}.",
+                field="start",
+                value=written(start),
+            )
+        )
+    if problems:
+        raise InputError(problems)

@@ -1,0 +1,149 @@
+"""A scenario's day as its devices live it: what they measure, and what comes of what they are told.
+
+Behind it stands the plant, with the true demand, sun and grid; it knows nothing of a service.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
+from vppres.day.trajectory import StepRecord
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.knowledge import GRID
+from vppres.service.plans import at
+
+Series = dict[str, Any]
+"""Readings as ``POST /v1/telemetry`` takes them."""
+
+
+class World:
+    """The plant of a scenario, step after step.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What comes.
+    options : RunOptions
+        Of which the mode, the switching rules and heating say how the plant behaves.
+    """
+
+    def __init__(self, scenario: Scenario, options: RunOptions) -> None:
+        self.scenario = scenario
+        self.day = Day(scenario, options)
+        self.records: list[StepRecord] = []
+
+    def readings(self, t: int) -> list[Series]:
+        """What devices measure at the beginning of a step, and of the one before, by source."""
+        day = self.day
+        now = self.scenario.grid.times[t]
+        ids = {name: list(getattr(self.scenario, name).id) for name in KINDS}
+        grid_on = float(self.scenario.grid_limit_kw[t] > 0.0)
+        found = [
+            *self._series("batteries", "soc", now, ids["batteries"], day.state.soc),
+            *self._series("meters", "load_kw", now, ids["customers"], self.scenario.load_kw[t]),
+            *self._series("meters", "pv_kw", now, ids["pv"], self.scenario.pv_kw[t]),
+            *self._series("substation", "grid_on", now, [GRID], [grid_on]),
+        ]
+        if t == 0:
+            return found
+        begun = self.scenario.grid.times[t - 1]
+        if day.battery_kw is not None:
+            found += self._series(
+                "batteries", "battery_kw", begun, ids["batteries"], day.battery_kw
+            )
+        if day.import_kw is not None:
+            found += self._series("substation", "import_kw", begun, [GRID], [day.import_kw])
+        return found
+
+    def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
+        """Do for a step what devices were told last; what is over leaves its default."""
+        middle = self.scenario.grid.times[t] + self._step / 2
+        told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
+        record = self.day.settle(t, Decision(self._dispatch(told)))
+        self.records.append(record)
+        return record
+
+    @property
+    def _step(self) -> pd.Timedelta:
+        return pd.Timedelta(minutes=self.scenario.grid.step_minutes)
+
+    def _series(
+        self, source: str, quantity: str, time: pd.Timestamp, ids: list[Any], values: Any
+    ) -> list[Series]:
+        """One reading for each item."""
+        resolution = f"PT{round(self.scenario.grid.step_minutes * 60)}S"
+        return [
+            {
+                "source": source,
+                "asset": str(asset),
+                "quantity": quantity,
+                "start": written(time),
+                "resolution": resolution,
+                "values": [float(value)],
+            }
+            for asset, value in zip(ids, values, strict=True)
+        ]
+
+    def _dispatch(self, told: Mapping[tuple[str, str], Mapping[str, Any]]) -> Dispatch:
+        """What devices were told, as the plant reads it; who was told nothing does its default."""
+
+        def values(kind: str, name: str, default: float) -> Floats:
+            ids = getattr(self.scenario, kind).id
+            row = [float(told.get((kind, str(i)), {}).get(name, default)) for i in ids]
+            return np.array([row], dtype=np.float64)
+
+        p_kw = values("batteries", "p_kw", 0.0)
+        served = values("customers", "served", 1.0) > 0.0
+        pv_q_kvar = values("pv", "q_kvar", 0.0)
+        nothing = np.full((1, 1), np.nan)
+        network = self.scenario.network
+        return Dispatch(
+            served=served,
+            pv_self_kw=np.full_like(pv_q_kvar, np.nan),
+            pv_export_kw=np.full_like(pv_q_kvar, np.nan),
+            pv_curtailed_kw=values("pv", "curtailed_kw", 0.0),
+            pv_q_kvar=pv_q_kvar,
+            charge_kw=np.maximum(p_kw, 0.0),
+            discharge_kw=np.maximum(-p_kw, 0.0),
+            batt_q_kvar=values("batteries", "q_kvar", 0.0),
+            soc=np.full((2, p_kw.shape[1]), np.nan),
+            p_grid_kw=nothing[0],
+            q_grid_kvar=nothing[0],
+            v_pu=np.full((1, network.n_buses), np.nan),
+            p_flow_kw=np.full((1, network.n_buses - 1), np.nan),
+            q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
+        )
+
+
+KINDS = ("customers", "batteries", "pv")
+
+
+def critical_off(scenario: Scenario, record: StepRecord) -> Flags:
+    """Which customers of the first tier were off in a step, (C,)."""
+    first = np.asarray(scenario.customers.tier == scenario.tiers[0])
+    off = ~np.asarray(record.customers["served"], dtype=bool)
+    return np.asarray(first & off, dtype=bool)
+
+
+def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
+    """Whether a step's sun, stored energy and grid carry all customers of the first tier.
+
+    A sum over the feeder, without network and losses, and without a thought for later steps.
+    """
+    b = scenario.batteries
+    first = np.asarray(scenario.customers.tier == scenario.tiers[0])
+    held_kwh = np.maximum(record.batteries["soc_start"] - b.soc_min, 0.0) * b.energy_kwh
+    from_batteries_kw = np.minimum(b.p_max_kw, held_kwh * b.eta_discharge / scenario.grid.dt_h)
+    there_kw = float(record.pv["available_kw"].sum() + from_batteries_kw.sum())
+    there_kw += float(scenario.grid_limit_kw[record.t])
+    return there_kw >= float(record.customers["p_load_kw"][first].sum())

@@ -1,0 +1,173 @@
+"""What each feeder proves by itself: cuts from its own search at the prices of what all share.
+
+Feeders that leave the slack bus share balances alone, since no line's voltage drop reaches beyond
+the slack bus. ``docs/method.md``, *Cuts of feeders*.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.scenario.network import Network
+from vppres.solve.deadline import Deadline
+from vppres.solve.network.injections import Rows
+from vppres.solve.programs import NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
+
+SHARED = -1
+"""Feeder of what belongs to none: the grid's columns, rows over several feeders."""
+
+MOST_LOST = 2.0
+"""Units of service by which a feeder's search may fall below its linear problem. Whose service, or
+lack of it, would alone cost more is decided beforehand, and no cut takes more than that away."""
+
+NODES = 50
+"""Nodes of a feeder's search: most end at the first, and a bound from an early end is one too."""
+
+GAP = 0.05
+"""Units that a feeder's search may leave open."""
+
+SEARCH = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_heuristic_run_root_reduced_cost": False})
+"""How HiGHS searches a feeder: for the bound."""
+
+LEAST_CUT = 0.01
+"""Units that a cut must take from a linear solution to be worth a dense row."""
+
+ROOM = 1e-4
+"""Units by which a cut gives way, so that no solution stands on the very tip of it."""
+
+FRACTION = 1e-6
+"""How far from a whole number a share is a fraction."""
+
+
+def feeder_of_buses(network: Network) -> Wholes:
+    """Number of the feeder of each bus, (N,), counted from the slack bus, which has none."""
+    feeder = np.full(network.n_buses, SHARED)
+    count = 0
+    for line, parent in enumerate(network.parent):
+        if parent == 0:
+            feeder[line + 1] = count
+            count += 1
+        else:
+            feeder[line + 1] = feeder[parent]
+    return feeder
+
+
+def feeder_of_rows(rows: sp.csr_array, feeder: Wholes) -> Wholes:
+    """Feeder of each row by that of its columns, (m,); ``SHARED`` with several, or with none."""
+    entries = feeder[rows.indices]
+    found = np.full(rows.shape[0], SHARED)
+    full = np.flatnonzero(np.diff(rows.indptr))
+    starts = rows.indptr[full]
+    lowest = np.minimum.reduceat(entries, starts)
+    highest = np.maximum.reduceat(entries, starts)
+    found[full] = np.where(lowest == highest, lowest, SHARED)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a feeder's search found.
+
+    Attributes
+    ----------
+    binaries : array
+        Positions among all binaries of those of the feeder.
+    served : array
+        Their values in its answer, NaN without one.
+    cut : Rows or None
+        What it proves of the columns of the program.
+    """
+
+    binaries: Wholes
+    served: Floats
+    cut: Rows | None
+
+
+class Feeders:
+    """A linear problem over several feeders, and the prices at which its solution joins them.
+
+    Parameters
+    ----------
+    program : Program
+        Minimise; with all rows of the solution.
+    solution : ProgramSolution
+        Its optimum, with prices.
+    feeder : array
+        Feeder of each column, ``SHARED`` where it has none.
+    binaries : array
+        Columns that are to be zero or one.
+    """
+
+    def __init__(
+        self, program: Program, solution: ProgramSolution, feeder: Wholes, binaries: Wholes
+    ) -> None:
+        self.program = program
+        self.x = solution.x
+        self.feeder = feeder
+        self.binaries = binaries
+        self.rows = sp.csr_array(program.rows)
+        self.of_row = feeder_of_rows(self.rows, feeder)
+        self.prices = program.allowed(solution.row_dual)
+        of_shared = np.where(self.of_row == SHARED, self.prices, 0.0)
+        self.cost = np.asarray(program.cost - of_shared @ program.rows)
+        self.reduced = np.asarray(program.cost - self.prices @ program.rows)
+
+    @property
+    def fractional(self) -> Wholes:
+        """Feeders in which a binary is a fraction, in order."""
+        values = self.x[self.binaries]
+        fraction = np.abs(values - np.round(values)) > FRACTION
+        feeders = np.unique(self.feeder[self.binaries[fraction]])
+        return np.asarray(feeders[feeders != SHARED])
+
+    def search(self, number: int, deadline: Deadline) -> Found:
+        """Search one feeder with its binaries, the shared rows by their prices.
+
+        Whatever departs from what is decided beforehand costs the feeder more than ``MOST_LOST``.
+        """
+        columns = np.flatnonzero(self.feeder == number)
+        rows = np.flatnonzero(self.of_row == number)
+        binary = np.isin(columns, self.binaries)
+        least = self._least(columns, rows)
+        program = self._own(columns, rows, binary)
+        found = ProgramSolution.of(program.loaded(GAP, NODES, more=SEARCH), deadline)
+        places = np.flatnonzero(self.feeder[self.binaries] == number)
+        answered = found.status.has_answer
+        served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
+        bound = min(found.bound, least + MOST_LOST)
+        if not bound > least + LEAST_CUT:
+            return Found(places, served, None)
+        size = len(self.cost)
+        cut = Rows.of(columns[None, :], self.cost[columns], bound - ROOM, np.inf, size)
+        return Found(places, served, cut)
+
+    def _least(self, columns: Wholes, rows: Wholes) -> float:
+        """What a feeder costs at least without binaries, by weak duality."""
+        prices = self.prices[rows]
+        limits = np.where(prices > 0.0, self.program.lower[rows], self.program.upper[rows])
+        used = prices != 0.0
+        left = self.reduced[columns]
+        ends = left * self.program.x_lower[columns], left * self.program.x_upper[columns]
+        return float(prices[used] @ limits[used] + np.minimum(*ends).sum())
+
+    def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:
+        """A feeder's problem; binaries that would cost too much to change are decided."""
+        lower = self.program.x_lower[columns].copy()
+        upper = self.program.x_upper[columns].copy()
+        left = self.reduced[columns]
+        lower[binary & (left < -MOST_LOST)] = 1.0
+        upper[binary & (left > MOST_LOST)] = 0.0
+        return Program(
+            self.cost[columns],
+            lower,
+            upper,
+            sp.csc_array(self.rows[rows][:, columns]),
+            self.program.lower[rows],
+            self.program.upper[rows],
+            np.flatnonzero(binary),
+        )

@@ -1,0 +1,47 @@
+"""Switching rules as rows of arrays: compiled once from the constraints that every form has."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.switching import RuleSteps
+from vppres.model.beyond_paper.switching import SwitchingModel
+from vppres.model.data import WindowData
+from vppres.model.numerics import require_dpp
+from vppres.model.site import Site
+from vppres.solve.network.injections import Rows
+from vppres.solve.programs import compiled
+
+
+class RuleModel:
+    """The rules of a window, and nothing else of it.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    steps : RuleSteps
+        Shape of the rules.
+    """
+
+    def __init__(self, site: Site, n_steps: int, steps: RuleSteps) -> None:
+        x = cp.Variable((n_steps, len(site.customers)), name="x_served")
+        self.rules = SwitchingModel(site, x, steps)
+        self.variables = [x, self.rules.on, self.rules.off]
+        if self.rules.cold is not None:
+            self.variables.append(self.rules.cold.z)
+        self.problem = cp.Problem(cp.Minimize(0), list(self.rules.constraints.values()))
+        require_dpp(self.problem, f"rules of {n_steps} steps")
+
+    def rows(self, data: WindowData) -> Rows:
+        """Rows on x, on, off and cold side by side, the steps of a customer in turn."""
+        self.rules.fill(data)
+        program, first = compiled(self.problem)
+        places = [first[v.name()] + np.arange(v.size) for v in self.variables]
+        return Rows(
+            sp.csr_array(program.rows[:, np.concatenate(places)]), program.lower, program.upper
+        )
