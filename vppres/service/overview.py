@@ -14,7 +14,7 @@ import pandas as pd
 from vppres.service.clock import written
 from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
 from vppres.service.payloads import ModeRequest
-from vppres.service.plans import at
+from vppres.service.plans import DEFAULT, at
 from vppres.service.runner import Runner
 from vppres.service.store import Reading, moment, seconds
 
@@ -26,9 +26,6 @@ MOST_PAST = 96
 
 REFRESH_S = 1
 """For how long the same is told, if nothing was changed."""
-
-DEFAULT = "default: "
-"""How the reason of a set-point begins that the gate did not let pass."""
 
 
 def site_of(runner: Runner) -> dict[str, Any]:
