@@ -112,7 +112,7 @@ class Overview:
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
         """What holds of the last plan, without the customers that are on."""
         points = [at(one, now) for one in plan["setpoints"]]
-        ahead = plan["ahead"]
+        ahead = plan.get("ahead")
         return {
             **{key: value for key, value in plan.items() if key not in ("setpoints", "ahead")},
             "valid_until": max((one["valid_until"] for one in points), default=None),
