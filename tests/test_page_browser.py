@@ -195,7 +195,8 @@ def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")
         watcher.wait_for("#mode-said", "The mode is off.")
-        assert runner.mode == {"mode": "off", "until": None, "reason": "work on the line"}
+        mode = runner.mode
+        assert (mode["mode"], mode["until"], mode["reason"]) == ("off", None, "work on the line")
         watcher.wait_for("#mode", "Mode: off")
         watcher.wait_for("#verdict-words", "Switched off by the operator")
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
@@ -240,6 +241,19 @@ def test_tokens_are_asked_for_and_kept_in_memory_alone(
         assert json.loads(page.evaluate(stored)) == ["", 0, 0]
         assert not any(secret in one for one in watcher.addresses)
     assert watched[0].mode["mode"] == "auto"
+
+
+def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> None:
+    runner, address = watched
+    with Watcher(browser, address) as watcher:
+        watcher.page.check("input[value=hold]")
+        watcher.page.click("#mode-change")
+        assert watcher.text("#confirm-words").endswith("For 1 hour, then auto.")
+        watcher.page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "The mode is hold.")
+        assert runner.mode["until"] == "2026-10-25T01:00:00Z"
+        watcher.wait_for("#attention-list", "Mode hold until 01:00 GMT.")
+    runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
 def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:

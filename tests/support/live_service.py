@@ -36,7 +36,10 @@ def site(tiny: Scenario) -> Scenario:
 
 @contextmanager
 def client(
-    service: Service, folder: Path, clock: SetClock | None = None, access: Access | None = None
+    service: Service,
+    folder: Path | str,
+    clock: SetClock | None = None,
+    access: Access | None = None,
 ) -> Iterator[Caller]:
     """A service that is asked without a network in between."""
     with opened(service, folder, clock) as runner:

@@ -463,9 +463,12 @@ def serve(
     host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8420,
     state: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            metavar="DIR", help="Where the service keeps its state; SCENARIO.live if not given."
+            metavar="PLACE",
+            envvar="VPPRES_STATE",
+            help="Where the service keeps its state: a folder, SCENARIO.live if not given, or "
+            "postgresql://USER@HOST/DATABASE.",
         ),
     ] = None,
     rehearse: Annotated[
@@ -517,7 +520,7 @@ def serve(
             from vppres.service.runner import Service
         day = read_scenario(find_scenario(scenario))
         served = Service(day, run_options(day, context.obj), rehearse, paced)
-        folder = state or Path(f"{day.name}.live")
+        folder = state or f"{day.name}.live"
         if add_token is not None:
             typer.echo(service.add_token(served, folder, add_token, token_days))
             return

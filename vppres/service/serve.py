@@ -101,15 +101,15 @@ def _no_password() -> str:
 
 
 @contextmanager
-def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterator[Runner]:
+def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> Iterator[Runner]:
     """A runner with its store, closed in the end.
 
     Parameters
     ----------
     service : Service
         What is served.
-    folder : Path
-        Where its state is.
+    folder : Path or str
+        Where its state is: a folder, or the address of a PostgreSQL database.
     clock : Clock, optional
         The machine's, or the scenario's in a rehearsal, if not given.
     """
@@ -127,7 +127,7 @@ def opened(service: Service, folder: Path, clock: Clock | None = None) -> Iterat
         store.close()
 
 
-def add_token(service: Service, folder: Path, text: str, days: float | None = None) -> str:
+def add_token(service: Service, folder: Path | str, text: str, days: float | None = None) -> str:
     """Let somebody in, for some days or for good; the secret, which is shown once.
 
     Raises
@@ -144,7 +144,7 @@ def add_token(service: Service, folder: Path, text: str, days: float | None = No
     return secret
 
 
-def remove_token(service: Service, folder: Path, name: str) -> None:
+def remove_token(service: Service, folder: Path | str, name: str) -> None:
     """Let somebody in no longer.
 
     Raises
@@ -162,15 +162,17 @@ def remove_token(service: Service, folder: Path, name: str) -> None:
         store.close()
 
 
-def serve(service: Service, folder: Path, address: Address, told: Callable[[str], None]) -> None:
+def serve(
+    service: Service, folder: Path | str, address: Address, told: Callable[[str], None]
+) -> None:
     """Serve until SIGINT or SIGTERM.
 
     Parameters
     ----------
     service : Service
         What is served.
-    folder : Path
-        Where its state is.
+    folder : Path or str
+        Where its state is: a folder, or the address of a PostgreSQL database.
     address : Address
         Where it listens.
     told : callable
@@ -199,7 +201,7 @@ def serve(service: Service, folder: Path, address: Address, told: Callable[[str]
             ws="none",
             timeout_graceful_shutdown=GRACE_S,
         )
-        told(f"Serving {service.scenario.name} at {address.url}, state in {folder}.")
+        told(f"Serving {service.scenario.name} at {address.url}, state in {runner.store.place}.")
         loop = None if isinstance(runner.clock, SetClock) else Loop(runner)
         if loop is not None:
             loop.start()

@@ -1,14 +1,8 @@
-"""What the service knows and has said, in SQLite: one transaction a step, before anything is sent.
-
-WAL with ``synchronous=FULL``: what was committed survives a kill and a loss of power. A lock on a
-file beside the database keeps a second process out; it ends with the process that holds it.
-"""
+"""What the service knows and has said: one transaction a step, before anything is sent."""
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,11 +15,12 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.core.errors import InputError, Problem, StorageError
+from vppres.service.database import opened_database
 
 LAYOUT = "1"
 STATES_KEPT = 3
+COUNTED = {"preserve_rowcount": True}
 REFUSED = ("rejected", "aborted")
-BUSY_S = 5
 
 _tables = sa.MetaData()
 
@@ -40,7 +35,7 @@ _telemetry = sa.Table(
     _tables,
     sa.Column("asset", sa.String, primary_key=True),
     sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("source", sa.String, primary_key=True),
     sa.Column("resolution_s", sa.Integer, nullable=False),
     sa.Column("value", sa.Float),
@@ -49,41 +44,41 @@ _contacts = sa.Table(
     "contacts",
     _tables,
     sa.Column("source", sa.String, primary_key=True),
-    sa.Column("last_contact", sa.Integer, nullable=False),
+    sa.Column("last_contact", sa.BigInteger, nullable=False),
 )
 _events = sa.Table(
     "events",
     _tables,
     sa.Column("id", sa.String, primary_key=True),
     sa.Column("version", sa.Integer, primary_key=True),
-    sa.Column("made_at", sa.Integer, nullable=False),
+    sa.Column("made_at", sa.BigInteger, nullable=False),
     sa.Column("body", sa.Text),  # none: withdrawn
 )
 _forecasts = sa.Table(
     "forecasts",
     _tables,
     sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("issued_at", sa.Integer, primary_key=True),
+    sa.Column("issued_at", sa.BigInteger, primary_key=True),
     sa.Column("body", sa.Text, nullable=False),
 )
 _steps = sa.Table(
     "steps",
     _tables,
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("outcome", sa.String, nullable=False),
     sa.Column("plan", sa.Text, nullable=False),
 )
 _states = sa.Table(
     "controller_state",
     _tables,
-    sa.Column("time", sa.Integer, primary_key=True),
+    sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
 )
 _acks = sa.Table(
     "acks",
     _tables,
     sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("at", sa.BigInteger, nullable=False),
     sa.Column("actor", sa.String, nullable=False),
     sa.Column("setpoint", sa.String, nullable=False, index=True),
     sa.Column("kind", sa.String, nullable=False),
@@ -96,13 +91,13 @@ _keys = sa.Table(
     "idempotency_keys",
     _tables,
     sa.Column("key", sa.String, primary_key=True),
-    sa.Column("time", sa.Integer, nullable=False),
+    sa.Column("time", sa.BigInteger, nullable=False),
 )
 _audit = sa.Table(
     "audit",
     _tables,
     sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("at", sa.Integer, nullable=False),
+    sa.Column("at", sa.BigInteger, nullable=False),
     sa.Column("actor", sa.String, nullable=False),
     sa.Column("action", sa.String, nullable=False),
     sa.Column("detail", sa.Text, nullable=False),
@@ -206,8 +201,8 @@ class Store:
 
     Parameters
     ----------
-    folder : Path
-        Where it is; made if it is not there.
+    place : Path or str
+        A folder, made if it is not there, or the address of a PostgreSQL database.
     site : str
         Key of the site, to which the database belongs.
 
@@ -217,16 +212,11 @@ class Store:
         If another process serves from it, or it belongs to another site or layout.
     """
 
-    def __init__(self, folder: Path, site: str) -> None:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self.folder = folder
-        self._lock = _locked(folder)
+    def __init__(self, place: Path | str, site: str) -> None:
+        self._database = opened_database(place)
+        self._engine = self._database.engine
         self._writing = threading.Lock()
         self.changes = 0  # whoever shows what is stored looks again when it has grown
-        self._engine = sa.create_engine(
-            f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
-        )
-        sa.event.listen(self._engine, "connect", _durable)
         with _plain_errors():
             _tables.create_all(self._engine)
         self._belongs_to(site)
@@ -240,10 +230,14 @@ class Store:
                 (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
             }
 
+    @property
+    def place(self) -> str:
+        """Where it is, without a password."""
+        return self._database.name
+
     def close(self) -> None:
-        """Let go of database and lock."""
-        self._engine.dispose()
-        os.close(self._lock)
+        """Let go of the database."""
+        self._database.close()
 
     def ready(self) -> bool:
         """Whether the database takes a transaction."""
@@ -264,7 +258,8 @@ class Store:
         if not rows:
             return Written(0, 0)
         with self._changes(routine=True) as db:
-            accepted = db.execute(_upsert(db, _telemetry, "value"), rows).rowcount
+            written = _upsert(db, _telemetry, "value")
+            accepted = db.execute(written, rows, execution_options=COUNTED).rowcount
             for source in {row["source"] for row in rows}:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
@@ -563,9 +558,9 @@ class Store:
                 self.close()
                 raise InputError(
                     Problem(
-                        str(self.folder),
+                        self._database.name,
                         f"holds the state of another {key}",
-                        "Give another folder with --state, or remove this one.",
+                        "Give another place with --state, or remove this one.",
                         field=key,
                         value=known[key][:12],
                     )
@@ -575,6 +570,7 @@ class Store:
     def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
         """A transaction that writes; what is routine need not be seen at once."""
         with self._writing, _plain_errors(), self._engine.begin() as db:
+            self._database.check(db)
             yield db
         self.changes += not routine
 
@@ -611,32 +607,6 @@ def _where(table: sa.Table, row: dict[str, Any]) -> Any:
 def _note(db: sa.Connection, now: pd.Timestamp, actor: str, action: str, detail: str) -> None:
     """Add to the audit, of which nothing is ever changed."""
     db.execute(_audit.insert().values(at=seconds(now), actor=actor, action=action, detail=detail))
-
-
-def _durable(connection: Any, _record: Any) -> None:
-    """Set up a connection to SQLite."""
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=FULL")
-    cursor.execute("PRAGMA foreign_keys=ON")
-    cursor.close()
-
-
-def _locked(folder: Path) -> int:
-    """Take the lock of a folder; its file descriptor."""
-    descriptor = os.open(folder / "service.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise InputError(
-            Problem(
-                str(folder),
-                "is in use: another process serves from it",
-                "End that one first, or give another folder with --state.",
-            )
-        ) from None
-    return descriptor
 
 
 @contextmanager

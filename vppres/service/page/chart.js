@@ -135,7 +135,7 @@ function drawRow(svg, row, points, steps, x, width) {
 
 // Below: steps that were not plain.
 function drawStrip(svg, top, steps, x) {
-  const signs = { fallback: ["odd", "F"], off: ["odd", "0"], failed: ["bad", "!"], missed: ["bad", "\u00d7"] };
+  const signs = { fallback: ["odd", "F"], off: ["odd", "0"], hold: ["odd", "H"], manual: ["odd", "M"], failed: ["bad", "!"], missed: ["bad", "\u00d7"] };
   for (const step of steps) {
     const sign = signs[step.status];
     if (!sign) continue;

@@ -37,6 +37,7 @@ export class Operator {
     const mode = this.chosen()?.value;
     if (!mode) return;
     const hours = $("mode-hours");
+    if (mode === "hold" && !hours.value) hours.value = "1"; // nobody looks after it: it must end
     const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
     $("confirm-title").textContent = `Change the mode to ${mode}?`;
     $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""} ${span}`;

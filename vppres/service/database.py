@@ -1,0 +1,250 @@
+"""Where the state of a service is: SQLite in a folder, or PostgreSQL; one process each.
+
+SQLite runs with WAL and ``synchronous=FULL``: what was committed survives a kill and a loss of
+power. A lock on a file beside it keeps a second process out; it ends with the process that holds
+it. PostgreSQL has a lease in a table of its own: whoever holds it renews it, every transaction
+checks that it still does, and a process that is dead lets it run out.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import threading
+import time
+import uuid
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql
+
+from vppres.core.errors import InputError, Problem, StorageError
+
+BUSY_S = 5
+LEASE_S = 15.0
+RENEWALS = 3
+"""How often a lease is renewed before it would end."""
+
+PATIENCE_S = 10
+"""After which a statement is given up, and a server that does not answer."""
+
+POSTGRESQL = "postgresql://"
+DRIVER = "postgresql+psycopg://"
+
+_leases = sa.MetaData()
+_lease = sa.Table(
+    "lease",
+    _leases,
+    sa.Column("name", sa.String, primary_key=True),
+    sa.Column("holder", sa.String, nullable=False),
+    sa.Column("expires", sa.Float, nullable=False),
+)
+
+
+class Database(Protocol):
+    """Where the state is, and whose it is."""
+
+    engine: sa.Engine
+
+    @property
+    def name(self) -> str:
+        """How messages call it."""
+        ...
+
+    def check(self, db: sa.Connection) -> None:
+        """Raise a StorageError, in a transaction, if another process has it by now."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+def opened_database(place: Path | str) -> Database:
+    """The database at a place, for this process alone.
+
+    Parameters
+    ----------
+    place : Path or str
+        A folder, or an address that begins with ``postgresql://``.
+
+    Raises
+    ------
+    InputError
+        If another process serves from it, or the server does not answer.
+    """
+    if str(place).startswith(POSTGRESQL):
+        return Leased(str(place))
+    return InFolder(Path(place))
+
+
+class InFolder:
+    """SQLite in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is not there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self.folder = folder
+        self._lock = _locked(folder)
+        self.engine = sa.create_engine(
+            f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
+        )
+        sa.event.listen(self.engine, "connect", _durable)
+
+    @property
+    def name(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
+    def check(self, db: sa.Connection) -> None:
+        """Nobody can have taken the lock."""
+
+    def close(self) -> None:
+        """Let go of database and lock."""
+        self.engine.dispose()
+        os.close(self._lock)
+
+
+class Leased:
+    """PostgreSQL, as long as a lease is renewed.
+
+    Parameters
+    ----------
+    address : str
+        Of the database, which is one site's.
+    """
+
+    def __init__(self, address: str) -> None:
+        url = sa.make_url(address.replace(POSTGRESQL, DRIVER, 1))
+        self._shown: str = url.render_as_string(hide_password=True).replace(DRIVER, POSTGRESQL)
+        self._lease_s = LEASE_S
+        self._holder = uuid.uuid4().hex
+        _check_driver()
+        self.engine = sa.create_engine(
+            url,
+            pool_pre_ping=True,  # the server may have been stopped and started
+            connect_args={
+                "connect_timeout": PATIENCE_S,
+                "options": f"-c statement_timeout={PATIENCE_S * 1000}",
+            },
+        )
+        try:
+            _leases.create_all(self.engine)
+            self._take()
+        except sa.exc.SQLAlchemyError as error:
+            self.engine.dispose()
+            words = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+            cure = "Start the server, or give another address with --state."
+            raise InputError(Problem(self.name, f"does not answer: {words}", cure)) from error
+        self._ended = threading.Event()
+        self._renewing = threading.Thread(target=self._renew, name="vppres-lease", daemon=True)
+        self._renewing.start()
+
+    @property
+    def name(self) -> str:
+        """The address without a password."""
+        return self._shown
+
+    def check(self, db: sa.Connection) -> None:
+        """Renew the lease in a transaction, so that nothing is written without it."""
+        mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)
+        renewed = db.execute(sa.update(_lease).where(mine).values(expires=_now() + self._lease_s))
+        if renewed.rowcount != 1:
+            raise StorageError(f"Another process serves from {self.name} by now.")
+
+    def close(self) -> None:
+        """Give the lease back."""
+        self._ended.set()
+        self._renewing.join()
+        mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)
+        try:
+            with self.engine.begin() as db:
+                db.execute(sa.delete(_lease).where(mine))
+        except sa.exc.SQLAlchemyError:
+            pass  # it runs out
+        self.engine.dispose()
+
+    def _take(self) -> None:
+        """Have the lease, or wait for one that is not renewed to run out.
+
+        Raises
+        ------
+        InputError
+            If somebody renews it meanwhile.
+        """
+        first = None
+        while True:
+            with self.engine.begin() as db:
+                wanted = postgresql.insert(_lease).values(
+                    name="service", holder=self._holder, expires=_now() + self._lease_s
+                )
+                taken = db.execute(
+                    wanted.on_conflict_do_update(
+                        index_elements=["name"],
+                        set_={"holder": wanted.excluded.holder, "expires": wanted.excluded.expires},
+                        where=_lease.c.expires < _now(),
+                    ).returning(_lease.c.holder)
+                )
+                if taken.first() is not None:
+                    return
+                now = tuple(db.execute(sa.select(_lease.c.holder, _lease.c.expires)).one())
+            first = now if first is None else first
+            if now != first:
+                raise InputError(_in_use(self.name))
+            time.sleep(self._lease_s / RENEWALS / 2)
+
+    def _renew(self) -> None:
+        """Until the end; a server that is away is asked again, and a lost lease stays lost."""
+        while not self._ended.wait(self._lease_s / RENEWALS):
+            try:
+                with self.engine.begin() as db:
+                    self.check(db)
+            except (sa.exc.SQLAlchemyError, StorageError):
+                continue
+
+
+def _check_driver() -> None:
+    """Say which extra is missing."""
+    if find_spec("psycopg") is None:
+        cure = 'Install the extra: pip install "vppres[postgres]".'
+        raise InputError(Problem("state", "needs the package psycopg", cure))
+
+
+def _now() -> Any:
+    """Seconds of the server's clock: those of two machines may differ."""
+    return sa.cast(sa.extract("epoch", sa.func.clock_timestamp()), sa.Float)
+
+
+def _in_use(name: str) -> Problem:
+    return Problem(
+        name,
+        "is in use: another process serves from it",
+        "End that one first, or give another place with --state.",
+    )
+
+
+def _durable(connection: Any, _record: Any) -> None:
+    """Set up a connection to SQLite."""
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=FULL")
+    cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.close()
+
+
+def _locked(folder: Path) -> int:
+    """Take the lock of a folder; its file descriptor."""
+    descriptor = os.open(folder / "service.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise InputError(_in_use(str(folder))) from None
+    return descriptor
