@@ -18,7 +18,7 @@ from benchmarks import findings
 from benchmarks.day import run_days
 from benchmarks.deadlines import run_deadlines
 from benchmarks.instances import Instance, read_instances
-from benchmarks.race import run_race
+from benchmarks.race import BUSY, run_race
 from benchmarks.report import Bar, Section, bar_table, publish, write_report
 from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
@@ -41,6 +41,7 @@ class Plan:
     quick: bool
     time_s: float
     processes: int
+    busy: float = BUSY
 
     def instances(self) -> list[Instance]:
         """All instances, or every ninth of at most six steps."""
@@ -67,7 +68,7 @@ def windows(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
 
 def race(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     """Every window of both tables against the monoliths, as long as they can win."""
-    rows = run_race(RACE_QUICK_EVERY if plan.quick else 1, plan.folder, bar)
+    rows = run_race(RACE_QUICK_EVERY if plan.quick else 1, plan.busy, plan.folder, bar)
     plan.save("race", rows)
     return findings.race_section(rows), findings.race_bars(rows)
 
@@ -184,6 +185,12 @@ def main(
             metavar="N", help="Processes of windows, scaling, throughput; -1 is one for each core."
         ),
     ] = -1,
+    busy: Annotated[
+        float,
+        typer.Option(
+            min=1.0, help="Times that solvers of the race get on the wall; 1 on a quiet machine."
+        ),
+    ] = BUSY,
     results: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder of report, tables and finished rows.")
     ] = Path("results/bench"),
@@ -193,7 +200,7 @@ def main(
 ) -> None:
     """Measure the solving methods."""
     seconds = time_limit or (5.0 if quick else 60.0)
-    plan = Plan(results, quick, seconds, int(cpu_count()) if jobs == -1 else jobs)
+    plan = Plan(results, quick, seconds, int(cpu_count()) if jobs == -1 else jobs, busy)
     with plain_errors("Finished rows"):
         sections, effort = run(only or [], plan)
         if to_docs:

@@ -142,7 +142,7 @@ class Bench:
     def _monolithic(self, instance: Instance, method: Method, limits: SolveLimits) -> Row:
         """One solve of service, cost and curtailment as weighted, to the same gap."""
         model = self._model(method, instance.steps)
-        spec = _one_thread(method.solver)
+        spec = one_thread(method.solver)
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()
@@ -191,7 +191,7 @@ class Bench:
         return self.models[method, steps]
 
 
-def _one_thread(name: str) -> SolverSpec:
+def one_thread(name: str) -> SolverSpec:
     """The row of a solver, on one thread."""
     spec = SOLVERS[name]
     more = LICENSED.get(name, {})

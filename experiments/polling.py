@@ -63,8 +63,15 @@ class Client:
         length = next(int(s[16:]) for s in lines if s.startswith("content-length: "))
         await reader.readexactly(length)
         if "connection: close" in lines:
-            self._streams = None
+            await self.close()
         return int(lines[0].split()[1])
+
+    async def close(self) -> None:
+        """Let go of the connection."""
+        if self._streams is not None:
+            self._streams[1].close()
+            await self._streams[1].wait_closed()
+            self._streams = None
 
 
 Times = dict[str, list[float]]
@@ -124,10 +131,12 @@ async def load(port: int, clients: int, posting: int, seconds: float) -> Times:
             await client.ask("POST", "/v1/steps", {"time": written(times[step])})
             found["POST /v1/steps"].append(time.monotonic() - begun)
             step = min(step + 1, len(times) - 1)
+        await client.close()
 
     async def each(say: Any, number: int, every_s: float) -> None:
         client = Client(port)
         await regularly(every_s, until, lambda: say(client, number), found)
+        await client.close()
 
     await asyncio.gather(
         steps(),

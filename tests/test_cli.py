@@ -350,6 +350,7 @@ def documented_options(command: str) -> list[str]:
 OF_RUN_ALONE = {
     "sweep": {"--out", "--explain", "--figures"},
     "serve": {"--out", "--explain", "--figures", "--json", "--quiet"},
+    "serve export": {"--figures", "--quiet"},
     "serve simulate": {"--out", "--explain", "--figures"},
 }
 

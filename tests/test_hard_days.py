@@ -121,6 +121,26 @@ def test_batteries_lose_in_turns_what_they_can(seed: int) -> None:
     assert_agree(case.scenario, data, answers)
 
 
+def test_a_search_for_modes_knows_how_large_the_objective_is() -> None:
+    """Service and lost sun nearly cancel: a gap of all service would be 50 times what is left."""
+    case = hard_window("surplus", 301)
+    answer = WindowSolver(case.site).solve(case.data)
+    assert any(stage.startswith("modes_relaxed") for stage in answer.stages)
+    assert abs(answer.objective) < 0.03 < answer.terms.f1
+    assert answer.status == Status.OPTIMAL
+    assert answer.gap <= 1e-4
+
+
+def test_polygons_of_more_sides_close_what_corners_keep_open() -> None:
+    """With 16 sides the outer ones end at 7.178 and the inner ones at 7.156: neither is true."""
+    case = hard_window("surplus", 302)
+    answer = WindowSolver(case.site).solve(case.data)
+    assert sum(stage.startswith("full_outer") for stage in answer.stages) == 2
+    assert answer.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(7.1669, abs=1e-4)
+    assert check_dispatch(case.day.scenario, case.data, answer.dispatch).worst[1] < 2e-5
+
+
 # What is called optimal.
 
 

@@ -21,6 +21,7 @@ LIBRARY_HOMES = {
     "typer": {"cli"},
     "matplotlib": {"report", "studies"},
     "fastapi": {"service"},
+    "paho": {"service"},
     "prometheus_client": {"service"},
     "sqlalchemy": {"service"},
     "uvicorn": {"service"},

@@ -24,7 +24,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import least_reactive
-from vppres.solve.fleet.counts import Counts
+from vppres.solve.fleet.counts import SEARCH, Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
@@ -32,7 +32,7 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections, Reactance
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.rules import RuleModel
-from vppres.solve.programs import compiled, stacked
+from vppres.solve.programs import Program, ProgramSolution, compiled, stacked
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
 
@@ -44,6 +44,42 @@ TIME_S = 20.0
 @pytest.fixture(scope="module")
 def packaged() -> Scenario:
     return read_scenario(find_scenario("uk-heatwave-2022"))
+
+
+def knapsack(seed: int, items: int = 30) -> Program:
+    """As much worth as fits into three budgets, as a least of its negative."""
+    rng = np.random.default_rng(seed)
+    none, all_ = np.zeros(items), np.ones(items)
+    uses = rng.integers(20, 100, (3, items)).astype(float)
+    return Program(
+        -rng.integers(20, 100, items).astype(float),
+        none,
+        all_,
+        sp.csc_array(uses),
+        np.full(3, -np.inf),
+        uses.sum(axis=1) / 2.0,
+        np.arange(items),
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_search_ends_at_what_is_proven(seed: int) -> None:
+    program = knapsack(seed)
+    whole = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
+    early = ProgramSolution.of(program.loaded(enough=whole.value + 0.5), Deadline(TIME_S))
+    assert early.status == Status.GAP_OPEN
+    assert early.value == pytest.approx(whole.value, abs=1e-9)
+    assert early.bound <= whole.bound + 1e-9
+    sooner = ProgramSolution.of(program.loaded(enough=0.9 * whole.value), Deadline(TIME_S))
+    assert whole.value - 1e-9 <= sooner.value <= 0.9 * whole.value
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_options_of_counts_change_no_optimum(seed: int) -> None:
+    plain = ProgramSolution.of(knapsack(seed).loaded(), Deadline(TIME_S))
+    lean = ProgramSolution.of(knapsack(seed).loaded(more=SEARCH), Deadline(TIME_S))
+    assert lean.status == plain.status == Status.OPTIMAL
+    assert (lean.value, lean.bound) == pytest.approx((plain.value, plain.bound), abs=1e-9)
 
 
 def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:

@@ -157,3 +157,16 @@ def test_the_page_asks_for_nothing_but_itself(runner: Runner) -> None:
     assert " style=" not in page and "<script>" not in page and " onclick" not in page
     assert http.get("/page/nothing.js").status == 404
     assert http.get("/v1/overview").status == 401 and http.get("/v1/site").status == 401
+
+
+def test_steps_that_the_operator_holds_are_shown_too(runner: Runner) -> None:
+    decide(runner, NOON)
+    http = Caller(make_app(runner, Access()))
+    until = written(NOON + 5 * HOUR)
+    assert http.put("/v1/mode", {"mode": "hold", "until": until, "reason": "works"}).status == 200
+    held = decide(runner, NOON + HOUR)
+    found = http.get("/v1/overview").json()
+    assert held["status"] == "hold" and found["plan"]["status"] == "hold"
+    assert [step["status"] for step in found["past"]] == ["ok", "hold"]
+    assert found["mode"]["mode"] == "hold" and found["mode"]["until"] == until
+    assert http.get("/v1/site").json()["modes"] == ["auto", "hold", "manual", "off"]

@@ -134,6 +134,8 @@ def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str
     assert rows.nth(2).inner_text().split("\t")[:2] == ["01:00", "ok"]
     assert rows.nth(3).inner_text().split("\t")[:2] == ["01:00 GMT", "foreseen"]
     assert rows.nth(3).inner_text().split("\t")[-1] == "0"
+    axis = calm.page.locator("#chart text").all_text_contents()
+    assert axis.count("01:00") == 1 and axis.count("01:00 GMT") == 1
 
 
 CONTRAST = (Path(__file__).parent / "support" / "contrast.js").read_text(encoding="utf-8")
@@ -186,16 +188,28 @@ def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
         assert "every device does its default" in watcher.text("#confirm-words")
         page.keyboard.press("Enter")  # what has the focus changes nothing
         page.wait_for_selector("#confirm", state="hidden")
-        assert runner.mode["mode"] == "auto"
+        assert runner.mode["mode"] == "auto" and page.is_checked("input[value=auto]")
         assert page.evaluate("document.activeElement.id") == "mode-change"
-        page.keyboard.press("Enter")
+
+        def choose_off_again() -> None:
+            for _ in range(3):
+                page.keyboard.press("Shift+Tab")
+            page.keyboard.press("ArrowUp")
+            for _ in range(3):
+                page.keyboard.press("Tab")
+            page.keyboard.press("Enter")
+            watcher.wait_for("#confirm-title", "Change the mode to off?")
+
+        choose_off_again()
         page.keyboard.press("Escape")
-        assert runner.mode["mode"] == "auto"
-        page.keyboard.press("Enter")
+        page.wait_for_selector("#confirm", state="hidden")
+        assert runner.mode["mode"] == "auto" and page.is_checked("input[value=auto]")
+        choose_off_again()
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")
         watcher.wait_for("#mode-said", "The mode is off.")
-        assert runner.mode == {"mode": "off", "until": None, "reason": "work on the line"}
+        mode = runner.mode
+        assert (mode["mode"], mode["until"], mode["reason"]) == ("off", None, "work on the line")
         watcher.wait_for("#mode", "Mode: off")
         watcher.wait_for("#verdict-words", "Switched off by the operator")
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
@@ -242,10 +256,23 @@ def test_tokens_are_asked_for_and_kept_in_memory_alone(
     assert watched[0].mode["mode"] == "auto"
 
 
+def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> None:
+    runner, address = watched
+    with Watcher(browser, address) as watcher:
+        watcher.page.check("input[value=hold]")
+        watcher.page.click("#mode-change")
+        assert watcher.text("#confirm-words").endswith("For 1 hour, then auto.")
+        watcher.page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "The mode is hold.")
+        assert runner.mode["until"] == "2026-10-25T01:00:00Z"
+        watcher.wait_for("#attention-list", "Mode hold until 01:00 GMT.")
+    runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
+
+
 def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:
     """The last test: it goes on to the next hour, and ends with a service that is gone."""
     runner, _ = watched
-    decide(runner, NIGHT + HOUR, soc=0.17)
+    decide(runner, NIGHT + 2 * HOUR, soc=0.17)
     assert runner.last is not None
     off = [one["asset"] for one in runner.last["setpoints"] if one.get("served") is False]
     with listening(make_app(runner, Access())) as address:
@@ -259,13 +286,15 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         assert "outage; not enough for all, by plan" in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention
+        assert "1 step missed in the last hours." in attention
+        assert page.locator("#chart .bad").count() == 1
         assert page.locator("#chart .outage").count() >= 2
         assert page.evaluate(CONTRAST) == []
     page.clock.fast_forward(30_000)
-    watcher.wait_for("#verdict-words", "No contact with the service since 01:00.")
+    watcher.wait_for("#verdict-words", "No contact with the service since 02:00.")
     assert watcher.text("#verdict-more").startswith("What stands below was true then. Set-points")
-    assert "Set-points hold until 02:06" in watcher.text("#verdict-more")
+    assert "Set-points hold until 03:06" in watcher.text("#verdict-more")
     page.clock.fast_forward("01:10:00")
-    watcher.wait_for("#verdict-more", "Set-points ended at 02:06: devices do their defaults.")
+    watcher.wait_for("#verdict-more", "Set-points ended at 03:06: devices do their defaults.")
     assert page.evaluate(CONTRAST) == []
     page.close()

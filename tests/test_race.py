@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks import findings, race
+from benchmarks import agreement, findings, race
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import packaged, read_instances, window_data
 from benchmarks.random_days import STEPS, cut, steps_of, summary
 from experiments.hard_days import KINDS, hard_day
 from vppres.core.errors import InputError
 from vppres.model.site import Site
+from vppres.solve.result import SolveLimits
 
 # The table.
 
@@ -121,3 +122,42 @@ def test_summary_counts_steps_that_are_left_open() -> None:
     assert table["open"].tolist() == [1, 1, 0]
     assert table["fallbacks"].tolist() == [2, 1, 1]
     assert table["steps"].tolist() == [4, 2, 2]
+
+
+# Agreement with a monolith.
+
+
+def test_small_windows_are_of_all_kinds_and_come_again() -> None:
+    names = [runner.name for runner in agreement.small_windows(6, 5000)]
+    assert names == [runner.name for runner in agreement.small_windows(6, 5000)]
+    for runner in agreement.small_windows(6, 5000):
+        assert runner.site.network.n_buses * runner.data.n_steps <= agreement.MOST_CELLS
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "agrees"),
+    [
+        (10.0, 10.0005, True),  # as good, and within each other's bounds
+        (9.9995, 10.0, True),  # worse by less than the gap
+        (9.99, 10.0, False),  # worse by more than the gap
+        (10.002, 10.003, False),  # better than the monolith says is possible
+        (9.9995, 9.9996, False),  # its bound excludes what the monolith found
+        (np.nan, np.nan, False),  # no answer where the monolith has one
+    ],
+)
+def test_answers_agree_within_the_gap_and_their_bounds(
+    value: float, bound: float, agrees: bool
+) -> None:
+    whole = agreement.Answer("optimal", 10.0, 10.001, 1.0)
+    ended = "InfeasibleError" if np.isnan(value) else "optimal"
+    ours = agreement.Answer(ended, value, bound, 1.0)
+    assert agreement.agree(ours, whole, SolveLimits()) == agrees
+
+
+def test_a_window_is_compared_by_all_solvers() -> None:
+    (runner,) = agreement.small_windows(1, 5001)
+    rows = pd.DataFrame([agreement.compare(runner, 10.0)])
+    assert rows.loc[0, "agrees"]
+    table = agreement.speeds(rows).set_index("solver")
+    assert {"highs", "scip"} <= set(table.index)
+    assert table.loc["highs", "windows"] == 1

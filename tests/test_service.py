@@ -90,7 +90,7 @@ def test_it_rolls_over_midnight_and_notes_what_it_missed(
     ]
     assert [plan["status"] for plan in plans] == ["ok"] * 3
     assert http.get("/v1/status").json()["steps"] == {
-        "ok": 3, "fallback": 0, "failed": 0, "off": 0, "missed": 2,
+        "ok": 3, "fallback": 0, "hold": 0, "manual": 0, "failed": 0, "off": 0, "missed": 2,
     }  # fmt: skip
     # The same as a controller in Python that knows what the clock says of these hours.
     day = site(tiny)
@@ -162,7 +162,7 @@ def test_set_points_end_and_leave_the_default(live: tuple[Caller, SetClock]) -> 
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
     plan = decided(http, clock, NOON, soc=0.2)
     now = http.get("/v1/setpoints?asset=big").json()["setpoints"][0]
-    assert now == {**said(plan, "batteries")["big"], "active": True}
+    assert now == {**said(plan, "batteries")["big"], "active": True, "status": "new"}
     assert now["valid_until"] == "2026-11-21T13:06:00Z" and now["p_kw"] != 0.0
     over = http.get("/v1/setpoints?asset=big&at=2026-11-21T13:06:00Z").json()["setpoints"][0]
     assert (over["active"], over["p_kw"], over["q_kvar"]) == (False, 0.0, 0.0)

@@ -10,40 +10,18 @@ import numpy as np
 import pytest
 
 import vppres
-from tests.support.asgi import Caller
 from tests.support.command_line import call
 from tests.support.live_service import HERE, NOON, client, site
 from tests.support.long_days import repeated
+from tests.support.played_service import Here, played
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.service.client import Answer, Client
+from vppres.service.client import Answer
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
 from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements
 from vppres.service.world import World, critical_off, energy_allowed
-
-
-class Here(Client):
-    """A client of a service in this process."""
-
-    def __init__(self, http: Caller) -> None:
-        self.http = http
-
-    def ask(self, method: str, path: str, body: Any = None) -> Answer:
-        answer = self.http.ask(method, path, body, {})
-        self.url = "here"
-        return Answer(answer.status, answer.json() if answer.content else None, 0.01)
-
-
-def played(
-    service: Service, scenario: Scenario, folder: Path, play: Play, clock: SetClock | None = None
-) -> Player:
-    """A player that has played."""
-    with client(service, folder, clock) as http:
-        player = Player(World(scenario, service.options), Here(http), play)
-        player.play()
-        return player
 
 
 def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve import solvers
 from vppres.solve.ladder import LEVELLED, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
@@ -289,7 +290,7 @@ def test_unknown_solver_is_named_with_those_that_work() -> None:
 
 
 def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cp, "installed_solvers", lambda: [cp.HIGHS])
+    monkeypatch.setattr(solvers, "_installed", lambda: frozenset([cp.HIGHS]))
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(two_buses([[1.0]], [1.0], [OPEN])), solver="scip")
     assert str(error.value) == (

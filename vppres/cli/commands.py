@@ -481,6 +481,9 @@ def serve(
             help="Let the clock be set by PUT /v1/clock, as `vppres serve simulate` does."
         ),
     ] = False,
+    keep_days: Annotated[
+        float, typer.Option(min=1.0, help="How long readings and plans are kept, in days.")
+    ] = 400.0,
     add_token: Annotated[
         str | None,
         typer.Option(
@@ -519,7 +522,7 @@ def serve(
             from vppres.service import serve as service
             from vppres.service.runner import Service
         day = read_scenario(find_scenario(scenario))
-        served = Service(day, run_options(day, context.obj), rehearse, paced)
+        served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
         folder = state or f"{day.name}.live"
         if add_token is not None:
             typer.echo(service.add_token(served, folder, add_token, token_days))
@@ -530,6 +533,53 @@ def serve(
         names = tuple(name or ())
         address = service.Address(host, port, behind_proxy, names, certificate, key)
         service.serve(served, folder, address, typer.echo)
+
+
+@app.command(
+    "serve export",
+    cls=DayCommand,
+    epilog="Example: vppres serve export ./my-feeder --from 2026-11-21 --to 2026-11-22 --out day",
+)
+def export(
+    context: typer.Context,
+    scenario: ScenarioName,
+    begin: Annotated[str, typer.Option("--from", metavar="TIME", help="Beginning, ISO 8601.")],
+    end: Annotated[str, typer.Option("--to", metavar="TIME", help="End, ISO 8601.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the run.")] = RESULTS / "live",
+    state: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PLACE",
+            envvar="VPPRES_STATE",
+            help="Of the service; SCENARIO.live if not given.",
+        ),
+    ] = None,
+    explain: Annotated[bool, typer.Option(help="Say why, for customers and batteries.")] = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write what a service heard and said as the run of a scenario, for reports and what-ifs.
+
+    The service may run meanwhile. Times without an offset are those of the clocks at the site.
+    """
+    with _plain_errors(debug):
+        from vppres.io.atomic import check_target
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
+
+        with _extra("serve"):
+            from vppres.service import export as past
+            from vppres.service.runner import Service
+        check_target(out)
+        day = read_scenario(find_scenario(scenario))
+        served = Service(day, run_options(day, context.obj))
+        run = past.export(served, state or f"{day.name}.live", begin, end)
+        summary = _write(run, out, explain, None)
+        if as_json:
+            _print_json({"folder": str(out), **summary})
+            return
+        Console().print(figures_table(summary, run.scenario.name))
+        typer.echo(f"Written to {out}")
 
 
 @app.command(

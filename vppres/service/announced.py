@@ -53,6 +53,17 @@ def outages(events: Iterable[Event], window: Window) -> Flags:
     return found
 
 
+def announced_at(events: Iterable[Event], time: pd.Timestamp) -> bool:
+    """Whether a certain outage was announced for a time."""
+    for body in _bodies(events, "outage", "outage_belief"):
+        interval = certain_interval(body)
+        if interval is not None:
+            start, end = interval
+            if start <= time and (end is None or time < end):
+                return True
+    return False
+
+
 def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
     if body["type"] == "outage":

@@ -33,6 +33,8 @@ PATIENCE_S = 10
 POSTGRESQL = "postgresql://"
 DRIVER = "postgresql+psycopg://"
 
+_ONLY_READ = "The state is only read."
+
 _leases = sa.MetaData()
 _lease = sa.Table(
     "lease",
@@ -62,22 +64,24 @@ class Database(Protocol):
         ...
 
 
-def opened_database(place: Path | str) -> Database:
-    """The database at a place, for this process alone.
+def opened_database(place: Path | str, reading: bool = False) -> Database:
+    """The database at a place, for this process alone; or to be read beside the one that serves.
 
     Parameters
     ----------
     place : Path or str
         A folder, or an address that begins with ``postgresql://``.
+    reading : bool, optional
+        Whether it is only read.
 
     Raises
     ------
     InputError
-        If another process serves from it, or the server does not answer.
+        If another process serves from it, there is nothing to read, or the server does not answer.
     """
     if str(place).startswith(POSTGRESQL):
-        return Leased(str(place))
-    return InFolder(Path(place))
+        return Leased(str(place), reading)
+    return InFolder(Path(place), reading)
 
 
 class InFolder:
@@ -86,13 +90,20 @@ class InFolder:
     Parameters
     ----------
     folder : Path
-        Made if it is not there.
+        Made if it is not there and not only read.
+    reading : bool, optional
+        Whether it is only read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    def __init__(self, folder: Path, reading: bool = False) -> None:
         self.folder = folder
-        self._lock = _locked(folder)
+        self._lock: int | None = None
+        if reading and not (folder / "service.db").exists():
+            cure = "Give the place with --state, as for the service."
+            raise InputError(Problem(self.name, "holds no state of a service", cure))
+        if not reading:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._lock = _locked(folder)
         self.engine = sa.create_engine(
             f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
         )
@@ -105,11 +116,14 @@ class InFolder:
 
     def check(self, db: sa.Connection) -> None:
         """Nobody can have taken the lock."""
+        if self._lock is None:
+            raise StorageError(_ONLY_READ)
 
     def close(self) -> None:
         """Let go of database and lock."""
         self.engine.dispose()
-        os.close(self._lock)
+        if self._lock is not None:
+            os.close(self._lock)
 
 
 class Leased:
@@ -119,9 +133,11 @@ class Leased:
     ----------
     address : str
         Of the database, which is one site's.
+    reading : bool, optional
+        Whether it is only read, without a lease.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, reading: bool = False) -> None:
         url = sa.make_url(address.replace(POSTGRESQL, DRIVER, 1))
         self._shown: str = url.render_as_string(hide_password=True).replace(DRIVER, POSTGRESQL)
         self._lease_s = LEASE_S
@@ -135,7 +151,11 @@ class Leased:
                 "options": f"-c statement_timeout={PATIENCE_S * 1000}",
             },
         )
+        self._renewing: threading.Thread | None = None
         try:
+            if reading:
+                self.engine.connect().close()
+                return
             _leases.create_all(self.engine)
             self._take()
         except sa.exc.SQLAlchemyError as error:
@@ -154,6 +174,8 @@ class Leased:
 
     def check(self, db: sa.Connection) -> None:
         """Renew the lease in a transaction, so that nothing is written without it."""
+        if self._renewing is None:
+            raise StorageError(_ONLY_READ)
         mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)
         renewed = db.execute(sa.update(_lease).where(mine).values(expires=_now() + self._lease_s))
         if renewed.rowcount != 1:
@@ -161,6 +183,9 @@ class Leased:
 
     def close(self) -> None:
         """Give the lease back."""
+        if self._renewing is None:
+            self.engine.dispose()
+            return
         self._ended.set()
         self._renewing.join()
         mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)

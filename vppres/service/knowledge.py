@@ -22,7 +22,7 @@ from vppres.live.door import RANGES, Range
 from vppres.live.measurement import Measurement
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import limits_kw, outages, prices
+from vppres.service.announced import announced_at, limits_kw, outages, prices
 from vppres.service.clock import written
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.store import Event, Reading, Store, moment, seconds
@@ -274,7 +274,7 @@ class _Readings:
     values : dict
         By asset and quantity; NaN where it is too old, or known to be missing.
     last : dict
-        The same with what is too old, but not lost.
+        Readings that are too old too, but not lost.
     silent : set of str
         Batteries of which nothing at all is heard any more.
     times : dict
@@ -283,7 +283,7 @@ class _Readings:
 
     heard: list[Heard]
     values: dict[tuple[str, str], float]
-    last: dict[tuple[str, str], float | None]
+    last: dict[tuple[str, str], Reading]
     silent: set[str]
     times: dict[tuple[str, str], int]
 
@@ -297,9 +297,7 @@ class _Readings:
             for r, h in zip(found, heard, strict=True)
         }
         last = {
-            (r.asset, r.quantity): r.value
-            for r, h in zip(found, heard, strict=True)
-            if h.state != "lost"
+            (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
         }
         power = [_heard(reading, time, step_s) for reading in store.latest(time, ("battery_kw",))]
         told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
@@ -338,7 +336,8 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
         out[0] = read == 0.0
     elif out[0]:
         known_by = "event"
-    elif last == 0.0:
+    elif last is not None and last.value == 0.0 and not announced_at(events, moment(last.time)):
+        # Nobody said when it would end, and nobody has seen that it did.
         known_by = "last reading"
         out[:] = True
     elif controller.out_probability(window.times[0]).iloc[0] >= HALF:

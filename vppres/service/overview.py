@@ -14,7 +14,7 @@ import pandas as pd
 from vppres.service.clock import written
 from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
 from vppres.service.payloads import ModeRequest
-from vppres.service.plans import at
+from vppres.service.plans import DEFAULT, at
 from vppres.service.runner import Runner
 from vppres.service.store import Reading, moment, seconds
 
@@ -26,9 +26,6 @@ MOST_PAST = 96
 
 REFRESH_S = 1
 """For how long the same is told, if nothing was changed."""
-
-DEFAULT = "default: "
-"""How the reason of a set-point begins that the gate did not let pass."""
 
 
 def site_of(runner: Runner) -> dict[str, Any]:
@@ -115,7 +112,7 @@ class Overview:
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
         """What holds of the last plan, without the customers that are on."""
         points = [at(one, now) for one in plan["setpoints"]]
-        ahead = plan["ahead"]
+        ahead = plan.get("ahead")
         return {
             **{key: value for key, value in plan.items() if key not in ("setpoints", "ahead")},
             "valid_until": max((one["valid_until"] for one in points), default=None),

@@ -27,6 +27,9 @@ OVERLAP = 0.1
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
 
+DEFAULT = "default: "
+"""How the reason of a set-point begins that was not let pass."""
+
 DECIDED = ("ok", "fallback")
 """Outcomes of steps in which the controller decided."""
 
@@ -280,7 +283,7 @@ def _set_point(
         "valid_from": written(time),
         "valid_until": written(time + (1.0 + OVERLAP) * length),
         "default": default,
-        "reason": reason if stopped is None else f"default: {stopped}",
+        "reason": reason if stopped is None else f"{DEFAULT}{stopped}",
     }
 
 

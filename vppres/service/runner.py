@@ -6,6 +6,7 @@ import time as machine
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,6 +38,9 @@ MOST_JOBS = 100
 MOST_MISSED = 10_000
 """Steps missed in a row that are written down one by one."""
 
+KEEP_DAYS = 400.0
+"""More than a year, so that the same day of the last one is there."""
+
 FULL_HORIZON_H = 24.0
 
 
@@ -54,12 +58,15 @@ class Service:
         Whether the scenario's own steps are played, at the pace of whoever asks for them.
     paced : bool
         Whether the clock is set over HTTP, in place of the machine's; that of a rehearsal is.
+    keep_days : float
+        How long what was heard and said is kept, in days.
     """
 
     scenario: Scenario
     options: RunOptions
     rehearsal: bool = False
     paced: bool = False
+    keep_days: float = KEEP_DAYS
 
 
 class Runner:
@@ -79,6 +86,7 @@ class Runner:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
+        self.keeps = pd.Timedelta(days=service.keep_days)
         self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
         self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
@@ -208,6 +216,7 @@ class Runner:
         else:
             plan = self._decided(time)
         self.on_step(machine.monotonic() - begin)
+        self._forget(time)
         self.last = plan
         return plan
 
@@ -267,6 +276,13 @@ class Runner:
         }
         self.store.write_plan(time, plan)
         return plan
+
+    def _forget(self, time: pd.Timestamp) -> None:
+        """Once a day drop what is too old."""
+        begun = None if self.last is None else pd.Timestamp(self.last["start"]).normalize()
+        if begun != time.normalize():
+            with suppress(StorageError):  # the step is kept; tomorrow is another day
+                self.store.forget(time - self.keeps)
 
     def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
         """The plan of an operator, through the gate as any other."""

@@ -180,6 +180,7 @@ class Tally:
             "set_points_held_back": self.gate,
             "critical_off": self.off,
             "critical_off_though_energy_allowed": self.off_needlessly,
+            "slowest_answer_s": round(max(self.answers_s, default=0.0), 3),
         }
 
 

@@ -205,6 +205,8 @@ class Store:
         A folder, made if it is not there, or the address of a PostgreSQL database.
     site : str
         Key of the site, to which the database belongs.
+    reading : bool, optional
+        Whether it is only read, beside the process that serves from it.
 
     Raises
     ------
@@ -212,14 +214,15 @@ class Store:
         If another process serves from it, or it belongs to another site or layout.
     """
 
-    def __init__(self, place: Path | str, site: str) -> None:
-        self._database = opened_database(place)
+    def __init__(self, place: Path | str, site: str, reading: bool = False) -> None:
+        self._database = opened_database(place, reading)
         self._engine = self._database.engine
         self._writing = threading.Lock()
         self.changes = 0  # whoever shows what is stored looks again when it has grown
-        with _plain_errors():
-            _tables.create_all(self._engine)
-        self._belongs_to(site)
+        if not reading:
+            with _plain_errors():
+                _tables.create_all(self._engine)
+        self._belongs_to(site, reading)
         self._items = self._known_items()
 
     def _known_items(self) -> set[tuple[str, str]]:
@@ -461,6 +464,25 @@ class Store:
                 db.execute(_keys.insert().values(key=key, time=seconds(time)))
         return time if found is None else moment(found)
 
+    def forget(self, before: pd.Timestamp) -> None:
+        """Drop what is older: readings, steps, forecasts, acknowledgements, events that are over.
+
+        What holds stays, however old it is, and so does the audit.
+        """
+        at = seconds(before)
+        f = _forecasts.c
+        newest = sa.select(sa.func.max(f.issued_at)).group_by(f.quantity)
+        e = _events.c
+        later = _events.alias("later")
+        replaced = sa.exists().where(later.c.id == e.id, later.c.version > e.version)
+        with self._changes(routine=True) as db:
+            db.execute(_telemetry.delete().where(_telemetry.c.time < at))
+            db.execute(_steps.delete().where(_steps.c.time < at))
+            db.execute(_keys.delete().where(_keys.c.time < at))
+            db.execute(_acks.delete().where(_acks.c.at < at))
+            db.execute(_forecasts.delete().where(f.issued_at < at, f.issued_at.not_in(newest)))
+            db.execute(_events.delete().where(e.made_at < at, sa.or_(replaced, e.body.is_(None))))
+
     # Acknowledgements
 
     def put_ack(
@@ -546,15 +568,18 @@ class Store:
             rows = db.execute(sa.select(_audit).order_by(_audit.c.number)).all()
         return [(row.actor, row.action, row.detail) for row in rows]
 
-    def _belongs_to(self, site: str) -> None:
-        """Refuse the database of another site or layout."""
-        with self._changes() as db:
+    def _belongs_to(self, site: str, reading: bool) -> None:
+        """Refuse the database of another site or layout; a new one is this site's."""
+        wanted = {"layout": LAYOUT, "site": site}
+        with self._reads() as db:
             known = {row.key: row.value for row in db.execute(sa.select(_meta))}
-            for key, value in {"layout": LAYOUT, "site": site}.items():
-                if known.setdefault(key, value) == value:
+        missing = {key: value for key, value in wanted.items() if key not in known}
+        if missing and not reading:
+            with self._changes() as db:
+                for key, value in missing.items():
                     _put(db, _meta, key=key, value=value)
-        for key, value in {"layout": LAYOUT, "site": site}.items():
-            if known[key] != value:
+        for key, value in wanted.items():
+            if known.get(key, value) != value:
                 self.close()
                 raise InputError(
                     Problem(

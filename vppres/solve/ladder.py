@@ -259,11 +259,12 @@ def worth_the_whole(task: WindowTask) -> bool:
 
     There its relaxation says no more than ``network_service``, and its search never ends.
     In a huge one it cannot even be compiled.
-    Nor where the network carries what the search for batteries' modes found: with the network that
-    takes longer.
+    Nor where the network carries whom the search for batteries' modes serves: with the network that
+    takes longer. Where it does not, the relaxation found the answer that there is.
     """
     known = task.certificate
     if compiles_nothing(task):
         return False
     decided = known.ran("network_service") and task.is_large
-    return task.goes_on and not (known.answered and (decided or known.ran("modes")))
+    carried = known.ran("modes") and not known.ran("relaxed")
+    return task.goes_on and not (known.answered and (decided or carried))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import cvxpy as cp
@@ -36,11 +38,15 @@ WIDE = 100
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
 
 
-HEURISTICS = tuple(
-    f"mip_heuristic_run_{name}"
-    for name in ("feasibility_jump", "rins", "rens", "root_reduced_cost")
+NO_SETS_OF_THEIR_OWN = MappingProxyType(
+    {
+        "mip_heuristic_run_feasibility_jump": False,
+        "mip_heuristic_run_rins": False,
+        "mip_heuristic_run_rens": False,
+    }
 )
-"""Switches of the heuristics of HiGHS that solve a problem within the problem."""
+"""Options for a search whose rounding finds answers at once: HiGHS solves no problem within the
+problem to find one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,22 +108,30 @@ class Program:
         return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
 
     def loaded(
-        self, gap_abs: float = 0.0, most_nodes: int | None = None, heuristics: bool = True
+        self,
+        gap_abs: float = 0.0,
+        most_nodes: int | None = None,
+        enough: float = -np.inf,
+        more: Mapping[str, Any] = MappingProxyType({}),
     ) -> highspy.Highs:
-        """A solver that has the program."""
+        """A solver that has the program.
+
+        A search ends at the first value of ``enough`` or less: one that nothing can be below.
+        ``more`` are options of HiGHS.
+        """
         solver = highspy.Highs()
         options: dict[str, Any] = {
             "output_flag": False,
             "mip_rel_gap": 0.0,
             "mip_abs_gap": gap_abs,
+            "objective_target": enough,
             "threads": 1,
+            **more,
         }
         if self.is_wide:
             options["presolve"] = "off"
         if most_nodes is not None:
             options["mip_max_nodes"] = most_nodes
-        if not heuristics:
-            options |= dict.fromkeys(HEURISTICS, False)
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.

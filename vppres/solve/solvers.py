@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import cvxpy as cp
@@ -68,12 +69,18 @@ class SolverSpec:
     @property
     def installed(self) -> bool:
         """Whether cvxpy finds it on this machine."""
-        return self.cvxpy_name in cp.installed_solvers()
+        return self.cvxpy_name in _installed()
 
     @property
     def interface(self) -> str | Solver:
         """What cvxpy hands problems to."""
         return HIGHS_WITHOUT_DUALS if self.cvxpy_name == cp.HIGHS else self.cvxpy_name
+
+
+@cache
+def _installed() -> frozenset[str]:
+    """What cvxpy finds: it looks through the folders of the environment for every solver."""
+    return frozenset(cp.installed_solvers())
 
 
 def _stats(problem: cp.Problem) -> Any:

@@ -8,7 +8,12 @@ import numpy as np
 
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
-from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, window_model
+from vppres.solve.dispatch import (
+    FINER,
+    POLYGON_SIDES,
+    keep_dispatch_in_network,
+    window_model,
+)
 from vppres.solve.fleet.rungs import AGAIN
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
@@ -17,6 +22,9 @@ from vppres.solve.task import WindowTask
 IN_FULL = 1.0 - 1e-3
 """Share from which a customer counts as served in a solution by interior points, which end near a
 limit and never at it."""
+
+MOST_SIDES = 16_000
+"""Sides of all polygons of a window up to which finer ones are tried."""
 
 CONIC_TOLERANCE = 1e-6
 """How far interior points may end from the optimum, on either side, relative and absolute."""
@@ -46,25 +54,32 @@ def without_binaries(task: WindowTask) -> None:
 def with_binaries(task: WindowTask) -> None:
     """The whole problem. Where discs are polygons, outer ones bound and inner ones answer.
 
-    ``docs/decisions/bounds-of-discs.md`` says why there are two.
+    ``docs/decisions/bounds-of-discs.md`` says why there are two. Where the corners that outer ones
+    have too much keep a window open, and it is small, outer ones of more sides come first.
     """
     form = Form("service", "integer", "integer", task.sides)
     if task.sides:
-        _search(task, "full_outer", replace(form, outer=True))
+        inverters = task.data.n_steps * (len(task.site.batteries) + len(task.site.pv))
+        done = _search(task, "full_outer", replace(form, outer=True))
+        while done and task.goes_on and FINER * form.polygon_sides * inverters <= MOST_SIDES:
+            form = replace(form, polygon_sides=FINER * form.polygon_sides)
+            done = _search(task, "full_outer", replace(form, outer=True))
     if task.goes_on:
         _search(task, "full", form)
 
 
-def _search(task: WindowTask, name: str, form: Form) -> None:
+def _search(task: WindowTask, name: str, form: Form) -> bool:
     """Search the whole problem in a form until it is as close as its own objective asks for.
 
     Solvers stop at an absolute gap, and how much can be served is not known before: where it turns
-    out to be less than was thought, the search is done again to the gap of that.
+    out to be less than was thought, the search is done again to the gap of that. Says whether the
+    last one ended.
     """
     gap = task.gap_to_best
     done = _solve(task, name, form, gap)
     if done and task.goes_on and task.gap_to_best < AGAIN * gap:
-        _solve(task, name, form, task.gap_to_best)
+        return _solve(task, name, form, task.gap_to_best)
+    return done
 
 
 def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:

@@ -17,7 +17,7 @@ export function meter(to, { from = 0, kind = "", rest = "", marks = [], name = "
   const x = (value) => 100 * Math.min(1, Math.max(0, value));
   return element("svg", { class: "meter", role: "img", "aria-label": name },
     element("rect", { class: `track ${rest}`, width: "100%", height: 14, rx: 2 }),
-    element("rect", { class: `level ${kind}`, x: `${x(from)}%`, width: `${x(to) - x(from)}%`, height: 14, rx: 2 }),
+    element("rect", { class: `level ${kind}`, x: `${x(from)}%`, width: `${Math.max(x(to) - x(from), from ? 1.5 : 0)}%`, height: 14, rx: 2 }),
     ...marks.map((mark) => element("line", { class: "mark", x1: `${x(mark)}%`, x2: `${x(mark)}%`, y1: -3, y2: 17 })));
 }
 
@@ -135,7 +135,7 @@ function drawRow(svg, row, points, steps, x, width) {
 
 // Below: steps that were not plain.
 function drawStrip(svg, top, steps, x) {
-  const signs = { fallback: ["odd", "F"], off: ["odd", "0"], failed: ["bad", "!"], missed: ["bad", "\u00d7"] };
+  const signs = { fallback: ["odd", "F"], off: ["odd", "0"], hold: ["odd", "H"], manual: ["odd", "M"], failed: ["bad", "!"], missed: ["bad", "\u00d7"] };
   for (const step of steps) {
     const sign = signs[step.status];
     if (!sign) continue;
@@ -149,9 +149,11 @@ function drawTimes(svg, view, first, last, x, top, width) {
   const every = [0.25, 0.5, 1, 2, 3, 4, 6, 12, 24].find((step) => hours / step <= room) ?? 24;
   svg.append(element("line", { class: "edge", x1: LEFT, x2: width - RIGHT, y1: top, y2: top }));
   const minutes = (time) => view.clock.hm.format(time).split(":").reduce((h, m) => 60 * Number(h) + Number(m));
+  let zone = view.clock.zone(first);
   for (let time = Math.ceil(first / 9e5) * 9e5; time <= last; time += 9e5) {
     if (minutes(time) % (60 * every)) continue;
+    const changed = view.clock.zone(time) === zone ? "" : ` ${zone = view.clock.zone(time)}`;
     svg.append(element("line", { class: "edge", x1: x(time), x2: x(time), y1: top, y2: top + 5 }),
-      element("text", { x: x(time), y: top + 18, "text-anchor": "middle" }, view.clock.hm.format(time)));
+      element("text", { x: x(time), y: top + 18, "text-anchor": "middle" }, view.clock.hm.format(time) + changed));
   }
 }

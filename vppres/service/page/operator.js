@@ -27,8 +27,11 @@ export class Operator {
   show(mode) {
     if (this.present === mode) return;
     this.present = mode;
-    const input = $("modes").querySelector(`[value="${CSS.escape(mode)}"]`);
-    if (input) input.checked = true;
+    this.choosePresent();
+  }
+
+  choosePresent() {
+    for (const input of $("modes").querySelectorAll("input")) input.checked = input.value === this.present;
   }
 
   chosen() { return $("modes").querySelector(":checked"); }
@@ -37,6 +40,7 @@ export class Operator {
     const mode = this.chosen()?.value;
     if (!mode) return;
     const hours = $("mode-hours");
+    if (mode === "hold" && !hours.value) hours.value = "1"; // nobody looks after it: it must end
     const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
     $("confirm-title").textContent = `Change the mode to ${mode}?`;
     $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""} ${span}`;
@@ -48,15 +52,19 @@ export class Operator {
 
   async confirmed() {
     $("mode-change").focus();
-    if ($("confirm").returnValue !== "yes") return;
+    if ($("confirm").returnValue !== "yes") {
+      this.choosePresent();
+      return;
+    }
     const hours = Number($("mode-hours").value);
     const until = hours ? new Date(this.now().getTime() + hours * 3.6e6).toISOString() : null;
     const body = { mode: this.chosen().value, until, reason: $("mode-reason").value };
     $("mode-change").disabled = true;
     const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })
-      .then((answer) => `The mode is ${answer.mode}.`, (error) => `The mode was not changed. ${error.message}`);
+      .then((answer) => { this.present = answer.mode; return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
     $("mode-change").disabled = false;
     $("mode-change").focus();
     $("mode-said").textContent = said;
+    this.choosePresent();
   }
 }

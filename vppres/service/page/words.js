@@ -84,6 +84,9 @@ export function verdict(view) {
   const words = n === 0 ? `all ${counted(all, "customer")} are on` : `${n} of ${counted(all, "customer")} ${n === 1 ? "is" : "are"} off`;
   if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${off[first]} ${first} ${off[first] === 1 ? "customer is" : "customers are"} off.`, `${capital(words)}. ${next(view, at)}`];
   const saved = n > 0 ? `, all ${first} ones on` : "";
+  if (plan.status === "hold" || plan.status === "manual") {
+    return [WARNING, `${head ? `${head}: ${words}` : capital(words)}, as the operator ${plan.status === "hold" ? "holds" : "ordered"}.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : ""];
+  }
   if (dark) return [WARNING, `${head}: ${words}${saved}.`, next(view, at)];
   if (n > 0) return [WARNING, `${capital(words)}${saved}.`, next(view, at)];
   if (plan.status === "fallback") return [WARNING, `${capital(words)}, decided by a fallback.`, plan.solve.fallback_reason ?? ""];

@@ -7,6 +7,7 @@ the slack bus. ``docs/method.md``, *Cuts of feeders*.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,7 +16,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.injections import Rows
-from vppres.solve.programs import Program, ProgramSolution
+from vppres.solve.programs import NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -29,6 +30,9 @@ NODES = 50
 
 GAP = 0.05
 """Units that a feeder's search may leave open."""
+
+SEARCH = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_heuristic_run_root_reduced_cost": False})
+"""How HiGHS searches a feeder: for the bound."""
 
 LEAST_CUT = 0.01
 """Units that a cut must take from a linear solution to be worth a dense row."""
@@ -131,7 +135,7 @@ class Feeders:
         binary = np.isin(columns, self.binaries)
         least = self._least(columns, rows)
         program = self._own(columns, rows, binary)
-        found = ProgramSolution.of(program.loaded(GAP, NODES, heuristics=False), deadline)
+        found = ProgramSolution.of(program.loaded(GAP, NODES, more=SEARCH), deadline)
         places = np.flatnonzero(self.feeder[self.binaries] == number)
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)

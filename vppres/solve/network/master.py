@@ -778,9 +778,7 @@ class _ServiceCuts:
             np.array(self.most_units),
             np.arange(len(cost)),
         )
-        solver = program.loaded(1.0 - 2.0 * NEAR)
-        if np.isfinite(at_most):
-            solver.setOptionValue("objective_target", CLOSE - at_most)
+        solver = program.loaded(1.0 - 2.0 * NEAR, enough=CLOSE - at_most)
         found = ProgramSolution.of(solver, deadline)
         return replace(found, bound=found.bound - NEAR)
 

@@ -1,0 +1,177 @@
+"""The bridge to MQTT with a real broker: readings arrive, set-points are there until they end."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.browser import listening
+from tests.support.long_days import repeated
+from tests.support.tiny_day import tiny_scenario
+from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.scenario.timegrid import TimeGrid
+from vppres.service.access import Access, new_token
+from vppres.service.app import make_app
+from vppres.service.client import Client
+from vppres.service.clock import SetClock
+from vppres.service.runner import Runner, Service
+from vppres.service.serve import opened
+
+paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+pytestmark = pytest.mark.skipif(BROKER is None, reason="no mosquitto on the path")
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
+    settings = tmp_path_factory.mktemp("mqtt") / "mosquitto.conf"
+    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
+    process = subprocess.Popen([str(BROKER), "-c", str(settings)], stderr=subprocess.DEVNULL)
+    within(10, lambda: socket.create_connection(("127.0.0.1", port)).close() or True)
+    yield port
+    process.terminate()
+    process.wait(10)
+
+
+def within(seconds: float, true: Callable[[], Any]) -> None:
+    until = time.monotonic() + seconds
+    while True:
+        try:
+            if true():
+                return
+        except OSError:
+            pass
+        assert time.monotonic() < until, "it did not come"
+        time.sleep(0.02)
+
+
+class Device:
+    """A device at the broker: what it was told, by topic."""
+
+    def __init__(self, port: int) -> None:
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        self.told: dict[str, str] = {}
+        self.client = paho.Client(CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+        self.client.on_connect = lambda client, *_: client.subscribe("vppres/#", qos=1)
+        self.client.on_message = lambda _c, _d, m: self.told.update({m.topic: m.payload.decode()})
+        self.client.connect("127.0.0.1", port)
+        self.client.loop_start()
+
+    def close(self) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+@contextmanager
+def site(folder: Path) -> Iterator[tuple[Runner, str, str]]:
+    """A service that has just decided an hour; its address and a token."""
+    day = repeated(tiny_scenario(), 24)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
+    quiet = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+    served = Service(quiet, RunOptions(horizon_h=0.0, isolate=False))
+    secret, token = new_token("bridge:read,telemetry")
+    clock = SetClock(pd.Timestamp.now(tz="UTC").floor("s"))
+    with opened(served, folder, clock) as runner:
+        runner.step()
+        with listening(make_app(runner, Access([token]))) as address:
+            yield runner, address, secret
+
+
+def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> None:
+    from vppres.service.mqtt import Bridge, Topics
+
+    with site(tmp_path) as (runner, address, secret):
+        device = Device(broker)
+        bridge = Bridge(Client(address, secret), Topics(), "PT1H")
+        end = threading.Event()
+        running = threading.Thread(target=bridge.run, args=("127.0.0.1", broker, 0.05, end))
+        running.start()
+        within(10, lambda: device.told.get("vppres/status") == "online")
+        device.client.publish("vppres/telemetry/big/soc", "0.61", qos=1)
+        device.client.publish("vppres/telemetry/shop/load_kw", "", qos=1)
+        device.client.publish("vppres/telemetry/nobody/soc", "0.5", qos=1)
+        now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
+        within(10, lambda: len(runner.store.latest(now, ["soc", "load_kw"])) == 2)
+        found = {r.asset: r for r in runner.store.latest(now, ["soc", "load_kw"])}
+        assert found["big"].value == 0.61 and found["shop"].value is None
+        assert (found["big"].source, found["big"].resolution_s) == ("mqtt", 3600)
+        within(10, lambda: len([t for t in device.told if "/setpoints/" in t]) == 7)
+        told = {
+            t.rpartition("/")[2]: json.loads(v) for t, v in device.told.items() if "points" in t
+        }
+        assert runner.last is not None
+        for one in runner.last["setpoints"]:
+            assert told[one["asset"]]["id"] == one["id"] and told[one["asset"]]["active"]
+        end.set()
+        running.join()
+        within(10, lambda: device.told.get("vppres/status") == "offline")
+        device.close()
+        # Who comes later finds what is retained.
+        late = Device(broker)
+        within(10, lambda: len(late.told) >= 7)
+        late.close()
+        bridge.service.close()
+
+
+def test_the_broker_forgets_a_set_point_that_has_ended(tmp_path: Path, broker: int) -> None:
+    from vppres.service.mqtt import Bridge, Topics
+
+    with site(tmp_path) as (runner, address, secret):
+        bridge = Bridge(Client(address, secret), Topics("vppres/short"))
+        bridge.broker.connect("127.0.0.1", broker)
+        bridge.broker.loop_start()
+        assert isinstance(runner.clock, SetClock) and runner.last is not None
+        ends = pd.Timestamp(runner.last["setpoints"][0]["valid_until"])
+        runner.clock.set(ends - pd.Timedelta("2s"))
+        bridge.turn()
+        early = Device(broker)
+        within(10, lambda: "vppres/short/setpoints/big" in early.told)
+        early.close()
+        time.sleep(3.0)
+        late = Device(broker)
+        time.sleep(0.5)
+        assert "vppres/short/setpoints/big" not in late.told
+        late.close()
+        bridge.broker.disconnect()
+        bridge.broker.loop_stop()
+        bridge.service.close()
+
+
+def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path, broker: int) -> None:
+    from vppres.service.mqtt import Bridge, Topics
+
+    class Message:
+        topic = "vppres/telemetry/big/soc"
+        payload = b"0.4"
+
+    with site(tmp_path) as (runner, address, secret):
+        bridge = Bridge(Client(address, "wrong"), Topics())
+        bridge._heard(None, None, Message())
+        with pytest.raises(InputError, match="the service answers 401"):
+            bridge.turn()
+        bridge.service.close()
+        bridge.service = Client(address, secret)
+        bridge.turn()
+        now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
+        assert [one.value for one in runner.store.latest(now, ["soc"])] == [0.4]
+        bridge.service.close()
+    with pytest.raises(OSError, match="does not answer"):
+        Bridge(Client(address, secret), Topics()).turn()

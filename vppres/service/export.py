@@ -1,0 +1,227 @@
+"""What was, as the run of a scenario: stored plans and readings, replayed on the plant.
+
+Of every step the set-points that were said, the demand, sun and state of charge that were measured
+(the profile's where nothing was), and whether there was grid. What they led to is the plant's
+answer: nobody measures all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError, Problem
+from vppres.day.trajectory import Recorder, StepRecord, Trajectory
+from vppres.live.door import moment_of
+from vppres.live.profile import Profile
+from vppres.model.site import Site
+from vppres.plant.plant import BatteryState
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.runner import Service
+from vppres.service.store import Store, moment
+from vppres.service.world import World
+
+MOST_STEPS = 40_000
+"""At once: more than a year of quarter hours."""
+
+CONNECTED = {"available": True}
+"""Of plans that nobody decided: they do not say."""
+
+OF_SOLVE = {
+    "status": "status",
+    "gap": "relative_gap",
+    "objective": "objective",
+    "bound": "bound",
+    "solve_s": "seconds",
+    "fallback_reason": "fallback_reason",
+    "correction_reason": "correction_reason",
+}
+"""Columns of a run's steps by the names of a stored plan."""
+
+
+def export(service: Service, place: Path | str, begin: str, end: str) -> Trajectory:
+    """The steps from a time up to another one, read beside a service that may run.
+
+    Parameters
+    ----------
+    service : Service
+        What is served.
+    place : Path or str
+        Where its state is.
+    begin, end : str
+        ISO 8601; without an offset by the clocks at the site.
+
+    Raises
+    ------
+    InputError
+        For what is no time, and where nothing is stored.
+    """
+    grid = service.scenario.grid
+    times = [_moment(text, grid.zone) for text in (begin, end)]
+    store = Store(place, Site.of(service.scenario).key, reading=True)
+    try:
+        return exported(service, store, *times)
+    finally:
+        store.close()
+
+
+def _moment(text: str, zone: str) -> pd.Timestamp:
+    found = moment_of(text)
+    if found is None:
+        cure = "Write ISO 8601, for example 2026-11-21 or 2026-11-21T18:00Z."
+        raise InputError(Problem("options", "is no time", cure, None, "from or to", text))
+    return found.tz_localize(zone) if found.tzinfo is None else found
+
+
+def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timestamp) -> Trajectory:
+    """The steps from a time up to another one, as a run.
+
+    Parameters
+    ----------
+    service : Service
+        What is served.
+    store : Store
+        What was heard and said.
+    start, end : pandas.Timestamp
+        The first step and the end of the last one, or times in them.
+
+    Raises
+    ------
+    InputError
+        If no step of that time is stored, or there are too many.
+    """
+    scenario = _site(service, start, end)
+    plans = {plan["start"]: plan for plan in store.plans(scenario.grid.start)}
+    times = scenario.grid.times
+    stored = [plans.get(written(time)) for time in times]
+    if not any(stored):
+        raise InputError(
+            Problem(
+                "export",
+                f"finds no step from {written(times[0])} up to {written(scenario.grid.end)}",
+                "Give a time in which the service ran.",
+            )
+        )
+    measured = _Measured(store, scenario)
+    scenario = _as_it_was(scenario, stored, measured)
+    recorder = Recorder(scenario)
+    for record in _replayed(scenario, service, stored, measured):
+        recorder.add(record)
+    return recorder.finish(service.options.on(scenario).as_record())
+
+
+def _site(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
+    """The site with the steps of a time, as its profile or its own days have them."""
+    profile = Profile.of(service.scenario)
+    first = profile.step_at(start.tz_convert("UTC"))
+    step = pd.Timedelta(minutes=service.scenario.grid.step_minutes)
+    n_steps = -((first - end) // step)
+    if not 0 < n_steps <= MOST_STEPS:
+        raise InputError(
+            Problem(
+                "export",
+                f"is a time of {n_steps} steps",
+                f"Give one of 1 to {MOST_STEPS}, the end behind the beginning.",
+            )
+        )
+    return replace(profile.steps(first, n_steps), warnings=())
+
+
+class _Measured:
+    """Readings of a time, each in the step in which it was taken.
+
+    Parameters
+    ----------
+    store : Store
+        What was heard.
+    scenario : Scenario
+        The steps.
+    """
+
+    def __init__(self, store: Store, scenario: Scenario) -> None:
+        self.scenario = scenario
+        grid = scenario.grid
+        step = pd.Timedelta(minutes=grid.step_minutes)
+        self._first: dict[tuple[str, str, int], float] = {}
+        for reading in store.between(grid.start, grid.end, ("soc", "load_kw", "pv_kw")):
+            t = (moment(reading.time) - grid.start) // step
+            if reading.value is not None:
+                self._first.setdefault((reading.quantity, reading.asset, t), reading.value)
+
+    def laid(self, quantity: str, ids: Any, series: Floats) -> Floats:
+        """A series (T, items) with what was measured in its place."""
+        found = series.copy()
+        places = {str(name): i for i, name in enumerate(ids)}
+        for (kind, asset, t), value in self._first.items():
+            if kind == quantity and asset in places:
+                found[t, places[asset]] = value
+        return found
+
+
+def _as_it_was(
+    scenario: Scenario, stored: list[dict[str, Any] | None], measured: _Measured
+) -> Scenario:
+    """The scenario of what was measured; without grid where plans say that there was none."""
+    dark = [plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored]
+    nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
+    soc = measured.laid("soc", scenario.batteries.id, nothing)
+    first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
+    b = scenario.batteries
+    return replace(
+        scenario,
+        load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
+        pv_kw=np.minimum(
+            measured.laid("pv_kw", scenario.pv.id, scenario.pv_kw), scenario.pv.p_max_kw
+        ),
+        grid_limit_kw=np.where(dark, 0.0, scenario.grid_limit_kw),
+        batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
+    )
+
+
+def _replayed(
+    scenario: Scenario,
+    service: Service,
+    stored: list[dict[str, Any] | None],
+    measured: _Measured,
+) -> Iterator[StepRecord]:
+    """The plant's answer to every step; batteries begin it with what was measured."""
+    world = World(scenario, service.options)
+    nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
+    soc = measured.laid("soc", scenario.batteries.id, nothing)
+    b = scenario.batteries
+    told: list[dict[str, Any]] = []
+    for t, plan in enumerate(stored):
+        state = world.day.state
+        held = np.where(np.isfinite(soc[t]), np.clip(soc[t], b.soc_min, b.soc_max), state.soc)
+        world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
+        told = told if plan is None else plan["setpoints"]
+        yield _noted(world.obey(t, told), plan)
+
+
+def _noted(record: StepRecord, plan: dict[str, Any] | None) -> StepRecord:
+    """A step with what its plan says of how it was found."""
+    # No model's answer is stored: that of the AC power flow stands in its place.
+    buses = {**record.buses, "v_model_pu": record.buses["v_ac_pu"]}
+    lines = {
+        **record.lines,
+        "p_model_kw": record.lines["p_ac_kw"],
+        "q_model_kvar": record.lines["q_ac_kvar"],
+    }
+    found = {"status": "missed" if plan is None else plan["status"], "v_error_pu": 0.0}
+    if plan is not None and plan["solve"] is not None:
+        solve = plan["solve"]
+        values = {name: solve[stored] for name, stored in OF_SOLVE.items()}
+        found |= {
+            name: ("" if name.endswith("reason") else np.nan) if value is None else value
+            for name, value in values.items()
+        }
+        found["fallback"] = solve["fallback"] or "none"
+        found["estimated"] = "; ".join(plan["estimated"])
+    return replace(record, steps={**record.steps, **found}, buses=buses, lines=lines)

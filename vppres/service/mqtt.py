@@ -1,0 +1,215 @@
+"""Between the service and an MQTT broker: readings in, set-points out.
+
+``python -m vppres.service.mqtt`` needs the extra ``vppres[mqtt]`` and a broker that speaks MQTT 5.
+
+============================================  ==================================================
+``vppres/telemetry/ASSET/QUANTITY``           read: a number, or nothing where it is missing
+``vppres/setpoints/ASSET``                    written, retained: the set-point as JSON, which the
+                                              broker forgets when it ends
+``vppres/status``                             written, retained: ``online``, and ``offline`` as
+                                              the bridge's last will
+============================================  ==================================================
+
+Assets are written as in a URL: ``%2F`` for a slash.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import quote, unquote
+
+import paho.mqtt.client as mqtt
+import pandas as pd
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from vppres.core.errors import InputError
+from vppres.service.client import Client
+from vppres.service.clock import written
+
+MOST_WAITING = 10_000
+"""Readings that are kept while the service does not answer; then the oldest are dropped."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Names at the broker.
+
+    Parameters
+    ----------
+    prefix : str
+        What all of them begin with.
+
+    Examples
+    --------
+    >>> Topics().set_point("b/2")
+    'vppres/setpoints/b%2F2'
+    >>> Topics().reading("vppres/telemetry/b%2F2/soc")
+    ('b/2', 'soc')
+    """
+
+    prefix: str = "vppres"
+
+    @property
+    def status(self) -> str:
+        """Whether the bridge is there."""
+        return f"{self.prefix}/status"
+
+    @property
+    def readings(self) -> str:
+        """All readings."""
+        return f"{self.prefix}/telemetry/+/+"
+
+    def set_point(self, asset: str) -> str:
+        """Where an asset's set-point is."""
+        return f"{self.prefix}/setpoints/{quote(asset, safe='')}"
+
+    def reading(self, topic: str) -> tuple[str, str]:
+        """Asset and quantity of a reading's topic."""
+        asset, quantity = topic.removeprefix(f"{self.prefix}/telemetry/").split("/")
+        return unquote(asset), quantity
+
+
+class Bridge:
+    """Carries readings one way and set-points the other.
+
+    Parameters
+    ----------
+    service : Client
+        The service, for a token with ``read`` and ``telemetry``.
+    topics : Topics
+        Names at the broker.
+    resolution : str
+        How long a reading holds, as the service has it.
+    """
+
+    def __init__(self, service: Client, topics: Topics, resolution: str = "PT1M") -> None:
+        self.service = service
+        self.topics = topics
+        self.resolution = resolution
+        self._waiting: deque[dict[str, Any]] = deque(maxlen=MOST_WAITING)
+        self._published: dict[str, tuple[str, bool]] = {}
+        self.broker = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
+        self.broker.will_set(topics.status, "offline", qos=1, retain=True)
+        self.broker.on_connect = self._connected
+        self.broker.on_message = self._heard
+
+    def _connected(self, broker: Any, *_: Any) -> None:
+        """Again after every loss: nobody else says what is subscribed, and what is retained."""
+        broker.subscribe(self.topics.readings, qos=1)
+        broker.publish(self.topics.status, "online", qos=1, retain=True)
+        self._published.clear()
+
+    def _heard(self, _broker: Any, _data: Any, message: Any) -> None:
+        """A reading; what is no number is known to be missing."""
+        asset, quantity = self.topics.reading(message.topic)
+        try:
+            value = float(message.payload)
+        except ValueError:
+            value = None
+        self._waiting.append(
+            {
+                "source": "mqtt",
+                "asset": asset,
+                "quantity": quantity,
+                "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
+                "resolution": self.resolution,
+                "values": [value],
+            }
+        )
+
+    def turn(self) -> None:
+        """Send what was read, and publish what is new of the set-points.
+
+        Raises
+        ------
+        InputError, OSError
+            If the service refuses or does not answer; readings are kept for the next turn.
+        """
+        sending = list(self._waiting)
+        if sending:
+            answer = self.service.ask("POST", "/v1/telemetry", {"series": sending})
+            if answer.status >= 500 or answer.status in (401, 403, 429):
+                raise InputError(f"telemetry: the service answers {answer.status}")
+            for refused in answer.body.get("refused") or answer.body.get("problems") or []:
+                log.warning("telemetry: %s %s", refused["field"], refused["message"])
+            for _ in sending:
+                self._waiting.popleft()
+        found = self.service.wanted("GET", "/v1/setpoints").body
+        for point in found["setpoints"]:
+            self._publish(point, pd.Timestamp(found["at"]))
+
+    def _publish(self, point: dict[str, Any], now: pd.Timestamp) -> None:
+        """A set-point that is new; the broker forgets it when it ends, whoever is still there."""
+        key = f"{point['kind']}/{point['asset']}"
+        state = (point["id"], point["active"])
+        if self._published.get(key) == state:
+            return
+        properties = Properties(PacketTypes.PUBLISH)
+        if point["active"]:
+            left = pd.Timestamp(point["valid_until"]) - now
+            properties.MessageExpiryInterval = max(1, int(left.total_seconds()))
+        self.broker.publish(
+            self.topics.set_point(point["asset"]),
+            json.dumps(point),
+            qos=1,
+            retain=True,
+            properties=properties,
+        )
+        self._published[key] = state
+
+    def run(self, host: str, port: int, every_s: float, end: threading.Event) -> None:
+        """Go on until the end; what fails is tried again."""
+        self.broker.connect(host, port)
+        self.broker.loop_start()
+        try:
+            while not end.wait(every_s):
+                try:
+                    self.turn()
+                except (InputError, OSError) as error:
+                    log.error("%s", error)
+        finally:
+            self.broker.publish(self.topics.status, "offline", qos=1, retain=True).wait_for_publish(
+                5
+            )
+            self.broker.disconnect()
+            self.broker.loop_stop()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the bridge until it is interrupted."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vppres.service.mqtt", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--service", default="http://127.0.0.1:8420", help="where vppres serves")
+    parser.add_argument("--broker", default="127.0.0.1", help="name or address of the broker")
+    parser.add_argument("--port", type=int, default=1883, help="port of the broker")
+    parser.add_argument("--prefix", default="vppres", help="what all topics begin with")
+    parser.add_argument("--every", type=float, default=5.0, help="seconds between two turns")
+    parser.add_argument("--resolution", default="PT1M", help="how long a reading holds")
+    asked = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    service = Client(asked.service, os.environ.get("VPPRES_TOKEN"))
+    bridge = Bridge(service, Topics(asked.prefix), asked.resolution)
+    if "VPPRES_MQTT_USER" in os.environ:
+        bridge.broker.username_pw_set(
+            os.environ["VPPRES_MQTT_USER"], os.environ.get("VPPRES_MQTT_PASSWORD")
+        )
+    with suppress(KeyboardInterrupt):
+        bridge.run(asked.broker, asked.port, asked.every, threading.Event())
+
+
+if __name__ == "__main__":
+    main()
