@@ -7,9 +7,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Response
 from starlette.exceptions import HTTPException
 
+from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
 from vppres.service.announced import check_belief
 from vppres.service.clock import written
+from vppres.service.openadr import OpenADREvent, events_of
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 from vppres.service.store import moment
@@ -75,5 +77,18 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             raise HTTPException(404, "There is no such event.")
         version = runner.store.put_event(identifier, None, runner.clock.now(), actor)
         return {"version": version}
+
+    @router.post("/v1/openadr/events", status_code=201)
+    def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
+        """An event of OpenADR 3 as it stands; it replaces what an earlier one of its name said."""
+        believes = runner.options.outages in (BELIEF, LIKELY)
+        found, ignored = events_of(body, believes)
+        for event in found.values():
+            if isinstance(event, payloads.Prices):
+                check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
+        now = runner.clock.now()
+        for name, event in found.items():
+            runner.store.put_event(name, payloads.plain(event), now, actor)
+        return {"events": list(found), "ignored": ignored}
 
     return router

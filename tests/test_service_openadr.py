@@ -1,0 +1,88 @@
+"""OpenADR 3 events, as a VTN has them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.live_service import HERE, NOON, client, decided, said, site
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+
+EVENT: dict[str, Any] = {
+    "id": "17",
+    "createdDateTime": "2026-11-21T08:00:00Z",
+    "objectType": "EVENT",
+    "programID": "resilience",
+    "eventName": "storm",
+    "priority": 0,
+    "targets": [{"type": "GROUP", "values": ["feeder-12"]}],
+    "payloadDescriptors": [
+        {"objectType": "EVENT_PAYLOAD_DESCRIPTOR", "payloadType": "PRICE",
+         "units": "KWH", "currency": "GBP"},
+        {"payloadType": "IMPORT_CAPACITY_LIMIT", "units": "MW"},
+    ],
+    "intervalPeriod": {"start": "2026-11-21T12:00:00Z", "duration": "PT1H",
+                       "randomizeStart": "PT0S"},
+    "intervals": [
+        {"id": 0, "payloads": [{"type": "PRICE", "values": [0.01]},
+                               {"type": "IMPORT_CAPACITY_LIMIT", "values": [0.18]}]},
+        {"id": 1, "payloads": [{"type": "PRICE", "values": [5.0]}, {"type": "GHG", "values": [9]},
+                               {"type": "ALERT_POSSIBLE_OUTAGE", "values": ["storm"]}]},
+    ],
+}  # fmt: skip
+
+
+def test_an_event_is_taken_as_it_stands(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
+        answer = http.post("/v1/openadr/events", EVENT)
+        assert (answer.status, answer.json()["ignored"]) == (201, ["GHG"])
+        known = http.get("/v1/events").json()
+        assert set(known) == set(answer.json()["events"])
+        assert known["17.0.PRICE"]["price_gbp_per_kwh"] == [0.01]
+        assert known["17.1.PRICE"]["start"] == "2026-11-21T13:00:00Z"
+        assert known["17.0.IMPORT_CAPACITY_LIMIT"]["limit_kw"] == 180.0
+        alert = known["17.1.ALERT_POSSIBLE_OUTAGE"]
+        assert (alert["type"], alert["text"]) == ("alert", "ALERT_POSSIBLE_OUTAGE storm")
+        plan = decided(http, clock, NOON, soc=0.2)
+        # Cheap now and dear in an hour, with a limit: it charges as much as it may.
+        assert plan["expected"]["import_kw"] == pytest.approx(180.0, abs=3.0)
+        assert http.post("/v1/openadr/events", EVENT).status == 201
+        assert http.get("/v1/events").json()["17.0.PRICE"]["version"] == 2
+
+
+def test_a_possible_outage_is_believed_where_beliefs_are_planned_with(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    clock = SetClock(NOON)
+    with client(Service(site(tiny), replace(HERE, outages="belief")), tmp_path, clock) as http:
+        http.post("/v1/openadr/events", EVENT)
+        plan = decided(http, clock, NOON, soc=0.2)
+        assert plan["outage_probability"][0] == 0.0
+        assert plan["outage_probability"][1] == pytest.approx(0.5, abs=0.001)
+        assert sum(one["p_kw"] for one in said(plan, "batteries").values()) > 20.0
+
+
+def test_what_is_none_is_refused_by_name(tiny: Scenario, tmp_path: Path) -> None:
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        for change, words in (
+            ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z"}}, "intervalPeriod: is missing"),
+            ({"intervalPeriod": {"start": "noon", "duration": "PT1H"}}, "is not a time"),
+            ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z", "duration": "1"}}, "no duration"),
+            ({"payloadDescriptors": [{"payloadType": "PRICE", "currency": "EUR"}]}, "another than"),
+            ({"intervals": [{"payloads": [{"type": "PRICE", "values": ["a"]}]}]}, "not one number"),
+            ({"intervals": [{"payloads": [{"type": "PRICE", "values": [1e9]}]}]}, "price"),
+            (
+                {"intervalPeriod": {"start": "2026-11-21T12:10:00Z", "duration": "PT1H"}},
+                "beginning",
+            ),
+        ):
+            answer = http.post("/v1/openadr/events", {**EVENT, **change})
+            assert answer.status == 422, (change, answer)
+            assert words in answer.content.decode(), answer.json()
+        assert http.get("/v1/events").json() == {}
