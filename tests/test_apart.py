@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.hard_days import hard_window
 from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
@@ -103,3 +104,13 @@ def test_the_packaged_day_without_batteries_is_certified_in_the_outage() -> None
     answer = WindowSolver(Site.of(packaged)).solve(data)
     assert answer.status == Status.OPTIMAL
     assert answer.gap_abs <= SolveLimits().gap_at(answer.objective)
+
+
+def test_batteries_that_are_full_bound_what_a_run_of_steps_can_store() -> None:
+    """Each step by itself could store some sun; five dark ones together have no room for all."""
+    case = hard_window("five_tiers", 204)
+    answer = WindowSolver(case.site, limits=SolveLimits(time_s=600.0)).solve(case.data)
+    assert answer.terms.f3 > 1.0
+    assert answer.status == Status.OPTIMAL
+    assert answer.gap <= 1e-4
+    assert answer.bound >= answer.objective

@@ -9,11 +9,11 @@ checks that it still does, and a process that is dead lets it run out.
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import os
 import threading
 import time
 import uuid
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -237,7 +237,7 @@ class Leased:
 
 def _check_driver() -> None:
     """Say which extra is missing."""
-    if find_spec("psycopg") is None:
+    if importlib.util.find_spec("psycopg") is None:
         cure = 'Install the extra: pip install "vppres[postgres]".'
         raise InputError(Problem("state", "needs the package psycopg", cure))
 

@@ -15,6 +15,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.stored_value import PIECES, StoredValue
+from vppres.core.arrays import Flags
+from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
@@ -30,6 +33,9 @@ LEAST_S = 0.01
 
 ENDLESS = 1e6
 """Factor of the energy of batteries that are to have no limit of energy."""
+
+LAST_SHARE = 0.25
+"""Share of a window's time that a second bound may take, in which what is stored has a price."""
 
 HALF = 0.5
 """State of charge of a battery without limit of energy, between its limits."""
@@ -93,7 +99,69 @@ def solve_in_turn(
             carried = replace(found, bound=bound, stages=stages, solver_s=solver_s)
         steps.append(carried)
         soc = np.clip(carried.dispatch.soc[-1], b.soc_min, b.soc_max)
-    return _joined(steps, limits, deadline)
+    found = _joined(steps, limits, deadline)
+    if found.status == Status.OPTIMAL or deadline.passed:
+        return found
+    bound = _bound_with_price(site, data, steps, limits.within(LAST_SHARE), relaxed)
+    met = limits.met(bound, found.objective)
+    return replace(found, bound=bound, status=Status.OPTIMAL if met else found.status)
+
+
+def _bound_with_price(
+    site: Site,
+    data: WindowData,
+    steps: Sequence[WindowSolution],
+    limits: SolveLimits,
+    relaxed: SolveStep,
+) -> float:
+    """Bound on the window where steps in a row would fill batteries that soon are full.
+
+    Without limits of energy each of them stores what it can of sun that is lost otherwise. What a
+    run of steps stores together finds room in the batteries. So the run is worth no more than its
+    steps if every kWh stored has a price, and that price for all the room there is: a Lagrangian
+    bound. At the price of a lost kWh nothing gains by being stored.
+    """
+    b = site.batteries
+    price = site.weights.lambda_curt / float(data.eta_charge.min())
+    full_kwh = float(b.energy_kwh @ b.soc_max)
+    dark = data.grid_limit_kw <= 0.0
+    wasted = np.array([step.terms.f3 for step in steps]) > 0.0
+    deadline = Deadline(limits.time_s)
+    shares = _shares(data.n_steps, limits, deadline)
+    bound = sum(step.bound for step in steps)
+    for first, end in _runs(dark | wasted):
+        soc = data.soc if first == 0 else b.soc_min
+        room_kwh = full_kwh - float(b.energy_kwh @ soc)
+        priced = price * room_kwh
+        for k in range(first, end):
+            priced += _with_price(site, data.part(slice(k, k + 1)), price, relaxed, next(shares))
+        bound -= max(sum(step.bound for step in steps[first:end]) - priced, 0.0)
+    return bound
+
+
+def _with_price(
+    site: Site, step: WindowData, price: float, relaxed: SolveStep, alone: SolveLimits
+) -> float:
+    """Bound on a step without limits of energy in which what is stored has a price."""
+    b = site.batteries
+    half = b.soc_min + HALF * (b.soc_max - b.soc_min)
+    held_kwh = ENDLESS * float(b.energy_kwh @ half)
+    stored_kwh = np.arange(PIECES + 1.0) - PIECES / 2
+    value = StoredValue(held_kwh + stored_kwh, -price * stored_kwh, 1.0, as_service=True)
+    try:
+        return relaxed(replace(step, soc=half, stored_value=value), alone).bound
+    except SolveError:
+        return np.inf
+
+
+def _runs(flags: Flags) -> list[tuple[int, int]]:
+    """First step and end of every run of steps.
+
+    >>> _runs(np.array([True, True, False, True]))
+    [(0, 2), (3, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
 def better(one: WindowSolution, other: WindowSolution, limits: SolveLimits) -> WindowSolution:
