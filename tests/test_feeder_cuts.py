@@ -129,3 +129,43 @@ def test_a_set_without_a_dispatch_leaves_an_answer(
     assert answer.dispatch.served.any() == (has_a_dispatch == "fewer")
     assert answer.bound >= usual.objective - 1e-6
     assert check_dispatch(day, data, answer.dispatch).worst[1] < 2e-5
+
+
+def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two batteries beyond their discs, in directions that cancel."""
+    day = three_feeders()
+    site = Site.of(day)
+    data = window(day, slice(18, 20), 0.6)
+    _, served = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)).service(
+        Deadline(TIME_S)
+    )
+    assert served is not None
+    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    columns = master.model.at["Q_batt"]
+    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
+    assert outcome.status == Status.OPTIMAL
+    assert dispatch is not None
+    x = np.zeros(master.model.size)
+    for name, values in {
+        "x": served,
+        "P_ch": dispatch.charge_kw,
+        "P_dch": dispatch.discharge_kw,
+        "energy": dispatch.soc[1:] * site.batteries.energy_kwh,
+        "Q_batt": dispatch.batt_q_kvar,
+        "P_exp": dispatch.pv_export_kw,
+        "Q_pv": dispatch.pv_q_kvar,
+        "P_grid": dispatch.p_grid_kw[:, None],
+        "Q_grid": dispatch.q_grid_kvar[:, None],
+    }.items():
+        x[master.model.at[name]] = values
+    x[columns[:, 0]] += 2.0 * site.batteries.s_max_kva[0]
+    x[columns[:, 1]] -= 2.0 * site.batteries.s_max_kva[0]
+    clipped = master.model.clipped(x, 1e-2)
+    assert clipped is not None
+    assert not master.model.disc_rows(clipped, 1e-6)
+    given = [master.model.at[name] for name in ("Q_batt", "Q_pv", "Q_grid")]
+    before, after = (
+        np.sum([z[places].sum(axis=1) for places in given], axis=0) for z in (x, clipped)
+    )
+    np.testing.assert_allclose(after, before, atol=1e-6)

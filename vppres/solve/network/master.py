@@ -142,6 +142,7 @@ class NetworkMaster:
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
         self.found: list[Rows] = []
+        self.unfinished: Floats | None = None
         self.is_large = self.units.size > SMALL
         lower, upper = self.model.bounds()
         rows = self.model.rows()
@@ -520,6 +521,7 @@ class NetworkMaster:
         set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
+        self.unfinished = None
         if self.data.switching is not None:
             data = replace(self.data.for_service(served), switching=None)
             plain = NetworkMaster(self.site, self.model.reactance, data, self.deadline)
@@ -542,8 +544,14 @@ class NetworkMaster:
         if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
             answer = self._one_way(program, answer, deadline, inside)
         done = answer.status == Status.OPTIMAL
-        dispatch = self.model.dispatch(self._columns(answer), served) if done else None
+        columns = self._columns(answer) if done else self._clipped()
+        dispatch = None if columns is None else self.model.dispatch(columns, served)
         return answer.outcome(watch.spent_s), dispatch
+
+    def _clipped(self) -> Floats | None:
+        """Of a large window whose time ran out, the last solution made to meet the discs."""
+        last = self.unfinished if self.is_large else None
+        return None if last is None else self.model.clipped(last, VOLTAGE_PU2)
 
     def _start(self, solver: highspy.Highs) -> None:
         """Let a solver begin with idle batteries, all PV power and everyone served.
@@ -685,6 +693,7 @@ class NetworkMaster:
             if not found:
                 return answer
             if deadline.passed:
+                self.unfinished = x
                 return replace(answer, status=Status.NO_ANSWER)
             rows = self._limits(found)
             self.found.append(rows)
