@@ -83,7 +83,8 @@ def day(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
 
 def scaling(plan: Plan, bar: Progress) -> tuple[Section, list[Bar]]:
     """Cost against size."""
-    rows = run_scaling(plan.folder, QUICK_SIZES if plan.quick else SIZES, plan.time_s, bar)
+    sizes = QUICK_SIZES if plan.quick else SIZES
+    rows = run_scaling(plan.folder, sizes, plan.time_s, plan.processes, bar)
     plan.save("scaling", rows)
     return findings.scaling_section(rows), findings.scaling_bars(rows)
 
@@ -181,7 +182,7 @@ def main(
     jobs: Annotated[
         int,
         typer.Option(
-            metavar="N", help="Processes of windows and throughput; -1 is one for each core."
+            metavar="N", help="Processes of windows, scaling, throughput; -1 is one for each core."
         ),
     ] = -1,
     busy: Annotated[

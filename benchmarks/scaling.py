@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
@@ -47,8 +48,8 @@ STATES = (0.35, 0.6)
 """Mean states of charge."""
 DRAWS = 4
 """Windows of each hour and mean state: 24 in all."""
-FEW = {2993: 6, 9997: 2}
-"""Windows of the feeders that are too large for as many."""
+FEW: dict[tuple[Axis, int], int] = {("buses", 2993): 6, ("buses", 9997): 2, ("minutes", 5): 6}
+"""Windows of the points that are too large for as many."""
 CONFIDENCE = 0.95
 STEP_LIMIT_S = 8.0
 """Time limit along the buses: a step may take 10 s, and what has begun by then is ended."""
@@ -104,8 +105,7 @@ def windows_of(case: Case, day: Scenario) -> list[WindowData]:
                 delta,
             )
         )
-    few = FEW.get(case.size, len(found)) if case.axis == "buses" else len(found)
-    return found[:few]
+    return found[: FEW.get((case.axis, case.size), len(found))]
 
 
 def measure(case: Case) -> Row:
@@ -172,9 +172,13 @@ def _largest(clock: Clock) -> str:
 
 
 def run_scaling(
-    folder: Path, sizes: dict[Axis, tuple[int, ...]], time_s: float, bar: Progress
+    folder: Path,
+    sizes: dict[Axis, tuple[int, ...]],
+    time_s: float,
+    processes: int,
+    bar: Progress,
 ) -> pd.DataFrame:
-    """One row for each point, each measured in a process of its own."""
+    """One row for each point, each measured in a process of its own, some at the same time."""
     cases = [
         Case(axis, size, _limit_s(axis, size, time_s))
         for axis, values in sizes.items()
@@ -182,12 +186,15 @@ def run_scaling(
     ]
     task = bar.add_task("scaling", total=len(cases))
     store = Store(folder / "rows")
-    rows = []
-    for case in cases:
+
+    def row(case: Case) -> Row:
         key = {"axis": case.axis, "size": case.size, "time_s": case.time_s}
-        rows.append(store.row(key, partial(_point, case)))
+        found = store.row(key, partial(_point, case))
         bar.advance(task)
-    return pd.DataFrame(rows)
+        return found
+
+    with ThreadPoolExecutor(processes) as pool:
+        return pd.DataFrame(list(pool.map(row, cases)))
 
 
 def _limit_s(axis: Axis, size: int, time_s: float) -> float:

@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import window
 from vppres.io import find_scenario, read_scenario
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.programs import Program, ProgramSolution
-from vppres.solve.result import Status
+from vppres.solve.result import Outcome, Status
 
 TIME_S = 20.0
 
@@ -94,3 +96,76 @@ def test_cuts_leave_every_set_that_is_carried(
     outcome, served = master().service(Deadline(TIME_S))
     assert served is not None
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
+
+
+@pytest.mark.parametrize("has_a_dispatch", ["fewer", "nobody"])
+def test_a_set_without_a_dispatch_leaves_an_answer(
+    monkeypatch: pytest.MonkeyPatch, has_a_dispatch: str
+) -> None:
+    day = three_feeders()
+    data = window(day, slice(11, 13), 0.35)
+    usual = WindowSolver(Site.of(day)).solve(data)
+    for name in ("task.LARGE", "task.HUGE", "network.master.SMALL"):
+        monkeypatch.setattr(f"vppres.solve.{name}", 0)
+    cheapest = NetworkMaster.cheapest
+    refused = []
+
+    def refuse(
+        master: NetworkMaster, served: np.ndarray, deadline: Deadline
+    ) -> tuple[Outcome, object]:
+        if refused and has_a_dispatch == "fewer":
+            return cheapest(master, served, deadline)
+        refused.append(served)
+        return Outcome(Status.INFEASIBLE, np.nan, np.nan, 0.0), None
+
+    monkeypatch.setattr(NetworkMaster, "cheapest", refuse)
+    one_off = np.ones(data.load_kw.shape, dtype=bool)
+    one_off[0, 0] = False
+    fewer = NetworkMaster.fewer
+    monkeypatch.setattr(NetworkMaster, "fewer", lambda self, served: fewer(self, served) & one_off)
+    answer = WindowSolver(Site.of(day)).solve(data)
+    assert len(refused) == (1 if has_a_dispatch == "fewer" else 2)
+    assert answer.status == Status.GAP_OPEN
+    assert answer.dispatch.served.any() == (has_a_dispatch == "fewer")
+    assert answer.bound >= usual.objective - 1e-6
+    assert check_dispatch(day, data, answer.dispatch).worst[1] < 2e-5
+
+
+def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two batteries beyond their discs, in directions that cancel."""
+    day = three_feeders()
+    site = Site.of(day)
+    data = window(day, slice(18, 20), 0.6)
+    _, served = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)).service(
+        Deadline(TIME_S)
+    )
+    assert served is not None
+    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    columns = master.model.at["Q_batt"]
+    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
+    assert outcome.status == Status.OPTIMAL
+    assert dispatch is not None
+    x = np.zeros(master.model.size)
+    for name, values in {
+        "x": served,
+        "P_ch": dispatch.charge_kw,
+        "P_dch": dispatch.discharge_kw,
+        "energy": dispatch.soc[1:] * site.batteries.energy_kwh,
+        "Q_batt": dispatch.batt_q_kvar,
+        "P_exp": dispatch.pv_export_kw,
+        "Q_pv": dispatch.pv_q_kvar,
+        "P_grid": dispatch.p_grid_kw[:, None],
+        "Q_grid": dispatch.q_grid_kvar[:, None],
+    }.items():
+        x[master.model.at[name]] = values
+    x[columns[:, 0]] += 2.0 * site.batteries.s_max_kva[0]
+    x[columns[:, 1]] -= 2.0 * site.batteries.s_max_kva[0]
+    clipped = master.model.clipped(x, 1e-2)
+    assert clipped is not None
+    assert not master.model.disc_rows(clipped, 1e-6)
+    given = [master.model.at[name] for name in ("Q_batt", "Q_pv", "Q_grid")]
+    before, after = (
+        np.sum([z[places].sum(axis=1) for places in given], axis=0) for z in (x, clipped)
+    )
+    np.testing.assert_allclose(after, before, atol=1e-6)

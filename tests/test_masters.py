@@ -151,6 +151,24 @@ def test_counts_find_what_binaries_find(
     assert counted.bound == binary.bound
 
 
+def test_outages_by_themselves_prove_what_all_do(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit_kw = np.array([np.inf, 0.0, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf])
+    data = replace(day_window(packaged, 10, 8, 0.3), grid_limit_kw=limit_kw)
+    cache = ModelCache(Site.of(packaged))
+
+    def service() -> tuple[float, float, int]:
+        counts = Counts(demand_of(cache, data, lumped=True), data, Deadline(TIME_S))
+        outcome, _ = counts.service(0.5)
+        return outcome.value, outcome.bound, len(counts._blocks(np.isfinite(limit_kw)))
+
+    value, bound, blocks = service()
+    monkeypatch.setattr("vppres.solve.fleet.counts.runs", lambda _: [])
+    assert service()[:2] == pytest.approx((value, bound))
+    assert blocks == 2
+
+
 def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
     """In the dark without PV power a fleet carries what its energy yields, and no more."""
     dark = replace(day_window(packaged, 13, 2, 0.5), grid_limit_kw=np.zeros(2))

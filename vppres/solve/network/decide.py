@@ -153,24 +153,29 @@ class InNetwork:
         """
         known = self.task.certificate
         share = HUGE_SERVICE_SHARE if self.task.is_huge else SERVICE_SHARE
-        outcome, served = self.master.service(self.task.deadline.part(share))
+        search = self.task.deadline.part(share)
+        outcome, served = self.master.service(search, verify=not self.task.is_huge)
         known.note("network_service", outcome)
         if served is None:
             known.prove(outcome)
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served) or self._nobody()
+        found = self._cheapest(served) or self._fewer(served)
         if found is None:
             return None
         self._bound_cost(found)
         return self._cheaper(found)
 
-    def _nobody(self) -> Candidate | None:
-        """The last answer of a large window, for which nothing else has the time."""
-        dispatch = self.master.nobody() if self.task.is_large else None
-        if dispatch is None:
+    def _fewer(self, served: Flags) -> Candidate | None:
+        """An answer of a large window whose set has no dispatch: fewer of it, or else nobody."""
+        if not self.task.is_large:
             return None
+        fewer = self.master.fewer(served)
+        found = self._cheapest(fewer) if (fewer != served).any() else None
+        dispatch = None if found is not None else self.master.nobody()
+        if dispatch is None:
+            return found
         return Candidate.of(self.task.site, self.task.data, dispatch, 0.0, in_network=True)
 
     def _cheaper(self, found: Candidate) -> Candidate:

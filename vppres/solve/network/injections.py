@@ -566,6 +566,37 @@ class Injections:
                 )
         return tangents
 
+    def clipped(self, x: Floats, tolerance_pu2: float) -> Floats | None:
+        """A solution with what exceeds the discs moved to other inverters and the grid.
+
+        None where that breaks a balance or, by more than a tolerance, a voltage limit.
+        """
+        at = self.at
+        q_pv, q_batt = at["Q_pv"], at["Q_batt"]
+        owner = at["x"][:, self.site.owner]
+        through = x[at["P_exp"]] + self.usual.own_kw * x[owner]
+        net_kw = x[at["P_ch"]] - x[at["P_dch"]]
+        inverters = np.hstack([q_pv, q_batt])
+        squared = np.hstack(
+            [self.site.pv.s_max_kva**2 - through**2, self.radius_kva**2 - net_kw**2]
+        )
+        most = np.hstack([np.sqrt(np.maximum(squared, 0.0)), self._grid_q_max_kvar])
+        places = np.hstack([inverters, at["Q_grid"]])
+        q = np.clip(x[places], -most, most)
+        moved = (x[places] - q).sum(axis=1, keepdims=True)
+        room = np.where(moved > 0.0, most - q, most + q)
+        total = room.sum(axis=1, keepdims=True)
+        if (np.abs(moved) > total).any():
+            return None
+        found = x.copy()
+        found[places] = q + moved * room / np.where(total > 0.0, total, 1.0)
+        return None if self.voltage_rows(found, tolerance_pu2) else found
+
+    @property
+    def _grid_q_max_kvar(self) -> Floats:
+        """Largest reactive power of the grid, (W, 1)."""
+        return np.asarray(self.data.grid_q_max_kvar(self.site)[:, None])
+
     def exchange_kw(self, x: Floats) -> tuple[Floats, Floats]:
         """Import and export of a solution, (W,) each."""
         imported = np.maximum(x[self.at["P_grid"]][:, 0], 0.0)

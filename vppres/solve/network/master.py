@@ -142,6 +142,7 @@ class NetworkMaster:
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
         self.found: list[Rows] = []
+        self.unfinished: Floats | None = None
         self.is_large = self.units.size > SMALL
         lower, upper = self.model.bounds()
         rows = self.model.rows()
@@ -201,12 +202,13 @@ class NetworkMaster:
         root = self.root[1]
         return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
+    def service(self, deadline: Deadline, verify: bool = True) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
 
         The linear problem in which nobody is served beyond a set bounds the service of all sets by
         its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
-        one is carried in full.
+        one is carried in full. In a large window the best is put to the discs themselves if it is
+        to be verified.
         """
         watch = Stopwatch()
         x = self.model.at["x"]
@@ -222,7 +224,7 @@ class NetworkMaster:
         if held is None:
             self._close(solver, linear, known, cuts, patience)
         else:
-            self._close_large(solver, linear, known, cuts, patience, held)
+            self._close_large(solver, linear, known, cuts, patience, held, verify)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -277,8 +279,8 @@ class NetworkMaster:
     def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
         """The linear problem with cuts of its feeders, and what their searches say of customers.
 
-        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries.
-        Its cut makes another fraction of the same worth at most, so each is searched once.
+        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries,
+        once: a second search at the prices with its cut takes next to nothing more.
         """
         solver, linear = self.root
         x = self.model.at["x"].ravel()
@@ -290,11 +292,10 @@ class NetworkMaster:
         while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
             program = _limited(self._with_cost(*self.lack), self.found)
             feeders = Feeders(program, linear, of_column, x)
-            new = [number for number in feeders.fractional if number not in searched]
             cuts = []
-            for number in new:
-                if end.passed:
-                    break
+            for number in feeders.fractional:
+                if number in searched or end.passed:
+                    continue
                 found = feeders.search(number, end)
                 searched.add(number)
                 places = found.binaries[open_[found.binaries]]
@@ -319,6 +320,7 @@ class NetworkMaster:
         cuts: _ServiceCuts,
         patience: Patience,
         held: Floats,
+        verify: bool,
     ) -> None:
         """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
 
@@ -340,18 +342,18 @@ class NetworkMaster:
                     known.take(found)
                     if known.closed():
                         break
-                linear = self._tried(solver, known.tried, DISC, enough)
+                linear = self._tried(solver, known.tried, DISC, enough, patience.end)
                 if over < DISC and self.units @ self._in_full(linear) > enough:
-                    linear = self._tried(solver, known.tried, over, enough)
+                    linear = self._tried(solver, known.tried, over, enough, patience.end)
                 if linear.status != Status.OPTIMAL:
                     break
                 self._cut(linear, cuts)
                 known.improve(*self._carried(linear))
                 patience.saw(known.most, known.bound, patience.nodes + ROUND_NODES)
-            if over < DISC or known.best is None:
+            if over < DISC or known.best is None or not verify:
                 return
             over = VERIFIED_DISC
-            carried = self._tried(solver, known.best, over, -np.inf)
+            carried = self._tried(solver, known.best, over, -np.inf, self.deadline)
             if carried.status != Status.OPTIMAL:
                 return
             linear = carried
@@ -373,6 +375,13 @@ class NetworkMaster:
         done = linear.status == Status.OPTIMAL
         return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
 
+    def fewer(self, served: Flags) -> Flags:
+        """Those of a set who are served in full within the discs."""
+        linear = self._tried(self.root[0], served.ravel().astype(float), VERIFIED_DISC, -np.inf)
+        if linear.status != Status.OPTIMAL:
+            return served
+        return self._in_full(linear).reshape(served.shape) > 0.5
+
     def nobody(self) -> Dispatch | None:
         """Everyone off and every battery idle, None where the network forbids even that."""
         idle = np.zeros(self.model.size)
@@ -387,15 +396,23 @@ class NetworkMaster:
         return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
 
     def _tried(
-        self, solver: highspy.Highs, served: Floats, over: float, worth: float
+        self,
+        solver: highspy.Highs,
+        served: Floats,
+        over: float,
+        worth: float,
+        again: Deadline | None = None,
     ) -> ProgramSolution:
-        """Most service if nobody is served beyond a set; a solver that gives up begins anew."""
+        """Most service if nobody is served beyond a set.
+
+        A solver that gives up begins anew, which takes long, where there is a deadline for it.
+        """
         x = self.model.at["x"].ravel()
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
-        if linear.status == Status.NUMERICAL:
+        if linear.status == Status.NUMERICAL and again is not None:
             self._start(solver)
-            linear = self._until_carried(solver, self.deadline, over, worth=worth)
+            linear = self._until_carried(solver, again, over, worth=worth)
         return linear
 
     def _shares(self, linear: ProgramSolution) -> Floats:
@@ -504,6 +521,7 @@ class NetworkMaster:
         set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
+        self.unfinished = None
         if self.data.switching is not None:
             data = replace(self.data.for_service(served), switching=None)
             plain = NetworkMaster(self.site, self.model.reactance, data, self.deadline)
@@ -526,8 +544,14 @@ class NetworkMaster:
         if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
             answer = self._one_way(program, answer, deadline, inside)
         done = answer.status == Status.OPTIMAL
-        dispatch = self.model.dispatch(self._columns(answer), served) if done else None
+        columns = self._columns(answer) if done else self._clipped()
+        dispatch = None if columns is None else self.model.dispatch(columns, served)
         return answer.outcome(watch.spent_s), dispatch
+
+    def _clipped(self) -> Floats | None:
+        """Of a large window whose time ran out, the last solution made to meet the discs."""
+        last = self.unfinished if self.is_large else None
+        return None if last is None else self.model.clipped(last, VOLTAGE_PU2)
 
     def _start(self, solver: highspy.Highs) -> None:
         """Let a solver begin with idle batteries, all PV power and everyone served.
@@ -669,6 +693,7 @@ class NetworkMaster:
             if not found:
                 return answer
             if deadline.passed:
+                self.unfinished = x
                 return replace(answer, status=Status.NO_ANSWER)
             rows = self._limits(found)
             self.found.append(rows)
