@@ -160,13 +160,13 @@ class OutageOutlook:
 
     def _begun(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins before each step if it comes, (T + 1,)."""
-        steps_h = np.arange(n_steps + 1) * self.step_h
+        steps = np.arange(n_steps + 1)
         if one.shares is not None:
             # A step is out if the outage touches it.
-            return one.shares.begun(steps_h + (now - one.shares.start) / HOUR)
+            return one.shares.begun(steps * self.step_h + (now - one.shares.start) / HOUR)
         hours = [(time - now) / HOUR for time in (one.earliest, one.likely, one.latest)]
         # Step k is the one that begins nearest.
-        return _triangular(np.asarray(steps_h - 0.5 * self.step_h), *hours)
+        return _triangular(np.asarray((steps - 0.5) * self.step_h), *hours)
 
     def _length(self, message: OutageWarning, length: int) -> Floats:
         """Lengths that a message says, those of the statistics where it says nothing."""

@@ -225,9 +225,8 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
         estimated.extend(
             f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
         )
-        for name, value in readings.now(quantity).items():
-            if name not in cautious:
-                table.loc[time, name] = value
+        read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
+        table.iloc[0] = [read.get(str(name), old) for name, old in table.iloc[0].items()]
         return table
 
     batteries = [str(name) for name in scenario.batteries.id]

@@ -195,10 +195,19 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
         "times": [written(time) for time in times],
         "grid_limit_kw": _numbers(limits_kw),
         "import_kw": _numbers(foreseen.import_kw[times]),
-        "soc": {name: _numbers(values[times]) for name, values in foreseen.soc_end.items()},
-        "served": {
-            name: [bool(on) for on in values[times]] for name, values in foreseen.served.items()
+        "soc": {
+            str(name): _numbers(values[: len(times)])
+            for name, values in zip(
+                foreseen.soc_end.columns, foreseen.soc_end.to_numpy(float).T, strict=True
+            )
         },
+        "served": dict(
+            zip(
+                foreseen.served.columns,
+                foreseen.served.to_numpy(bool)[: len(times)].T.tolist(),
+                strict=True,
+            )
+        ),
     }
 
 

@@ -40,6 +40,12 @@ _telemetry = sa.Table(
     sa.Column("resolution_s", sa.Integer, nullable=False),
     sa.Column("value", sa.Float),
 )
+_heard_of = sa.Table(
+    "heard_of",
+    _tables,
+    sa.Column("asset", sa.String, primary_key=True),
+    sa.Column("quantity", sa.String, primary_key=True),
+)
 _contacts = sa.Table(
     "contacts",
     _tables,
@@ -228,10 +234,7 @@ class Store:
     def _known_items(self) -> set[tuple[str, str]]:
         """Assets and quantities that were ever heard of."""
         with self._reads() as db:
-            t = _telemetry.c
-            return {
-                (row[0], row[1]) for row in db.execute(sa.select(t.asset, t.quantity).distinct())
-            }
+            return {(row.asset, row.quantity) for row in db.execute(sa.select(_heard_of))}
 
     @property
     def place(self) -> str:
@@ -263,23 +266,19 @@ class Store:
         with self._changes(routine=True) as db:
             written = _upsert(db, _telemetry, "value")
             accepted = db.execute(written, rows, execution_options=COUNTED).rowcount
+            new = {(row["asset"], row["quantity"]) for row in rows} - self._items
+            for asset, quantity in sorted(new):
+                _put(db, _heard_of, asset=asset, quantity=quantity)
             for source in {row["source"] for row in rows}:
                 _put(db, _contacts, source=source, last_contact=seconds(now))
             if actor is not None:
                 _note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
-        self._items |= {(row["asset"], row["quantity"]) for row in rows}
+        self._items |= new
         return Written(accepted, len(rows) - accepted)
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
-        wanted = set(quantities)
-        items = sorted(item for item in self._items if item[1] in wanted)
-        if not items:
-            return []
-        named = sa.values(
-            sa.column("asset", sa.String), sa.column("quantity", sa.String), name="items"
-        )
-        named = named.data(items).cte("items")
+        named = _heard_of
         t = _telemetry.c
         earlier = _telemetry.alias("earlier")
         last = (
@@ -293,6 +292,7 @@ class Store:
         )
         same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
         chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+        chosen = chosen.where(named.c.quantity.in_(list(quantities)))
         # Of two sources that speak at once the first by name counts.
         found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
         return list({(r.asset, r.quantity): r for r in found}.values())

@@ -22,8 +22,7 @@ from vppres.service.clock import written
 from vppres.service.knowledge import GRID
 from vppres.service.plans import at
 
-Series = dict[str, Any]
-"""Readings as ``POST /v1/telemetry`` takes them."""
+Series = Mapping[str, Any]  # readings as ``POST /v1/telemetry`` takes them
 
 
 class World:
