@@ -168,15 +168,9 @@ class InNetwork:
         return self._cheaper(found)
 
     def _fewer(self, served: Flags) -> Candidate | None:
-        """An answer of a large window whose set has no dispatch: fewer of it, or else nobody."""
-        if not self.task.is_large:
-            return None
-        fewer = self.master.fewer(served)
-        found = self._cheapest(fewer) if (fewer != served).any() else None
-        dispatch = None if found is not None else self.master.nobody()
-        if dispatch is None:
-            return found
-        return Candidate.of(self.task.site, self.task.data, dispatch, 0.0, in_network=True)
+        """An answer of a large window whose set has no dispatch: those of it served in full."""
+        fewer = self.master.fewer(served) if self.task.is_large else served
+        return self._cheapest(fewer) if (fewer != served).any() else None
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""

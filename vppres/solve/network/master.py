@@ -382,19 +382,6 @@ class NetworkMaster:
             return served
         return self._in_full(linear).reshape(served.shape) > 0.5
 
-    def nobody(self) -> Dispatch | None:
-        """Everyone off and every battery idle, None where the network forbids even that."""
-        idle = np.zeros(self.model.size)
-        idle[self.model.at["energy"]] = self.data.soc * self.site.batteries.energy_kwh
-        net = self.site.network
-        u = self.model.u_pu2(idle)[:, 1:]
-        low = (u < net.u_min_pu2[1:] - VOLTAGE_PU2).any()
-        high = (u > net.u_max_pu2[1:] + VOLTAGE_PU2).any()
-        draws = self.data.drawn is not None or self.data.physical
-        if low or high or draws or self.data.switching is not None:
-            return None
-        return self.model.dispatch(idle, np.zeros(self.data.load_kw.shape, dtype=bool))
-
     def _tried(
         self,
         solver: highspy.Highs,
