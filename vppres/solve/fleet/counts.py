@@ -229,7 +229,8 @@ class Counts:
                 found = whole
             else:
                 near = True  # the search was not finished, and its bound is all there is
-                ended = Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN
+                by_nodes = len(self.outages) > 1 and not self.deadline.passed
+                ended = Status.GAP_OPEN if by_nodes else Status.TIME_LIMIT
                 bound = float(np.fmax(found.bound, whole.bound))
                 found = replace(found, status=ended, bound=bound)
         outcome = Outcome(found.status, found.value, found.bound, watch.spent_s, DIRECT)
