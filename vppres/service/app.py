@@ -9,7 +9,7 @@ from fastapi import FastAPI
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
-from vppres.service.limits import RATES, Limits, Rate
+from vppres.service.limits import Limits, Rate
 from vppres.service.perimeter import Perimeter
 from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
 from vppres.service.routes.guard import Guard
@@ -23,7 +23,7 @@ def make_app(
     access: Access,
     hosts: Sequence[str] = LOOPBACK,
     encrypted: bool = False,
-    rates: Mapping[str, Rate] = RATES,
+    rates: Mapping[str, Rate] | None = None,
 ) -> FastAPI:
     """The service's routes around a runner.
 
@@ -38,7 +38,7 @@ def make_app(
         gets nothing.
     encrypted : bool
         Whether it listens with TLS itself.
-    rates : mapping of str to Rate
+    rates : mapping of str to Rate, optional
         How often may be asked, by scope; a rehearsal has no limit.
     """
     app = FastAPI(

@@ -36,7 +36,7 @@ class Limits:
 
     Parameters
     ----------
-    rates : mapping of str to Rate
+    rates : mapping of str to Rate, optional
         What is granted, by kind; other kinds are free.
     now : callable
         Seconds of a clock that nobody sets.
@@ -49,9 +49,9 @@ class Limits:
     """
 
     def __init__(
-        self, rates: Mapping[str, Rate] = RATES, now: Callable[[], float] = time.monotonic
+        self, rates: Mapping[str, Rate] | None = None, now: Callable[[], float] = time.monotonic
     ) -> None:
-        self.rates = dict(rates)
+        self.rates = RATES if rates is None else dict(rates)
         self.now = now
         self._left: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
 
