@@ -17,8 +17,9 @@ from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_ti
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
 from vppres.solve.network.injections import Reactance
-from vppres.solve.network.master import TOLERANCE, NetworkMaster, applies
+from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.sets import TOLERANCE
 from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
 

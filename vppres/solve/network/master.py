@@ -6,7 +6,7 @@ solution violates them, so every solution on the way is one of a relaxation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import highspy
@@ -22,6 +22,7 @@ from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.injections import Injections, Reactance, Rows
 from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.sets import TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import DIRECT, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -77,18 +78,8 @@ ROUND_NODES = 25
 FEEDERS_SHARE = 0.5
 """Share of the time of the search for the most service that feeders' own searches may take."""
 
-CLOSE = 0.03
-"""Of the units for which a set may be preferred, how many a set may lack that ends a search."""
-
 SUN_OVER_PRICE = 10.0
 """By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
-
-NEAR = 0.3
-"""Units for which a set may be preferred because it is close to a linear solution. Twice as much
-must stay below one unit, or the best set would no longer be told from the next."""
-
-TOLERANCE = 1e-6
-"""Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -215,10 +206,10 @@ class NetworkMaster:
         solver, root = self.root
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
-        cuts = _ServiceCuts(self.units)
+        cuts = ServiceCuts(self.units)
         linear, held = self._by_feeders(deadline) if self.is_large else (root, None)
         most = self._cut(linear, cuts)
-        known = _Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
+        known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
         known.improve(*self._carried(linear))
         patience = Patience(deadline, PATIENCE_NODES)
         if held is None:
@@ -239,8 +230,8 @@ class NetworkMaster:
         self,
         solver: highspy.Highs,
         linear: ProgramSolution,
-        known: _Known,
-        cuts: _ServiceCuts,
+        known: Known,
+        cuts: ServiceCuts,
         patience: Patience,
     ) -> None:
         """Try sets until the best has as much as the bound, or nothing improves any more.
@@ -316,8 +307,8 @@ class NetworkMaster:
         self,
         solver: highspy.Highs,
         linear: ProgramSolution,
-        known: _Known,
-        cuts: _ServiceCuts,
+        known: Known,
+        cuts: ServiceCuts,
         patience: Patience,
         held: Floats,
         verify: bool,
@@ -406,7 +397,7 @@ class NetworkMaster:
         """How far customers are served by a linear solution."""
         return np.asarray(linear.x[self.model.at["x"].ravel()])
 
-    def _cut(self, linear: ProgramSolution, cuts: _ServiceCuts) -> float:
+    def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
         program = _limited(self._with_cost(*self.lack), self.found)
@@ -685,98 +676,6 @@ class NetworkMaster:
             rows = self._limits(found)
             self.found.append(rows)
             _add(solver, rows)
-
-
-@dataclass
-class _Known:
-    """The set last tried, the bound on all, and the best set that is carried, in units."""
-
-    tried: Floats
-    bound: float
-    best: Floats | None = None
-    most: float = -np.inf
-
-    def closed(self) -> bool:
-        """Whether the best set has as much as the bound."""
-        return self.most >= self.bound
-
-    def take(self, found: ProgramSolution) -> None:
-        """The next set to try, and what its search proves."""
-        if found.status == Status.INFEASIBLE:
-            self.bound = self.most
-        elif found.status.has_answer:
-            self.tried = np.round(found.x)
-        self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
-
-    def follow(self, found: ProgramSolution, units: Floats) -> bool:
-        """Try a set of a search that proves nothing, if it would be the best."""
-        better = found.status.has_answer and units @ np.round(found.x) > self.most
-        if better:
-            self.tried = np.round(found.x)
-        return bool(better)
-
-    def improve(self, carried: Floats, units: float) -> None:
-        """Keep a set that is carried if it is the best."""
-        if units > self.most:
-            self.best = carried
-            self.most = units
-
-
-class _ServiceCuts:
-    """What is known of the service of sets that are carried: ``units @ x <= most + gain @ x``."""
-
-    def __init__(self, units: Floats) -> None:
-        self.units = units
-        self.gains: list[Floats] = []
-        self.most_units: list[float] = []
-        self.first_left: Floats = np.zeros(len(units))
-
-    def add(self, left: Floats, most: float) -> float:
-        """Add a bound ``most - left @ x``; returns its largest value.
-
-        What serving somebody costs is left out but for the first: such rows are searched faster.
-        """
-        if not self.gains:
-            self.first_left = left
-        self.gains.append(np.maximum(-left, 0.0))
-        self.most_units.append(most + TOLERANCE)
-        return most + float(self.gains[-1].sum())
-
-    def most(
-        self,
-        shares: Floats,
-        at_least: float,
-        deadline: Deadline,
-        held: Floats | None = None,
-        at_most: float = np.inf,
-    ) -> ProgramSolution:
-        """The set with the most units, at least so many; among equal ones one close to the shares.
-
-        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
-        service or lack of it would alone cost too much by the first bound is decided beforehand;
-        ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
-        of the units that no set exceeds ends the search.
-        """
-        away = 1.0 - shares
-        spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
-        cost = NEAR / max(1.0, float(away.sum())) * away - self.units
-        low = self.first_left < -spare
-        high = self.first_left <= spare
-        if held is not None:
-            low = np.where(np.isnan(held), low, held > 0.5)
-            high = np.where(np.isnan(held), high, held > 0.5)
-        program = Program(
-            cost,
-            low.astype(float),
-            high.astype(float),
-            sp.csc_array(self.units - np.array(self.gains)),
-            np.full(len(self.gains), -np.inf),
-            np.array(self.most_units),
-            np.arange(len(cost)),
-        )
-        solver = program.loaded(1.0 - 2.0 * NEAR, enough=CLOSE - at_most)
-        found = ProgramSolution.of(solver, deadline)
-        return replace(found, bound=found.bound - NEAR)
 
 
 def _limited(program: Program, rows: list[Rows]) -> Program:
