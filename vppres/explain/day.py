@@ -10,11 +10,12 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.day.trajectory import Trajectory
-from vppres.explain.prices import WORTH, WORTH_GBP, day_prices
+from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.solve.shadow_price_model import ShadowPriceModel
 from vppres.solve.shadow_prices import ShadowPrices
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
@@ -54,6 +55,17 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
         explanations=pd.DataFrame(explanations, columns=list(EXPLANATIONS)),
         shadow_prices=pd.DataFrame(prices, columns=list(SHADOW_PRICES)),
     )
+
+
+def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
+    """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
+    recorded = Recorded(trajectory)
+    model = ShadowPriceModel(
+        recorded.site, recorded.n_seen, recorded.scenario.exports, recorded.ending
+    )
+    phase = trajectory.steps["phase"].iloc[t]
+    step = Step(recorded, t, phase, step_prices(recorded, model, t))
+    return [{"phase": phase, **row} for row in _actions(step)], _prices(step)
 
 
 def steps_of(trajectory: Trajectory) -> list[Step]:

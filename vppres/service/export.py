@@ -17,6 +17,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.day.options import RunOptions
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory
 from vppres.live.door import moment_of
 from vppres.live.profile import Profile
@@ -97,8 +98,8 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
     InputError
         If no step of that time is stored, or there are too many.
     """
-    scenario = _site(service, start, end)
-    plans = {plan["start"]: plan for plan in store.plans(scenario.grid.start)}
+    scenario = site_of(service, start, end)
+    plans = {plan["start"]: plan for plan in store.plans(scenario.grid.start, scenario.grid.end)}
     times = scenario.grid.times
     stored = [plans.get(written(time)) for time in times]
     if not any(stored):
@@ -109,15 +110,14 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
                 "Give a time in which the service ran.",
             )
         )
-    measured = _Measured(store, scenario)
-    scenario = _as_it_was(scenario, stored, measured)
+    scenario, soc = as_it_was(scenario, stored, store)
     recorder = Recorder(scenario)
-    for record in _replayed(scenario, service, stored, measured):
+    for record in replayed(scenario, service.options, stored, soc):
         recorder.add(record)
     return recorder.finish(service.options.on(scenario).as_record())
 
 
-def _site(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
+def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
     """The site with the steps of a time, as its profile or its own days have them."""
     profile = Profile.of(service.scenario)
     first = profile.step_at(start.tz_convert("UTC"))
@@ -165,16 +165,17 @@ class _Measured:
         return found
 
 
-def _as_it_was(
-    scenario: Scenario, stored: list[dict[str, Any] | None], measured: _Measured
-) -> Scenario:
-    """The scenario of what was measured; without grid where plans say that there was none."""
+def as_it_was(
+    scenario: Scenario, stored: list[dict[str, Any] | None], store: Store
+) -> tuple[Scenario, Floats]:
+    """What was measured, without grid where plans say so; and states of charge, NaN if not read."""
+    measured = _Measured(store, scenario)
     dark = [plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored]
     nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
     soc = measured.laid("soc", scenario.batteries.id, nothing)
     first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
     b = scenario.batteries
-    return replace(
+    known = replace(
         scenario,
         load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
         pv_kw=np.minimum(
@@ -183,18 +184,14 @@ def _as_it_was(
         grid_limit_kw=np.where(dark, 0.0, scenario.grid_limit_kw),
         batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
     )
+    return known, soc
 
 
-def _replayed(
-    scenario: Scenario,
-    service: Service,
-    stored: list[dict[str, Any] | None],
-    measured: _Measured,
+def replayed(
+    scenario: Scenario, options: RunOptions, stored: list[dict[str, Any] | None], soc: Floats
 ) -> Iterator[StepRecord]:
-    """The plant's answer to every step; batteries begin it with what was measured."""
-    world = World(scenario, service.options)
-    nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
-    soc = measured.laid("soc", scenario.batteries.id, nothing)
+    """The plant's answer to every stored step; batteries begin it with what was measured."""
+    world = World(scenario, options)
     b = scenario.batteries
     told: list[dict[str, Any]] = []
     for t, plan in enumerate(stored):
@@ -223,5 +220,9 @@ def _noted(record: StepRecord, plan: dict[str, Any] | None) -> StepRecord:
             for name, value in values.items()
         }
         found["fallback"] = solve["fallback"] or "none"
+        worth = solve.get("stored_value_gbp_per_kwh")
+        if worth is not None:
+            found["stored_value_gbp_per_kwh"] = worth
+        found["corrected"] = solve["correction_reason"] is not None
         found["estimated"] = "; ".join(plan["estimated"])
     return replace(record, steps={**record.steps, **found}, buses=buses, lines=lines)

@@ -63,6 +63,7 @@ def plan_of(
             "objective": _number(solve["objective"]),
             "bound": _number(solve["bound"]),
             "seconds": _number(solve["solve_s"]),
+            "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,

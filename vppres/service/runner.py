@@ -16,6 +16,7 @@ from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
 from vppres.live.profile import Profile
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -40,6 +41,9 @@ MOST_MISSED = 10_000
 
 KEEP_DAYS = 400.0
 """More than a year, so that the same day of the last one is there."""
+
+MOST_KNOWN = 24
+"""Steps of which it is remembered what was expected when they were decided."""
 
 FULL_HORIZON_H = 24.0
 
@@ -93,6 +97,7 @@ class Runner:
         self.profile = None if service.rehearsal else Profile.of(service.scenario)
         self.options = _in_time(service.options, self.scenario)
         self.heard: list[Heard] = []
+        self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] | None = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
@@ -245,7 +250,7 @@ class Runner:
         """The plan of the controller, or of nobody if it fails."""
         try:
             self._feed(time)
-            self._controller.warn(*self._warnings(time), replacing=True)
+            self._controller.warn(*self.warnings(time), replacing=True)
             known = known_at(time, self._controller, self.store)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
@@ -266,6 +271,9 @@ class Runner:
             self._controller = self._restored()  # as if it had not decided
             raise
         self._state = state
+        self.expected[plan["id"]] = known.measurement
+        while len(self.expected) > MOST_KNOWN:
+            self.expected.popitem(last=False)
         return plan
 
     def _without(self, time: pd.Timestamp, status: str, reason: str) -> dict[str, Any]:
@@ -310,7 +318,7 @@ class Runner:
         """The controller where the last stored state left it."""
         known = self.scenario
         if self.profile is not None:
-            known = self.profile.steps(self.begun(self.clock.now()), self._ahead)
+            known = self.profile.steps(self.begun(self.clock.now()), self.n_ahead)
         return Controller.of(known, self.options, state=self._state)
 
     def _feed(self, time: pd.Timestamp) -> None:
@@ -318,11 +326,11 @@ class Runner:
         if self.profile is None:
             return
         end = self._controller.scenario.grid.end
-        missing = round((time - end) / self.length) + self._ahead
+        missing = round((time - end) / self.length) + self.n_ahead
         if missing > 0:
             self._controller.extend(self.profile.steps(end, missing))
 
-    def _warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
+    def warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
         """Messages of outages: those of events, and the scenario's own where it is rehearsed."""
         own = self.scenario.warnings if self.rehearsal else ()
         return [*own, *warnings(self.store.events(), time, self.length)]
@@ -335,7 +343,7 @@ class Runner:
         return [round(float(each), 6) for each in found]
 
     @property
-    def _ahead(self) -> int:
+    def n_ahead(self) -> int:
         """Steps that are known ahead."""
         o = self.options
         hours = {"mpc": o.horizon_h, "reserve": o.reserve.notice_h, "idle": 0.0}

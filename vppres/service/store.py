@@ -430,9 +430,11 @@ class Store:
             chosen = chosen.where(_steps.c.time <= seconds(until))
         return self._plan(chosen)
 
-    def plans(self, since: pd.Timestamp) -> list[dict[str, Any]]:
-        """The plans of all steps from a time on."""
+    def plans(self, since: pd.Timestamp, until: pd.Timestamp | None = None) -> list[dict[str, Any]]:
+        """The plans of the steps that begin from a time on, and before another one."""
         chosen = sa.select(_steps.c.plan).where(_steps.c.time >= seconds(since))
+        if until is not None:
+            chosen = chosen.where(_steps.c.time < seconds(until))
         with self._reads() as db:
             return [json.loads(text) for (text,) in db.execute(chosen.order_by(_steps.c.time))]
 

@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 from vppres.core.errors import InputError, Problem
 from vppres.service import payloads
 from vppres.service.clock import written
+from vppres.service.explainer import Explainer, only
 from vppres.service.plans import at, etag
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
@@ -24,6 +25,7 @@ NEW = {"status": "new"}
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
     """Steps are asked for, plans and set-points looked at."""
     router = APIRouter()
+    explainer = Explainer(runner)
 
     @router.post("/v1/steps", responses={202: {"description": "It is decided; see Location."}})
     def step(
@@ -77,6 +79,32 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if if_none_match == tag:
             return Response(status_code=304, headers=headers)
         return JSONResponse(shown, headers=headers)
+
+    @router.get("/v1/explanations")
+    def explanations(
+        time: Annotated[str | None, Query(alias="at", max_length=40)] = None,
+        asset: Annotated[str | None, Query(max_length=payloads.LONGEST_NAME)] = None,
+        _: str = guarded("read"),
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Response:
+        """Why each device does what it does in a step, the last one if no time is given."""
+        found = explainer.of(_kept(time))
+        if asset is not None:
+            found = only(found, asset)
+        tag = etag(found)
+        headers = {"ETag": tag, "Cache-Control": "no-cache"}
+        if if_none_match == tag:
+            return Response(status_code=304, headers=headers)
+        return JSONResponse(found, headers=headers)
+
+    def _kept(time: str | None) -> dict[str, Any]:
+        """The stored plan of a step."""
+        plan = runner.last
+        if time is not None:
+            plan = runner.store.step(runner.begun(_moment(time).tz_convert("UTC")))
+        if plan is None:
+            raise HTTPException(404, "No step of that time is kept.")
+        return plan
 
     @router.get("/v1/setpoints")
     def setpoints(

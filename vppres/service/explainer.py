@@ -1,0 +1,112 @@
+"""Explanations for whoever asks: made once, beside the steps, in a process that may be killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from vppres.core.errors import StorageError, VppresError
+from vppres.core.parent import command
+from vppres.service.access import Denied
+from vppres.service.explanations import question, unsolved
+from vppres.service.plans import DECIDED
+from vppres.service.runner import Runner
+
+WITHIN_S = 30.0
+"""What an explanation may take, the start of its process included."""
+
+MOST_KEPT = 48
+WAIT_S = 2.0
+
+UNDECIDED = "Nobody decided the step."
+LATE = f"It could not be explained within {WITHIN_S:g} s."
+FAILED = "It could not be explained; the log of the service says why."
+
+
+class Explainer:
+    """Explains stored steps, each once.
+
+    Parameters
+    ----------
+    runner : Runner
+        Whose steps they are.
+    """
+
+    def __init__(self, runner: Runner) -> None:
+        self.runner = runner
+        self._turn = threading.Lock()
+        self._made: OrderedDict[str, dict[str, Any]] = OrderedDict()
+
+    def of(self, plan: Mapping[str, Any]) -> dict[str, Any]:
+        """Why the devices of a step do what they do.
+
+        Raises
+        ------
+        Denied
+            While another step is being explained: there is one process for it.
+        """
+        name = plan["id"]
+        found = self._made.get(name)
+        if found is not None:
+            return found
+        if not self._turn.acquire(blocking=False):
+            raise Denied(429, "A step is being explained. Ask again.", WAIT_S)
+        try:
+            head = {"plan": name, "start": plan["start"], "status": plan["status"]}
+            found = {**head, **self._explained(plan)}
+            self._made[name] = found
+            while len(self._made) > MOST_KEPT:
+                self._made.popitem(last=False)
+        finally:
+            self._turn.release()
+        return found
+
+    def _explained(self, plan: Mapping[str, Any]) -> dict[str, Any]:
+        if plan["status"] not in DECIDED:
+            return unsolved(plan, UNDECIDED)
+        try:
+            asked = pickle.dumps(question(self.runner, plan), protocol=5)
+        except StorageError:
+            raise
+        except VppresError:
+            return unsolved(plan, FAILED)
+        try:
+            done = _asked(asked)
+        except subprocess.TimeoutExpired:
+            return unsolved(plan, LATE)
+        if done.returncode:
+            return unsolved(plan, FAILED)
+        found: dict[str, Any] = json.loads(done.stdout)
+        return found
+
+
+def _asked(question: bytes) -> subprocess.CompletedProcess[bytes]:
+    """A fresh interpreter that finds the modules that this one finds, and nothing in its folder."""
+    python, *rest = command("vppres.service.explanations")
+    path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    return subprocess.run(
+        [python, "-P", *rest],
+        input=question,
+        stdout=subprocess.PIPE,
+        timeout=WITHIN_S,
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+    )
+
+
+def only(found: Mapping[str, Any], asset: str) -> dict[str, Any]:
+    """What of an explanation is about one device."""
+    prices = [one for one in found["price"] or [] if one["asset"] == asset]
+    return {
+        **found,
+        "reasons": [one for one in found["reasons"] if one["asset"] == asset],
+        "price": prices or found["price"],
+    }

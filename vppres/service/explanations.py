@@ -1,0 +1,209 @@
+"""Why the devices of a step do what they do: its stored plan, replayed and explained.
+
+``python -m vppres.service.explanations`` does so for a :class:`Question` that it reads, in a
+process of its own that may be killed: shadow prices have to be solved for.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.contract.forecast import ForecastErrors
+from vppres.core.arrays import Floats
+from vppres.day.forecasting import PAPER
+from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN
+from vppres.day.trajectory import Recorder
+from vppres.explain.day import explain_step
+from vppres.explain.recorded import MOVE_KW
+from vppres.live.measurement import Measurement
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.export import as_it_was, replayed, site_of
+from vppres.service.plans import DECIDED
+from vppres.service.runner import Runner, Service
+
+STEPS_BEFORE = 24
+"""Steps that are replayed before the one that is explained: what it follows from."""
+
+KINDS = {"customer": "customers", "battery": "batteries", "pv": "pv"}
+"""Kinds of set-points by the items of explanations."""
+
+NICE = 10
+"""Steps that are decided go first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A step to be explained.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Steps before it, itself, and those that its plan looked at, as they were expected.
+    options : RunOptions
+        How it was decided.
+    stored : list of dict or None
+        Plans of the steps up to it, None for a step without.
+    soc : array, shape (T, B)
+        States of charge that were read, NaN where none was.
+    """
+
+    scenario: Scenario
+    options: RunOptions
+    stored: list[dict[str, Any] | None]
+    soc: Floats
+
+
+def question(runner: Runner, plan: Mapping[str, Any]) -> Question:
+    """What is needed to explain a step that was decided."""
+    time = pd.Timestamp(plan["start"])
+    end = time + (runner.n_ahead + 1) * runner.length
+    if runner.rehearsal:
+        end = min(end, runner.scenario.grid.end)
+    stored = runner.store.plans(time - STEPS_BEFORE * runner.length, time + runner.length)
+    begin = pd.Timestamp(stored[0]["start"])
+    service = Service(runner.scenario, runner.options)
+    scenario = site_of(service, begin, end)
+    plans = {one["start"]: one for one in stored}
+    every = [plans.get(written(each)) for each in scenario.grid.times]
+    scenario, soc = as_it_was(scenario, every, runner.store)
+    if runner.options.outages != KNOWN:
+        scenario = replace(scenario, warnings=tuple(runner.warnings(time)))
+    t = round((time - begin) / runner.length)
+    options = replace(
+        runner.options.on(scenario), errors=ForecastErrors(), forecaster=PAPER, thermal="off"
+    )
+    expected = _expected(scenario, plan, t, runner.expected.get(plan["id"]))
+    return Question(expected, options, every[: t + 1], soc)
+
+
+def _expected(
+    scenario: Scenario, plan: Mapping[str, Any], t: int, known: Measurement | None
+) -> Scenario:
+    """The steps from the explained one on as its plan saw them, the profile where that is lost."""
+    limits_kw = scenario.grid_limit_kw.copy()
+    said = [plan["expected"]["grid_limit_kw"], *plan["ahead"]["grid_limit_kw"]][
+        : len(limits_kw) - t
+    ]
+    limits_kw[t : t + len(said)] = [np.inf if limit is None else limit for limit in said]
+    if not plan["grid"]["available"]:
+        limits_kw[t] = 0.0
+    series = {"grid_limit_kw": limits_kw}
+    for name in ("load_kw", "pv_kw", "price_gbp_per_kwh"):
+        table = None if known is None else getattr(known, name)
+        if table is None:
+            continue
+        values = getattr(scenario, name).copy()
+        rows = np.asarray(table, dtype=float)[: len(values) - t]
+        part = values[t : t + len(rows)]
+        part[np.isfinite(rows)] = rows[np.isfinite(rows)]
+        series[name] = values
+    if "pv_kw" in series:
+        series["pv_kw"] = np.minimum(series["pv_kw"], scenario.pv.p_max_kw)
+    return replace(scenario, **series)  # type: ignore[arg-type]
+
+
+def explained(asked: Question) -> dict[str, Any]:
+    """Phase, reasons and prices of the step that a question is about."""
+    scenario = asked.scenario
+    recorder = Recorder(scenario)
+    for record in replayed(scenario, asked.options, asked.stored, asked.soc):
+        recorder.add(record)
+    # Those ahead stand for their number alone: what was expected of them is the scenario's.
+    for t in range(len(asked.stored), scenario.grid.n_steps):
+        recorder.add(replace(record, t=t))
+    trajectory = recorder.finish(asked.options.as_record())
+    explanations, shadow_prices = explain_step(trajectory, len(asked.stored) - 1)
+    step, *actions = explanations
+    prices = _prices(shadow_prices)
+    return {
+        "phase": step["phase"],
+        "step": _reason(step),
+        "reasons": [
+            {
+                "kind": KINDS[row["item"]],
+                "asset": row["id"],
+                "action": row["action"],
+                **_reason(row),
+            }
+            for row in actions
+        ],
+        "price": prices or None,
+        "price_reason": None if prices else "The step has no shadow prices.",
+    }
+
+
+def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: row[name] for name in ("driver", "binding", "words")}
+
+
+def _prices(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What one more kWh in each battery would be worth."""
+    return [
+        {"asset": row["item"], **{name: _number(row[name]) for name in ("weighted_h", "gbp")}}
+        for row in rows
+        if row["constraint"] == "stored_energy"
+    ]
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def unsolved(plan: Mapping[str, Any], why_no_price: str) -> dict[str, Any]:
+    """What the plan itself says, for want of anything else."""
+    return {
+        "phase": None,
+        "step": _told(plan.get("reason") or plan["status"], plan["status"]),
+        "reasons": [
+            {
+                "kind": one["kind"],
+                "asset": one["asset"],
+                "action": action,
+                **_told(one["reason"], plan["status"]),
+            }
+            for one in plan["setpoints"]
+            if (action := _action(one))
+        ],
+        "price": None,
+        "price_reason": why_no_price,
+    }
+
+
+def _told(words: str, status: str) -> dict[str, Any]:
+    return {"driver": "plan" if status in DECIDED else status, "binding": "", "words": words}
+
+
+def _action(one: Mapping[str, Any]) -> str:
+    """What a set-point asks for, in the words of explanations; empty if nothing."""
+    if one["kind"] == "customers":
+        return "" if one["served"] else "not_served"
+    if one["kind"] == "pv":
+        return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
+    if abs(one["p_kw"]) <= MOVE_KW:
+        return ""
+    return "charge" if one["p_kw"] > 0 else "discharge"
+
+
+def main() -> None:
+    """Explain what stands at the input."""
+    os.nice(NICE)
+    asked = pickle.load(sys.stdin.buffer)
+    out = sys.stdout
+    sys.stdout = sys.stderr  # whatever a library prints is no answer
+    json.dump(explained(asked), out)
+
+
+if __name__ == "__main__":
+    main()
