@@ -124,17 +124,17 @@ class Play:
         How long before it begins an outage is announced, in h.
     announced : bool
         Whether outages are announced at all: in a rehearsal the service knows them.
-    beliefs : bool
-        Whether a scenario's own warnings are, as they are issued, in place of what comes.
     faults : TelemetryFaults
         What happens to readings.
+    beliefs : bool
+        Whether a scenario's own warnings are announced, as they are issued, in place of what comes.
     """
 
     speed: float = 0.0
     notice_h: float = 24.0
     announced: bool = True
-    beliefs: bool = False
     faults: TelemetryFaults = field(default_factory=TelemetryFaults)
+    beliefs: bool = False
 
 
 @dataclass
