@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import vppres
@@ -15,13 +16,17 @@ from tests.support.live_service import HERE, NOON, client, site
 from tests.support.long_days import repeated
 from tests.support.played_service import Here, played
 from vppres.day.options import RunOptions
+from vppres.outlook.outlook import OutageOutlook, seen_outages
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.client import Answer
-from vppres.service.clock import SetClock
+from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
-from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements
+from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements, warned
 from vppres.service.world import World, critical_off, energy_allowed
+
+HOUR = pd.Timedelta("1h")
 
 
 def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
@@ -171,3 +176,47 @@ def test_a_day_is_played_from_the_command_line(tiny: Scenario, tmp_path: Path) -
     found = json.loads(result.stdout)
     assert found["steps"] == {"ok": 24}
     assert found["size"][-1]["open_files"] <= found["size"][0]["open_files"] + 2
+
+
+def warned_storm(tiny: Scenario) -> Scenario:
+    """An outage of three hours, warned of six hours before it, then more exactly; one in vain."""
+    day = stormy(tiny, 1).between(7, 18)
+    start = day.grid.times[np.flatnonzero(day.outage)[0]]
+    first = OutageWarning(
+        start - 6 * HOUR, "storm", onset_earliest=start - 2 * HOUR, onset_likely=start,
+        onset_latest=start + 3 * HOUR, probability=0.6,
+        duration_p10_h=1.0, duration_p50_h=3.0, duration_p90_h=6.0,
+    )  # fmt: skip
+    exact = OutageWarning(start - 1.5 * HOUR, "storm", onset_likely=start, probability=0.9)
+    vain = replace(first, issued_at=start - 5 * HOUR, outage="vain", onset_latest=start + 9 * HOUR)
+    clear = OutageWarning(start - 3 * HOUR, "vain", probability=0.0)
+    return replace(
+        day, warnings=(first, exact, vain, clear), outage_statistics=OutageStatistics("none")
+    )
+
+
+def test_warnings_are_announced_as_they_are_issued(tiny: Scenario, tmp_path: Path) -> None:
+    """What the service believes at each step is what the scenario's own messages say."""
+    day = warned_storm(tiny)
+    issued = [(at, name, body is None) for at, name, body in warned(day)]
+    assert [(name, gone) for _, name, gone in issued] == [
+        ("warned-1", False), ("warned-2", False), ("warned-2", True), ("warned-1", False),
+    ]  # fmt: skip
+    assert [at for at, _, _ in issued] == sorted(one.issued_at for one in day.warnings)
+    quiet = replace(site(tiny), outage_statistics=OutageStatistics("none"))
+    options = replace(HERE, outages="belief")
+    service = Service(quiet, options, paced=True)
+    plans: dict[str, list[float]] = {}
+    with client(service, tmp_path, SetClock(day.grid.start)) as http:
+        player = Player(World(day, options), Here(http), Play(beliefs=True))
+        player.play()
+        for time in day.grid.times:
+            answer = http.post("/v1/steps", {"time": written(time)}).json()
+            plans[answer["start"]] = answer["outage_probability"]
+    told = OutageOutlook(day.warnings, day.outage_statistics, 1.0)
+    for t, time in enumerate(day.grid.times):
+        seen = seen_outages(day.grid.times[: t + 1], day.outage[: t + 1].tolist())
+        asked = told.at(time, 49, seen).out_probability
+        found = plans[written(time)]
+        assert found == pytest.approx(asked.tolist(), abs=2e-6), time
+    assert max(max(each[1:]) for each in plans.values()) > 0.5

@@ -170,21 +170,53 @@ class OutageOutlook:
 
     def _length(self, message: OutageWarning, length: int) -> Floats:
         """Lengths that a message says, those of the statistics where it says nothing."""
-        if message.length is not None:
-            return durations.of_length(message.length, self.step_h, length)
-        median_h = message.duration_p50_h
-        if median_h is None:
-            return self._unannounced(length)
-        low_h = message.duration_p10_h
-        high_h = message.duration_p90_h
-        if low_h is None and high_h is None:
-            return durations.known(median_h, self.step_h, length)
-        # One side alone speaks for both.
-        low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
-        high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
-        assert low_h is not None
-        assert high_h is not None
-        return durations.between_quantiles(low_h, median_h, high_h, self.step_h, length)
+        found = length_of(message, self.step_h, length)
+        return self._unannounced(length) if found is None else found
+
+
+def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | None:
+    """Probability of each number of steps that a message says it lasts; None if it says nothing."""
+    if message.length is not None:
+        return durations.of_length(message.length, step_h, length)
+    median_h = message.duration_p50_h
+    if median_h is None:
+        return None
+    low_h = message.duration_p10_h
+    high_h = message.duration_p90_h
+    if low_h is None and high_h is None:
+        return durations.known(median_h, step_h, length)
+    # One side alone speaks for both.
+    low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
+    high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
+    assert low_h is not None
+    assert high_h is not None
+    return durations.between_quantiles(low_h, median_h, high_h, step_h, length)
+
+
+def said_so_far(
+    messages: Sequence[OutageWarning], times: pd.DatetimeIndex
+) -> tuple[OutageWarning, Floats] | None:
+    """What messages of one outage come to, as onset in the steps of a grid if it comes.
+
+    Parameters
+    ----------
+    messages : sequence of OutageWarning
+        In the order of their issue.
+    times : DatetimeIndex, length T
+        Beginnings of steps.
+
+    Returns
+    -------
+    OutageWarning, array of shape (T,), or None
+        The last message with what those before it said, and the probability of each step to be
+        the one in which it begins; None after the all-clear, or where none says when it begins.
+    """
+    found = _of_messages([completed(one) for one in messages], None)
+    if found is None:
+        return None
+    step_h = (times[1] - times[0]) / HOUR
+    outlook = OutageOutlook(messages, OutageStatistics("none"), step_h)
+    return found.message, np.diff(outlook._begun(found, times[0], len(times)))
 
 
 def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:

@@ -11,7 +11,7 @@ import random
 import time as machine
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,6 +19,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Floats
+from vppres.day.outages import BELIEF, LOOKAHEAD_H
+from vppres.outlook.outlook import length_of, said_so_far
+from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.client import Client
 from vppres.service.clock import written
@@ -28,6 +32,14 @@ from vppres.service.started import started
 from vppres.service.world import Series, World, critical_off, energy_allowed
 
 Progress = Callable[[int, int], None]
+
+Announcement = tuple[pd.Timestamp, str, dict[str, Any] | None]
+"""When, of which event, and what; None takes it back."""
+
+MOST_ONSETS = 1_000
+"""Steps among which an onset is looked for."""
+
+HOUR = pd.Timedelta(hours=1)
 
 LOOKS = 8
 """How often the size of its own service is looked at."""
@@ -114,12 +126,15 @@ class Play:
         Whether outages are announced at all: in a rehearsal the service knows them.
     faults : TelemetryFaults
         What happens to readings.
+    beliefs : bool
+        Whether a scenario's own warnings are announced, as they are issued, in place of what comes.
     """
 
     speed: float = 0.0
     notice_h: float = 24.0
     announced: bool = True
     faults: TelemetryFaults = field(default_factory=TelemetryFaults)
+    beliefs: bool = False
 
 
 @dataclass
@@ -204,7 +219,12 @@ class Player:
         self.tally = Tally()
         self._way = Way(play.faults)
         self._told: list[dict[str, Any]] = []
-        self._announcements = list(announcements(world.scenario, play.notice_h))
+        scenario = world.scenario
+        self._announcements: list[Announcement] = list(
+            warned(scenario)
+            if play.beliefs and scenario.warnings
+            else announcements(scenario, play.notice_h)
+        )
 
     def play(self, progress: Progress | None = None) -> Tally:
         """From the scenario's first step to its last."""
@@ -243,7 +263,10 @@ class Player:
         due = [one for one in self._announcements if one[0] <= now]
         self._announcements = [one for one in self._announcements if one[0] > now]
         for _, name, body in due:
-            self.client.wanted("PUT", f"/v1/events/{name}", body)
+            if body is None:
+                self.client.wanted("DELETE", f"/v1/events/{name}")
+            else:
+                self.client.wanted("PUT", f"/v1/events/{name}", body)
 
     def _real_s(self, t: int) -> float:
         """When a step begins, in real time since the beginning."""
@@ -313,6 +336,7 @@ def simulate(
         Figures that JSON can hold.
     """
     world = World(scenario, service.options)
+    play = replace(play, beliefs=service.options.on(service.scenario).outages == BELIEF)
     if place.url is not None:
         with closing(Client(place.url, place.token)) as client:
             return Player(world, client, play).play(progress).summary()
@@ -331,6 +355,53 @@ def simulate(
                 progress(done, total)
 
         return {**player.play(look).summary(), "size": sizes}
+
+
+def warned(scenario: Scenario) -> Iterator[Announcement]:
+    """When which belief is announced, or taken back, of the warnings of a scenario."""
+    grid = scenario.grid
+    step = pd.Timedelta(minutes=grid.step_minutes)
+    so_far: dict[str, list[OutageWarning]] = {}
+    standing = set()
+    for one in sorted(scenario.warnings, key=lambda one: one.issued_at):
+        messages = so_far.setdefault(one.outage, [])
+        messages.append(one)
+        name = f"warned-{list(so_far).index(one.outage) + 1}"
+        # It may have been due before it was said.
+        first = grid.start + ((one.issued_at - LOOKAHEAD_H * HOUR - grid.start) // step) * step
+        said = said_so_far(messages, pd.date_range(first, periods=MOST_ONSETS, freq=step))
+        if said is not None and said[1].any():
+            standing.add(name)
+            yield one.issued_at, name, _belief(*said, first, step)
+        elif name in standing:
+            standing.remove(name)
+            yield one.issued_at, name, None
+
+
+def _belief(
+    message: OutageWarning, onset: Floats, first: pd.Timestamp, step: pd.Timedelta
+) -> dict[str, Any]:
+    """A warning as an event of the service."""
+    begin, end = np.flatnonzero(onset)[[0, -1]].tolist()
+    resolution = f"PT{round(step.total_seconds())}S"
+    body: dict[str, Any] = {
+        "type": "outage_belief",
+        "source": "simulation",
+        "issued_at": written(message.issued_at),
+        "probability": 1.0 if message.probability is None else message.probability,
+        "onset": {
+            "start": written(first + begin * step),
+            "resolution": resolution,
+            "probabilities": (onset[begin : end + 1] / onset.sum()).tolist(),
+        },
+    }
+    lengths = length_of(message, step / HOUR, round(LOOKAHEAD_H * HOUR / step))
+    if lengths is None:
+        return body
+    likely = np.flatnonzero(lengths)
+    hours = ((likely + 1) * (step / HOUR)).tolist()
+    shares = (lengths[likely] / lengths.sum()).tolist()
+    return {**body, "duration": {"family": "discrete", "hours": hours, "probabilities": shares}}
 
 
 def announcements(
