@@ -40,10 +40,10 @@ $(STAMP): requirements.lock pyproject.toml
 	$(INSTALL) --no-deps --no-build-isolation -e .
 	touch $@
 
-# Types and documentation take a core each, and the tests both: pytest's last line comes last.
+# Documentation takes a core for two minutes, the tests two for longer: pytest's last line comes last.
 test: $(STAMP)  ## lint, types, documentation, doctests and tests
-	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types docs
-	@$(MAKE) --no-print-directory pytest
+	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types
+	@$(MAKE) --no-print-directory -j $(JOBS) docs pytest
 
 quick: $(STAMP)  ## lint, types, layers and the quick tests, within a minute
 	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types

@@ -78,6 +78,7 @@ def test_a_second_process_is_refused_and_the_next_one_waits_for_a_dead_one(
     second.put_setting("mode", {"mode": "off"}, NOON, "the living")
     assert second.setting("mode") == {"mode": "off"}
     second.close()
+    first._database.engine.dispose()
 
 
 # A connection whose server died under it is dropped as it is.

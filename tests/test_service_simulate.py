@@ -32,24 +32,23 @@ HOUR = pd.Timedelta("1h")
 def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
     """To the last bit, with what came of it fed back: set-points, telemetry, the next step."""
     options = RunOptions(horizon_h=2.0, isolate=False)
-    for place, day in enumerate((tiny, vppres.load_scenario("two-outages-cigre-mv"))):
-        run = vppres.run_day(day, options)
-        service = Service(day, options, rehearsal=True)
-        player = played(service, day, tmp_path / str(place), Play(announced=False))
-        assert player.tally.statuses == {"ok": day.grid.n_steps}
-        for t, record in enumerate(player.world.records):
-            now = run.scenario.grid.times[t]
-            for table, columns in (
-                ("customers", ("served", "p_load_kw")),
-                ("batteries", ("charge_kw", "discharge_kw", "q_kvar", "soc_end")),
-                ("pv", ("self_kw", "export_kw", "curtailed_kw", "q_kvar")),
-            ):
-                frame = getattr(run, table)
-                frame = frame[frame["time"] == now]
-                for column in columns:
-                    found = getattr(record, table)[column]
-                    assert np.array_equal(found, frame[column].to_numpy()), (t, table, column)
-            assert record.steps["p_grid_kw"] == run.steps["p_grid_kw"][t]
+    run = vppres.run_day(tiny, options)
+    service = Service(tiny, options, rehearsal=True)
+    player = played(service, tiny, tmp_path, Play(announced=False))
+    assert player.tally.statuses == {"ok": tiny.grid.n_steps}
+    for t, record in enumerate(player.world.records):
+        now = run.scenario.grid.times[t]
+        for table, columns in (
+            ("customers", ("served", "p_load_kw")),
+            ("batteries", ("charge_kw", "discharge_kw", "q_kvar", "soc_end")),
+            ("pv", ("self_kw", "export_kw", "curtailed_kw", "q_kvar")),
+        ):
+            frame = getattr(run, table)
+            frame = frame[frame["time"] == now]
+            for column in columns:
+                found = getattr(record, table)[column]
+                assert np.array_equal(found, frame[column].to_numpy()), (t, table, column)
+        assert record.steps["p_grid_kw"] == run.steps["p_grid_kw"][t]
 
 
 def stormy(tiny: Scenario, days: int) -> Scenario:

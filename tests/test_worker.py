@@ -415,6 +415,9 @@ SCRIPT_HEAD = """
     def process():
         return shared_workers()._idle[-1].process
 
+    # Whoever runs the tests in the background lets them ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
     tiny = tiny_scenario()
     data = window(tiny, slice(3))
     expected = WindowSolver(Site.of(tiny)).solve(data).objective

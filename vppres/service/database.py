@@ -158,6 +158,9 @@ class Leased:
                 return
             _leases.create_all(self.engine)
             self._take()
+        except InputError:
+            self.engine.dispose()
+            raise
         except sa.exc.SQLAlchemyError as error:
             self.engine.dispose()
             words = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
