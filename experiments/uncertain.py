@@ -278,6 +278,11 @@ def with_outage(runs: Sequence[Run]) -> list[Run]:
     return [run for run in runs if run.resilience is not None]
 
 
+def _resilience(run: Run) -> float:
+    """That of a day, NaN where it had no outage."""
+    return np.nan if run.resilience is None else run.resilience
+
+
 def worst(resilience: Floats) -> float:
     """Mean of the worst twentieth of the days, one at least."""
     count = max(round(WORST_SHARE * len(resilience)), 1)
@@ -377,7 +382,7 @@ def _kinds_text(runs: Sequence[Run]) -> str:
         days = len({run.seed for run in of_kind})
         cells: list[Any] = [kind, days]
         for name in POLICIES:
-            found = paired(of_kind, name, "", lambda run: run.resilience or np.nan)
+            found = paired(of_kind, name, "", _resilience)
             cost = paired(of_kind, name, "", lambda run: run.cost_gbp).mean()
             served = "" if np.isnan(found).all() else f"R {found.mean():.3f}, "
             cells.append(f"{served}GBP {cost:,.0f}")
