@@ -14,7 +14,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,8 +33,14 @@ from vppres.service.world import Series, World, critical_off, energy_allowed
 
 Progress = Callable[[int, int], None]
 
-Announcement = tuple[pd.Timestamp, str, dict[str, Any] | None]
-"""When, of which event, and what; None takes it back."""
+
+class Announcement(NamedTuple):
+    """When, of which event, and what; None takes it back."""
+
+    time: pd.Timestamp
+    event: str
+    body: dict[str, Any] | None
+
 
 MOST_ONSETS = 1_000
 """Steps among which an onset is looked for."""
@@ -260,8 +266,8 @@ class Player:
 
     def _announce(self, now: pd.Timestamp) -> None:
         """Put what is due."""
-        due = [one for one in self._announcements if one[0] <= now]
-        self._announcements = [one for one in self._announcements if one[0] > now]
+        due = [one for one in self._announcements if one.time <= now]
+        self._announcements = [one for one in self._announcements if one.time > now]
         for _, name, body in due:
             if body is None:
                 self.client.wanted("DELETE", f"/v1/events/{name}")
@@ -372,10 +378,10 @@ def warned(scenario: Scenario) -> Iterator[Announcement]:
         said = said_so_far(messages, pd.date_range(first, periods=MOST_ONSETS, freq=step))
         if said is not None and said[1].any():
             standing.add(name)
-            yield one.issued_at, name, _belief(*said, first, step)
+            yield Announcement(one.issued_at, name, _belief(*said, first, step))
         elif name in standing:
             standing.remove(name)
-            yield one.issued_at, name, None
+            yield Announcement(one.issued_at, name, None)
 
 
 def _belief(
@@ -404,10 +410,8 @@ def _belief(
     return {**body, "duration": {"family": "discrete", "hours": hours, "probabilities": shares}}
 
 
-def announcements(
-    scenario: Scenario, notice_h: float
-) -> Iterator[tuple[pd.Timestamp, str, dict[str, Any]]]:
-    """When which event is announced, for each outage of a scenario: time, name and body."""
+def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:
+    """When which event is announced, for each outage of a scenario."""
     times = scenario.grid.times
     step = pd.Timedelta(minutes=scenario.grid.step_minutes)
     out = np.concatenate([[False], scenario.outage, [False]])
@@ -420,4 +424,5 @@ def announcements(
             "start": written(times[start]),
             "end": written(times[end - 1] + step),
         }
-        yield times[start] - pd.Timedelta(hours=notice_h), f"outage-{number}", body
+        told = times[start] - pd.Timedelta(hours=notice_h)
+        yield Announcement(told, f"outage-{number}", body)
