@@ -74,11 +74,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if found is None:
             return {"status": "none"}
         shown = found if runner.ahead_s > 0.0 else {**found, "status": "stale"}
-        tag = etag(shown)
-        headers = {"ETag": tag, "Cache-Control": "no-cache"}
-        if if_none_match == tag:
-            return Response(status_code=304, headers=headers)
-        return JSONResponse(shown, headers=headers)
+        return _unless_known(shown, if_none_match)
 
     @router.get("/v1/explanations")
     def explanations(
@@ -89,13 +85,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> Response:
         """Why each device does what it does in a step, the last one if no time is given."""
         found = explainer.of(_kept(time))
-        if asset is not None:
-            found = only(found, asset)
-        tag = etag(found)
-        headers = {"ETag": tag, "Cache-Control": "no-cache"}
-        if if_none_match == tag:
-            return Response(status_code=304, headers=headers)
-        return JSONResponse(found, headers=headers)
+        return _unless_known(found if asset is None else only(found, asset), if_none_match)
 
     def _kept(time: str | None) -> dict[str, Any]:
         """The stored plan of a step."""
@@ -145,6 +135,13 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         return next((one for one in plan["setpoints"] if one["id"] == identifier), None)
 
     return router
+
+
+def _unless_known(body: dict[str, Any], known: str | None) -> Response:
+    """A body with its tag; 304 to whoever has it already."""
+    tag = etag(body)
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    return Response(None, 304, headers) if known == tag else JSONResponse(body, headers=headers)
 
 
 def _moment(text: str) -> pd.Timestamp:
