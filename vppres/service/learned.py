@@ -44,7 +44,8 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
     since = now - pd.Timedelta(days=REMEMBERED_DAYS)
     rows = store.measured(since)
     if not rows:
-        rows = _read(store, scenario, since, now)
+        # The present step may have been decided before this forecaster was chosen.
+        rows = _read(store, scenario, since, now + pd.Timedelta(minutes=scenario.grid.step_minutes))
         store.put_measured(rows)
     before = scenario.history
     if before is not None:
@@ -64,16 +65,16 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
 
 
 def _read(
-    store: Store, scenario: Scenario, since: pd.Timestamp, now: pd.Timestamp
+    store: Store, scenario: Scenario, since: pd.Timestamp, end: pd.Timestamp
 ) -> list[Measured]:
-    """Rows of the steps up to now, made of the first readings in each."""
+    """Rows of the steps up to a time, made of the first readings in each."""
     grid = scenario.grid
     step = pd.Timedelta(minutes=grid.step_minutes)
-    first = now - ((now - since) // step) * step
+    first = end - ((end - since) // step) * step
     ids = {"load_kw": scenario.customers.id, "pv_kw": scenario.pv.id}
     places = {(kind, str(name)): i for kind, names in ids.items() for i, name in enumerate(names)}
     found: dict[int, dict[str, list[float | None]]] = {}
-    for reading in store.between(first, now, QUANTITIES):
+    for reading in store.between(first, end, QUANTITIES):
         place = places.get((reading.quantity, reading.asset))
         if place is None or reading.value is None:
             continue
