@@ -153,7 +153,7 @@ def _ahead(scenario: Scenario, row: int) -> Ahead:
         load_kw=scenario.load_kw[row:],
         pv_kw=scenario.pv_kw[row:].sum(axis=1),
         price_gbp_per_kwh=scenario.price_gbp_per_kwh[row:],
-        import_kw=np.inf,
+        import_kw=np.full(len(scenario.load_kw) - row, np.inf),
         export=None,
         weight=scenario.customers.weight,
         lambda_curt=scenario.objective.lambda_curt,
