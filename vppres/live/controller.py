@@ -471,6 +471,7 @@ class Controller:
             import_kw=seen.import_kw,
             served=past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
+            keep_stored=self.options.keep_stored,
         )
         view = OutageView.create(self.scenario, self.options.as_record())
         measured = view.told(measured, grid_seen, ahead, 0, forecasts, beside)
