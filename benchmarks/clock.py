@@ -12,14 +12,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 from unittest.mock import patch
 
-import highspy
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 
 from vppres.solve.certificate import Certificate
-from vppres.solve.deadline import Deadline
+from vppres.solve.direct import solve_by_clarabel, solve_by_highs
 from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import Outcome
 
@@ -44,31 +43,27 @@ def watched() -> Iterator[Clock]:
     """
     clock = Clock()
     note = Certificate.note
-    via_data = SolvingChain.solve_via_data
-    direct = ProgramSolution.of
 
     def noted(known: Certificate, stage: str, outcome: Outcome) -> None:
         clock.stages_s[stage] += outcome.solve_s
         note(known, stage, outcome)
 
-    def timed(chain: Any, *args: Any, **options: Any) -> Any:
-        begin = time.perf_counter()
-        try:
-            return via_data(chain, *args, **options)
-        finally:
-            clock.library_s += time.perf_counter() - begin
+    def timed(ask: Callable[P, R]) -> Callable[P, R]:
+        def asking(*args: P.args, **options: P.kwargs) -> R:
+            begin = time.perf_counter()
+            try:
+                return ask(*args, **options)
+            finally:
+                clock.library_s += time.perf_counter() - begin
 
-    def timed_direct(solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
-        begin = time.perf_counter()
-        try:
-            return direct(solver, deadline)
-        finally:
-            clock.library_s += time.perf_counter() - begin
+        return asking
 
     with (
         patch.object(Certificate, "note", noted),
-        patch.object(ProgramSolution, "of", timed_direct),
-        patch.object(SolvingChain, "solve_via_data", timed),
+        patch.object(ProgramSolution, "of", timed(ProgramSolution.of)),
+        patch("vppres.solve.solvers.solve_by_highs", timed(solve_by_highs)),
+        patch("vppres.solve.solvers.solve_by_clarabel", timed(solve_by_clarabel)),
+        patch.object(SolvingChain, "solve_via_data", timed(SolvingChain.solve_via_data)),
     ):
         yield clock
 

@@ -33,7 +33,7 @@ from vppres.report.plots import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import COMPILER, run
+from vppres.solve.solvers import compile_now, run
 
 MONOLITHS = ("highs", "scip")
 SIDES = 16
@@ -127,7 +127,7 @@ def monolith(runner: Runner, solver: str, limit_s: float, busy: float = BUSY) ->
     model = WindowModel(runner.site, data.n_steps, form)
     model.fill(data)
     spec = one_thread(solver)
-    model.problem.get_problem_data(spec.cvxpy_name, canon_backend=COMPILER)
+    compile_now(model.problem, spec)
     everyone = runner.site.customers.weight.sum() * runner.site.dt_h * data.n_steps
     gap = SolveLimits().absolute(float(everyone))
     begin_s = time.process_time()

@@ -23,7 +23,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import COMPILER, SOLVERS, SolverSpec, run
+from vppres.solve.solvers import SOLVERS, SolverSpec, compile_now, run
 
 LICENSED = {"gurobi": {"Threads": 1}, "copt": {"Threads": 1}, "xpress": {"threads": 1}}
 """Solvers with size-limited licences, and what keeps them on one thread as the others are."""
@@ -146,7 +146,7 @@ class Bench:
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()
-        model.problem.get_problem_data(spec.interface, canon_backend=COMPILER)
+        compile_now(model.problem, spec)
         compile_s = time.perf_counter() - begin
         whole = self.site.customers.weight.sum() * self.site.dt_h * instance.steps
         begin = time.perf_counter()

@@ -135,6 +135,27 @@ def test_the_command(tmp_path: Path) -> None:
     )  # fmt: skip
     assert own.exit_code == 0, own.output
     assert json.loads(own.stdout)["summary"]["forecaster"] == "mine"
+    log = tmp_path / "outages.csv"
+    log.write_text("start,end\n2022-06-10T12:00Z,2022-06-10T15:00Z\n")
+    said = tmp_path / "warnings.csv"
+    said.write_text(
+        "issued_at,outage,onset_likely,probability\n"
+        "2022-06-10T06:00Z,a,2022-06-10T12:00Z,0.1\n2022-06-12T06:00Z,b,2022-06-12T12:00Z,0.9\n"
+    )
+    warned = call(
+        "backtest", str(tmp_path), "--every", "47", "--horizon", "6", "--warnings", str(said),
+        "--outages", str(log), "--out", str(out),
+    )  # fmt: skip
+    assert warned.exit_code == 0, warned.output
+    assert "of 2 announced outages 1 came, and 0 outages came unannounced" in warned.output
+    page = (out / "backtest.html").read_text()
+    assert "<h2>Outage warnings</h2>" in page
+    # Said .1 and .9, came 1 and 0: off by .81 each, where one half each time is off by .25.
+    assert "Brier score 0.810" in page
+    assert json.loads((out / "summary.json").read_text())["warnings"]["brier_of_share"] == 0.25
+    alone = call("backtest", str(tmp_path), "--warnings", str(said), "--out", str(out))
+    assert alone.exit_code == 2
+    assert "options, outages: is missing" in alone.output
     wrong = call("backtest", str(tmp_path), "--from", "soon", "--out", str(out))
     assert wrong.exit_code == 2
     assert "from or to = soon: is not a time" in wrong.output

@@ -725,6 +725,7 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "protect_critical": False,
         "reserve": {"soc": 0.5, "notice_h": 0.5},
         "soc_end": 0.5,
+        "keep_stored": False,
         "isolate": None,
         "forecaster": "seasonal",
         "forecast_file": None,

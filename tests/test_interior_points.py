@@ -16,13 +16,8 @@ from vppres.model.forms import Form, WindowModel
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.model.tie_breakers import TieBreakerModel
-from vppres.solve.interior_points import (
-    CLARABEL_INTERFACE,
-    CLARABEL_WITHOUT_DUALS,
-    HIGHS_WITHOUT_DUALS,
-    places,
-)
-from vppres.solve.solvers import COMPILER
+from vppres.solve.compiled import COMPILER
+from vppres.solve.interior_points import CLARABEL_INTERFACE, places
 
 STEPS = 2
 
@@ -88,24 +83,6 @@ def test_solved_as_by_cvxpy() -> None:
     problem = cp.Problem(cp.Maximize(3 * x[0] + 4 * x[1]), [cp.norm(x) <= radius])
     assert problem.solve(solver=CLARABEL_INTERFACE) == pytest.approx(25.0)
     np.testing.assert_allclose(x.value, [3.0, 4.0], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("with_duals", "without"),
-    [(CLARABEL_INTERFACE, CLARABEL_WITHOUT_DUALS), (cp.HIGHS, HIGHS_WITHOUT_DUALS)],
-)
-def test_without_duals_the_answer_is_the_same(with_duals: Any, without: Any) -> None:
-    """The dearest of two goods within a budget of 10: its price, 2, is the dual."""
-    answers = []
-    for interface in (with_duals, without):
-        x = cp.Variable(2, nonneg=True)
-        budget = cp.sum(x) <= 10.0
-        problem = cp.Problem(cp.Maximize(x[0] + 2.0 * x[1]), [budget])
-        assert problem.solve(solver=interface) == pytest.approx(20.0)
-        answers.append((x.value.tolist(), budget.dual_value))
-    assert answers[0][0] == answers[1][0]
-    assert answers[0][1] == pytest.approx(2.0)
-    assert answers[1][1] is None
 
 
 def test_parameters_are_placed_on_buses_as_variables_are() -> None:

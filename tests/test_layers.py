@@ -15,6 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vppres"
 LIBRARY_HOMES = {
+    "clarabel": {"solve"},
     "cvxpy": {"model", "solve"},
     "highspy": {"solve"},
     "pandapower": {"feeders", "physics"},

@@ -236,7 +236,8 @@ def fleet(power_kw: float = 50.0) -> Fleet:
 
 def ahead(load_kw: Floats, pv_kw: Floats, **other: object) -> Ahead:
     """Two customers, of which the first counts ten times as much per kW."""
-    values = {"import_kw": np.inf, "export": None, "lambda_curt": 0.1, "dt_h": 1.0} | other
+    no_limit = np.full(len(pv_kw), np.inf)
+    values = {"import_kw": no_limit, "export": None, "lambda_curt": 0.1, "dt_h": 1.0} | other
     price = values.pop("price", np.full(len(pv_kw), PRICE))
     return Ahead(load_kw, pv_kw, price, weight=np.array([1.0, 0.1]), **values)  # type: ignore[arg-type]
 
@@ -264,6 +265,24 @@ def test_value_by_hand() -> None:
     # A power of 5 kW serves half of the first, whatever is stored.
     weak = stored_value(belief, fleet(5.0), known, VOLL, nothing)
     assert weak.at(110.0) == pytest.approx(0.25 * 0.5 + 0.75 * 5.0 * PRICE / per_service, rel=0.01)
+
+
+def test_a_limit_that_is_announced_for_a_step_is_worth_what_it_denies() -> None:
+    """Of 20 kW the grid gives 10 in one step, all of them to the first; 12.5 kWh bring the others.
+
+    The second customer counts a tenth. For a limit a step later they can still be bought.
+    """
+    load = np.array([[10.0, 10.0]] * 3)
+    never = OutageBelief(np.empty((0, 3)), [[1.0, 0.0, 0.0, 0.0]], 0.0)
+    worth = {}
+    for place in (None, 1, 2):
+        limit = np.full(3, np.inf)
+        if place is not None:
+            limit[place] = 10.0
+        known = ahead(load, np.zeros(3), import_kw=limit, price=np.full(3, 1e-6))
+        worth[place] = stored_value(never, fleet(), known, VOLL, nothing).at(110.0)
+    assert worth[None] == pytest.approx(0.0, abs=1e-3)
+    assert [worth[1], worth[2]] == pytest.approx([0.1, 0.0], abs=1e-3)
 
 
 def _optimum(energy: float, out: list[bool], known: Ahead, one: Fleet, end_gbp: float) -> float:

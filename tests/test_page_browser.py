@@ -20,6 +20,7 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
+from vppres.service.explanations import explained, question
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 from vppres.service.store import Reading, seconds
@@ -283,7 +284,14 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         watcher.wait_for("#verdict-words", "Outage, its end is not known")
         for name in off:
             assert name in watcher.text("#off-list")
-        assert "outage; not enough for all, by plan" in watcher.text("#off-list")
+        # Why, in the service's own words, as soon as they are worked out.
+        reasons = explained(question(runner, runner.last))["reasons"]
+        words = {r["words"] for r in reasons if r["asset"] in off}
+        for sentence in words:
+            shown = sentence.removeprefix("Not served: ").split("; ")[0].rstrip(".")
+            row = page.locator("#off-list", has_text=shown[1:])
+            row.wait_for(timeout=40_000)
+        assert words and "by plan" not in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention
         assert "1 step missed in the last hours." in attention

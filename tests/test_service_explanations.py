@@ -43,9 +43,7 @@ def test_every_step_is_explained_as_the_run_is(
             http.post("/v1/telemetry", sent)
             assert http.post("/v1/steps", {"time": written(time)}).status == 200
     with opened(Service(day, options, rehearsal=True), tmp_path) as runner:
-        # A belief's last step is another decision: what energy costs later is taken from prices
-        # that are known, of which a service keeps fewer.
-        for time in day.grid.times[: None if outages == "known" else -1]:
+        for time in day.grid.times:
             plan = runner.store.step(time)
             assert plan is not None
             found = explained(question(runner, plan))

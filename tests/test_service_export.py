@@ -87,6 +87,31 @@ def test_what_was_measured_stands_over_the_profile(tiny: Scenario, tmp_path: Pat
     assert big.tolist()[0] == 0.5 and big.tolist()[3] == pytest.approx(0.8)
 
 
+def test_prices_and_limits_are_those_that_were_known(tiny: Scenario, tmp_path: Path) -> None:
+    """Of steps that were decided what the plan rested on, of others what was said by then."""
+    clock = SetClock(NOON)
+    service = Service(site(tiny), HERE)
+    price = {"type": "price", "start": "2026-11-21T12:00:00Z", "resolution": "PT1H"}
+    limit = {"type": "import_limit", "start": "2026-11-21T13:00:00Z", "limit_kw": 55.0}
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/tariff", {**price, "price_gbp_per_kwh": [0.5, 0.6, 0.7, 0.8]})
+        decided(http, clock, NOON)
+        http.put("/v1/events/tariff", {**price, "price_gbp_per_kwh": [9.0, 0.61, 0.71, 0.81]})
+        http.put("/v1/events/cap", limit)
+        decided(http, clock, NOON + HOUR)
+        http.put("/v1/mode", {"mode": "off"})
+        decided(http, clock, NOON + 2 * HOUR)
+        clock.set(NOON + 2.5 * HOUR)
+        http.put("/v1/events/cap", {**limit, "limit_kw": 5.0})
+        http.put("/v1/mode", {"mode": "auto"})
+        decided(http, clock, NOON + 4 * HOUR)
+        run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T17:00")
+    profile = service.scenario.price_gbp_per_kwh
+    assert run.scenario.price_gbp_per_kwh.tolist() == [0.5, 0.61, 0.71, 0.81, profile[16]]
+    # Two o'clock was switched off; of three, which was missed, it is known what had been said.
+    assert run.scenario.grid_limit_kw.tolist() == [np.inf, 55.0, 55.0, 5.0, 5.0]
+
+
 def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path: Path) -> None:
     clock = SetClock(NOON)
     service = replace(Service(site(tiny), HERE), keep_days=1.0)
@@ -104,6 +129,7 @@ def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path
     store = Store(tmp_path, Site.of(service.scenario).key, reading=True)
     assert store.step(NOON) is None and store.step(NOON + 3 * 24 * HOUR) is not None
     assert not store.between(NOON, NOON + HOUR, ["soc"])
-    assert store.audit() and store.outcomes().get("missed", 0) < 72
+    assert store.audit() and len(store.plans(NOON, NOON + 72 * HOUR)) < 72
+    assert store.outcomes() == {"ok": 2, "missed": 71}  # those that are forgotten too
     store.close()
     assert written(NOON) == "2026-11-21T12:00:00Z"

@@ -1,12 +1,22 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from vppres.core.errors import InputError
+from vppres.io.find import load_scenario
 from vppres.outlook.outlook import SeenOutage
 from vppres.scenario.outage_warnings import OutageWarning
-from vppres.studies.warning_scores import WarnedOutage, brier, duration_pit, reliability
+from vppres.studies.warning_scores import (
+    WarnedOutage,
+    WarningScores,
+    brier,
+    duration_pit,
+    reliability,
+)
 
 NOON = pd.Timestamp("2022-07-19T12:00Z")
 
@@ -53,3 +63,85 @@ def test_what_is_drawn_as_said_is_evenly_spread() -> None:
     lengths = 4.0 * np.exp(spread * rng.standard_normal(2000))
     count, _ = np.histogram(duration_pit([pair(1.0, h) for h in lengths]), 5, (0.0, 1.0))
     assert (np.abs(count / 2000 - 0.2) < 0.04).all()
+
+
+HOUR = pd.Timedelta(hours=1)
+
+
+def message(ago_h: float, probability: float, onset: pd.Timestamp = NOON) -> OutageWarning:
+    """A message some hours before an onset."""
+    return OutageWarning(onset - ago_h * HOUR, onset_likely=onset, probability=probability)
+
+
+def scored(messages: list[OutageWarning], *outages: tuple[float, float]) -> WarningScores:
+    """Messages, and outages from some hour after noon to another one."""
+    seen = [SeenOutage(NOON + start * HOUR, NOON + end * HOUR) for start, end in outages]
+    return WarningScores.of(messages, seen, 1.0)
+
+
+def said_and_came(scores: WarningScores) -> list[tuple[float | None, bool]]:
+    return [(pair.warning.probability, pair.came is not None) for pair in scores.pairs]
+
+
+def test_the_last_message_before_the_outage_counts() -> None:
+    # The message of the afternoon was issued in the outage: it says nothing of whether it comes.
+    scores = scored([message(9, 0.3), message(2, 0.8), message(-1, 1.0)], (0, 3))
+    assert said_and_came(scores) == [(0.8, True)]
+    assert scores.unannounced == ()
+
+
+def test_an_outage_far_from_the_announced_time_is_unannounced() -> None:
+    scores = scored([message(9, 0.3)], (8, 9))
+    assert said_and_came(scores) == [(0.3, False)]
+    assert len(scores.unannounced) == 1
+
+
+def test_an_all_clear_is_believed_and_may_be_wrong() -> None:
+    assert said_and_came(scored([message(9, 0.6), message(4, 0.0)])) == [(0.0, False)]
+    assert said_and_came(scored([message(9, 0.6), message(4, 0.0)], (0, 2))) == [(0.0, True)]
+
+
+def test_messages_of_one_name_speak_of_one_outage_after_the_other() -> None:
+    tomorrow = NOON + 24 * HOUR
+    messages = [message(6, 0.7), message(6, 0.4, tomorrow), message(1, 0.5, tomorrow)]
+    scores = scored(messages, (0, 2))
+    assert said_and_came(scores) == [(0.7, True), (0.5, False)]
+    # Said .7 and .5, came 1 and 0: (.09 + .25) / 2 against .5 each time: .25.
+    assert scores.brier == pytest.approx(0.17)
+    assert scores.brier_of_share == pytest.approx(0.25)
+
+
+def test_a_scenario_with_warnings_scores_its_own() -> None:
+    assert WarningScores.of_scenario(load_scenario("uk-heatwave-2022")) is None
+
+
+def test_files_of_warnings_and_outages(tmp_path: Path) -> None:
+    warnings, outages = tmp_path / "warnings.csv", tmp_path / "outages.csv"
+    warnings.write_text(
+        "issued_at,outage,onset_likely,probability,duration_p10_h,duration_p50_h,duration_p90_h\n"
+        "2022-07-19T06:00Z,a,2022-07-19T12:00Z,0.7,2,4,8\n"
+    )
+    outages.write_text("start,end\n2022-07-19T12:00Z,2022-07-19T20:00Z\n")
+    scores = WarningScores.of_files(warnings, outages)
+    assert said_and_came(scores) == [(0.7, True)]
+    assert scores.summary()["duration_pit"] == pytest.approx([0.9])
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("2022-07-19T12:00Z,2022-07-19T11:00Z\n", "outages.csv, row 2, end"),
+        ("noon,2022-07-19T11:00Z\n", "outages.csv, row 2, start"),
+        (
+            "2022-07-19T12:00Z,2022-07-19T15:00Z\n2022-07-19T14:00Z,2022-07-19T16:00Z\n",
+            "outages.csv, row 3, start",
+        ),
+    ],
+)
+def test_outages_that_cannot_be(tmp_path: Path, rows: str, words: str) -> None:
+    warnings, outages = tmp_path / "warnings.csv", tmp_path / "outages.csv"
+    warnings.write_text("issued_at,onset_likely\n2022-07-19T06:00Z,2022-07-19T12:00Z\n")
+    outages.write_text("start,end\n" + rows)
+    with pytest.raises(InputError) as error:
+        WarningScores.of_files(warnings, outages)
+    assert words in str(error.value)

@@ -41,6 +41,21 @@ Forecasts = Annotated[
         "forecaster if not given.",
     ),
 ]
+Warnings = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Outage warnings to score, like warnings.csv of a scenario; the scenario's own if not "
+        "given. Needs --outages.",
+    ),
+]
+Outages = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Outages that were, a table with start and end, to score the warnings against.",
+    ),
+]
 First = Annotated[
     str | None,
     typer.Option(
@@ -60,6 +75,27 @@ Zone = Annotated[
         "not given.",
     ),
 ]
+
+
+def require_both(warnings: Path | None, outages: Path | None) -> None:
+    """Refuse warnings without the outages that came of them, and the other way round.
+
+    Raises
+    ------
+    InputError
+        If one is there without the other.
+    """
+    if (warnings is None) == (outages is None):
+        return
+    missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")
+    raise InputError(
+        Problem(
+            "options",
+            "is missing",
+            f"Give --{missing} FILE beside --{there}: one is scored against the other.",
+            field=missing,
+        )
+    )
 
 
 def moment(text: str | None) -> pd.Timestamp | None:

@@ -663,6 +663,8 @@ def backtest(
     history: cli_backtest.HistoryName,
     out: cli_backtest.Out = RESULTS / "backtest",
     forecasts: cli_backtest.Forecasts = None,
+    warnings: cli_backtest.Warnings = None,
+    outages: cli_backtest.Outages = None,
     horizon: cli_backtest.Horizon = 48.0,
     every: cli_backtest.Every = 7.0,
     first: cli_backtest.First = None,
@@ -678,8 +680,11 @@ def backtest(
         from vppres.studies.backtest import Plan, forecasts_in, measured_in
         from vppres.studies.backtest import backtest as run_backtest
         from vppres.studies.backtest_page import backtest_findings, write_backtest
+        from vppres.studies.warning_scores import warnings_scored
 
+        cli_backtest.require_both(warnings, outages)
         measured = measured_in(history, zone)
+        warned = warnings_scored(history, warnings, outages)
         plan = Plan(horizon, every, cli_backtest.moment(first), cli_backtest.moment(last))
         check_target(out)  # before the work, not after it
         own = None if forecasts is None else forecasts_in(forecasts, measured)
@@ -692,11 +697,11 @@ def backtest(
                 "seasonal" if forecasts is None else forecasts.stem,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
-        summary = write_backtest(result, out, Path(history).name)
+        summary = write_backtest(result, out, Path(history).name, warned)
         if as_json:
             _print_json({"folder": str(out), "summary": summary})
             return
-        for words in backtest_findings(result):
+        for words in backtest_findings(result, warned):
             typer.echo(f"- {words}")
         typer.echo(f"Written to {out}")
 

@@ -3,6 +3,10 @@
 A window that ends with the run, or where a live controller knows no more, sees no use for energy
 beyond. What is missing there to a state of charge costs more than any import of the window does:
 it is bought or kept where that is possible, but no service is given up for it.
+
+A window without grid buys nothing: all its plans cost the same. Where it is to keep what it can, a
+kWh that is missing to full batteries costs something there, so that of plans that serve the same
+the one that leaves most in store is taken.
 """
 
 from __future__ import annotations
@@ -21,6 +25,9 @@ storing it and taking it out again, which is less than half."""
 
 LEAST_PRICE_GBP_PER_KWH = 0.01
 """The same where energy is free, or pays."""
+
+FULL = 1.0
+"""State of charge of a battery that leaves all that it can hold."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +63,12 @@ class Terminal:
         ends : bool
             Whether nothing is known of the steps behind the window.
         """
-        if soc is None or not ends:
-            return None
-        dearest = float(np.max(forecast.price_gbp_per_kwh))
-        if forecast.export is not None:
-            dearest = max(dearest, float(np.max(forecast.export.price_gbp_per_kwh)))
-        return cls(soc, max(OVER_IMPORT * dearest, LEAST_PRICE_GBP_PER_KWH))
+        return cls(soc, _missing_price(forecast)) if soc is not None and ends else None
+
+    @classmethod
+    def full(cls, forecast: Forecast) -> Terminal:
+        """The end of a window that is to leave all it can, of which a forecast is known."""
+        return cls(FULL, _missing_price(forecast))
 
     def target_kwh(self, batteries: Batteries) -> Floats:
         """Energy that each battery is to hold, (B,)."""
@@ -72,3 +79,11 @@ class Terminal:
         """What is missing at the end, (B,), at its price."""
         missing = np.maximum(self.target_kwh(batteries) - soc_end * batteries.energy_kwh, 0.0)
         return self.price_gbp_per_kwh * float(missing.sum())
+
+
+def _missing_price(forecast: Forecast) -> float:
+    """Price of a kWh that is missing at the end of a window, in GBP."""
+    dearest = float(np.max(forecast.price_gbp_per_kwh))
+    if forecast.export is not None:
+        dearest = max(dearest, float(np.max(forecast.export.price_gbp_per_kwh)))
+    return max(OVER_IMPORT * dearest, LEAST_PRICE_GBP_PER_KWH)

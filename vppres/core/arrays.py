@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,12 @@ def freeze(values: ArrayLike, dtype: Any = None) -> NDArray[Any]:
     return array
 
 
+@lru_cache(maxsize=64)
 def content_key(*tables: Any) -> str:
-    """Digest of the fields of frozen dataclasses: equal content, equal key."""
+    """Digest of the fields of frozen dataclasses: equal content, equal key.
+
+    That of the same tables is reckoned once: a live controller asks for it in every step.
+    """
     digest = hashlib.sha256()
     for table in tables:
         for f in fields(table):

@@ -63,6 +63,8 @@ class RunOptions:
     mode : {"paper", "physical"} or None
         The paper's island, or one that grid-forming batteries hold, planned with losses; None
         leaves it to the scenario.
+    keep_stored : bool
+        Of plans that serve the same without grid, take the one that leaves most in store.
     headroom : float
         Physical mode: share of a grid-forming battery's inverter that plans leave free in an
         island.
@@ -103,6 +105,7 @@ class RunOptions:
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
     mode: str | None = None
+    keep_stored: bool = default_of("keep_stored")
     headroom: float = default_of("headroom")
     passes: int = default_of("passes")
     isolate: bool | None = default_of("isolate")

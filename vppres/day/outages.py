@@ -77,6 +77,36 @@ class GridSeen:
 
 
 @dataclass(frozen=True, eq=False)
+class Beside:
+    """What is known beside the steps that are looked at.
+
+    Parameters
+    ----------
+    prices_gbp_per_kwh : array, shape (n,)
+        Import prices of the steps before.
+    limits_kw : array, shape (T,), or None
+        Largest import of the steps while there is grid, as it was announced; NaN where nobody
+        announced any, and the one of now is taken to stay.
+    """
+
+    prices_gbp_per_kwh: Floats
+    limits_kw: Floats | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, row: int) -> Beside:
+        """A scenario's prices before a step."""
+        return cls(scenario.price_gbp_per_kwh[:row])
+
+    def import_kw(self, steps: int, now_kw: float) -> Floats:
+        """Largest import of the first steps while there is grid, (steps,)."""
+        found = np.full(steps, now_kw)
+        if self.limits_kw is None:
+            return found
+        said = self.limits_kw[:steps]
+        return np.where(np.isnan(said), found, said)
+
+
+@dataclass(frozen=True, eq=False)
 class OutageView:
     """What a controller is told of outages.
 
@@ -122,6 +152,7 @@ class OutageView:
         scenario: Scenario,
         row: int,
         forecaster: Forecasts,
+        beside: Beside | None = None,
     ) -> Observation:
         """An observation without what nobody can know.
 
@@ -137,53 +168,61 @@ class OutageView:
             The present one among them.
         forecaster : Forecaster
             Forecasts of them.
+        beside : Beside, optional
+            What is known beside them; the scenario's steps before them if not given.
         """
         if self.kind == KNOWN:
             return seen
+        beside = Beside.of(scenario, row) if beside is None else beside
         window = range(row, row + len(seen.forecast.price_gbp_per_kwh))
         if self.kind == "none":
             out = np.full(len(window), grid.out)
-            return _told(seen, scenario, window, out, grid)
+            return _told(seen, scenario, window, out, grid, beside)
         n_ahead = min(
             max(scenario.grid.steps_in_horizon(LOOKAHEAD_H), len(window)),
             scenario.grid.n_steps - row,
         )
         belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
-        told = _told(seen, scenario, window, belief.likely[: len(window)], grid)
+        told = _told(seen, scenario, window, belief.likely[: len(window)], grid, beside)
         if self.kind == LIKELY or belief.certain or not len(scenario.batteries):
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
-        value = self._value(told, belief, scenario, slice(row, row + n_ahead), ahead, grid)
+        import_kw = beside.import_kw(n_ahead, grid.import_kw)
+        expected = self._ahead(scenario, slice(row, row + n_ahead), ahead, import_kw)
+        value = self._value(told, belief, scenario, expected, ahead, beside)
         # A value that is no number says nothing: the likely future is left.
         return replace(told, stored_value=value) if np.isfinite(value.service).all() else told
+
+    def _ahead(self, scenario: Scenario, rows: slice, ahead: Forecast, import_kw: Floats) -> Ahead:
+        """What is expected of the steps."""
+        steps = len(ahead.price_gbp_per_kwh)
+        return Ahead(
+            load_kw=ahead.load_kw,
+            pv_kw=ahead.pv_kw.sum(axis=1),
+            price_gbp_per_kwh=ahead.price_gbp_per_kwh,
+            import_kw=import_kw,
+            export=Export.believed(scenario, rows, np.full(steps, np.inf)),
+            weight=scenario.customers.weight,
+            lambda_curt=scenario.objective.lambda_curt,
+            dt_h=scenario.grid.dt_h,
+        )
 
     def _value(
         self,
         seen: Observation,
         belief: OutageBelief,
         scenario: Scenario,
-        rows: slice,
+        expected: Ahead,
         ahead: Forecast,
-        grid: GridSeen,
+        beside: Beside,
     ) -> StoredValue:
         """What energy is worth behind the present step."""
-        steps = len(ahead.price_gbp_per_kwh)
-        expected = Ahead(
-            load_kw=ahead.load_kw,
-            pv_kw=ahead.pv_kw.sum(axis=1),
-            price_gbp_per_kwh=ahead.price_gbp_per_kwh,
-            import_kw=grid.import_kw,
-            export=Export.believed(scenario, rows, np.full(steps, np.inf)),
-            weight=scenario.customers.weight,
-            lambda_curt=scenario.objective.lambda_curt,
-            dt_h=scenario.grid.dt_h,
-        )
         fleet = self._fleet(scenario, seen)
         end = Terminal.of(self.soc_end, ahead, ends=True)
-        a_day_before = max(rows.stop - round(DAY_H / scenario.grid.dt_h), 0)
-        seen_prices = scenario.price_gbp_per_kwh[a_day_before : rows.start]
         # An evening's own prices would keep energy that the next night sells for less.
-        lowest = max(float(np.append(seen_prices, ahead.price_gbp_per_kwh).min()), 0.0)
+        steps_before = max(round(DAY_H / scenario.grid.dt_h) - expected.n_steps, 0)
+        before = beside.prices_gbp_per_kwh[len(beside.prices_gbp_per_kwh) - steps_before :]
+        lowest = max(float(np.append(before, ahead.price_gbp_per_kwh).min()), 0.0)
 
         def end_gbp(energy_kwh: Floats) -> Floats:
             """What is held behind the last step: bought at the day's lowest price, or asked for."""
@@ -270,10 +309,10 @@ def check_outages(kind: str, controller: str) -> None:
 
 
 def _told(
-    seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen
+    seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen, beside: Beside
 ) -> Observation:
     """An observation with believed outages in place of the true limits behind the present step."""
-    limit_kw = np.where(out, 0.0, grid.import_kw)
+    limit_kw = np.where(out, 0.0, beside.import_kw(len(window), grid.import_kw))
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
     export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
     forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)

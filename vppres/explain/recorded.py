@@ -104,13 +104,18 @@ class Recorded:
         return asked
 
     @property
+    def keeps_stored(self) -> bool:
+        """Whether windows without grid were to leave what they could."""
+        return bool(self.options.get("keep_stored"))
+
+    @property
     def ending(self) -> Ending:
         """What the windows' problems said of their ends."""
         if not len(self.site.batteries):
             return ""
         if self.options.get("outages") == BELIEF:
             return "value"
-        return "" if self.soc_asked is None else "target"
+        return "target" if self.soc_asked is not None or self.keeps_stored else ""
 
     def seen(self, t: int) -> WindowData:
         """The window that the controller saw at step ``t``, from the recorded state.
@@ -120,7 +125,7 @@ class Recorded:
         """
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
-        told = self._told(t, self._forecast(t, steps))
+        told = self._told(t, steps)
         f = told.window
         steps = steps[: len(f.price_gbp_per_kwh)]
         centre: Centre = self.options.get("centre", "lossless")
@@ -139,9 +144,7 @@ class Recorded:
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
             export=f.export,
-            terminal=Terminal.of(self.soc_asked, f, ends=steps.stop == self.n_steps)
-            if self.ending == "target"
-            else None,
+            terminal=told.end if len(self.site.batteries) else None,
             stored_value=told.stored_value,
             drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
         )
@@ -189,10 +192,17 @@ class Recorded:
             now.export,
         )
 
-    def _told(self, t: int, forecast: Forecast) -> Observation:
+    def _told(self, t: int, steps: range) -> Observation:
         """What the controller was told: of outages no more than could be known."""
+        forecast = self._forecast(t, steps)
         seen = Observation(
-            t, forecast, self.soc_start[t], self._eta_charge[t], self._eta_discharge[t]
+            t,
+            forecast,
+            self.soc_start[t],
+            self._eta_charge[t],
+            self._eta_discharge[t],
+            terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
+            keep_stored=self.keeps_stored,
         )
         return self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
 

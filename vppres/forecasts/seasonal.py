@@ -166,7 +166,9 @@ class FittedSeasonal:
         )
         deviates = expected - usual
         moved = deviates[0] - deviates[1:] + self._moved_mean(w) * (usual[0] - usual[1:])
-        return np.asarray(np.where(np.isnan(peak), np.nan, (happened + moved) * clear_at[0]))
+        # Where the clear sky of a past day was next to nothing, its index says nothing.
+        possible = np.minimum((happened + moved) * clear_at[0], peak)
+        return np.asarray(np.where(np.isnan(peak), np.nan, possible))
 
     def _moved_mean(self, w: Window) -> Floats:
         """Share of a change of the mean index that past days are moved by, (W, 1).

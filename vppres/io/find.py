@@ -47,6 +47,14 @@ def packaged_scenarios() -> list[str]:
     )
 
 
+def is_scenario(name_or_folder: str | Path) -> bool:
+    """Whether it is the name of a packaged scenario, or a scenario's folder."""
+    return (
+        str(name_or_folder) in packaged_scenarios()
+        or (Path(name_or_folder) / SCENARIO_FILE).is_file()
+    )
+
+
 def find_scenario(name_or_folder: str | Path) -> Path:
     """Folder of a scenario.
 

@@ -412,6 +412,13 @@ class SystemSeries(Row):
     )
 
 
+class OutageRow(Row):
+    """An outage that was, over the half-open interval from `start` to `end`."""
+
+    start: str = Field(description="beginning of the outage, ISO 8601 with time zone")
+    end: str = Field(description="end of the outage, ISO 8601 with time zone")
+
+
 class WarningRow(Row):
     """A message about an outage; of each outage the last one that was issued counts."""
 

@@ -10,29 +10,31 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.decision import Decider
+from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
 from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
-from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
+from vppres.day.outages import KNOWN, LOOKAHEAD_H, Beside, OutageView
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Feeder, StepRecord
 from vppres.feeders.actuate import Feeding
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
+from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.live.past import Past
-from vppres.live.state import Standing, restored, state_of
+from vppres.live.state import Standing, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
 from vppres.plant.plant import BatteryState
+from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
@@ -141,15 +143,23 @@ class Controller:
     """
 
     def __init__(
-        self, scenario: Scenario, options: RunOptions, decider: Decider, state: Any = None
+        self,
+        scenario: Scenario,
+        options: RunOptions,
+        decider: Decider,
+        state: Any = None,
+        history: History | None = None,
     ) -> None:
         start = Past.before_the_day(scenario, options)
+        if start.history is not None and history is not None:
+            start = replace(start, history=history)
         at = Standing(scenario, 0, start)
         if state is not None:
             at = restored(state, scenario, decider, options, start)
         # Measurements are remembered in the past, once.
         self.scenario = replace(at.known, history=None)
         self.options = options
+        self._record = options.as_record()
         self._decider = decider
         # Steps of controllers count on from the very first one; the scenario begins later.
         self._forgotten = at.forgotten
@@ -159,7 +169,12 @@ class Controller:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, options: RunOptions | None = None, *, state: Any = None
+        cls,
+        scenario: Scenario,
+        options: RunOptions | None = None,
+        *,
+        state: Any = None,
+        history: History | None = None,
     ) -> Controller:
         """The controller of a scenario's site.
 
@@ -174,6 +189,9 @@ class Controller:
         state : dict, optional
             What :meth:`state` returned, in this process or another: the controller goes on from
             there. Of the scenario its site counts; the steps that are known are the state's.
+        history : History, optional
+            What was measured up to there, for a forecaster that learns, where neither the scenario
+            nor the state holds it; in the scenario's steps.
 
         Raises
         ------
@@ -189,7 +207,8 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
-        return cls(scenario, exact, make_controller(scenario, exact, grid=endless), state)
+        decider = make_controller(scenario, exact, grid=endless)
+        return cls(scenario, exact, decider, state, history)
 
     def state(self) -> dict[str, Any]:
         """All that decides on the steps to come, as a plain value that JSON can hold.
@@ -212,6 +231,23 @@ class Controller:
             at = Standing(self.scenario, self._forgotten, self._past, self._step_before)
             return state_of(at, self._decider, self.options)
 
+    def saved(self) -> str:
+        """The state as JSON text, shorter, for whoever keeps it after every step.
+
+        It goes on as :meth:`state` does, but for two things: the last step cannot be decided again
+        from it, and what was measured, from which a forecaster learns, has to be kept elsewhere
+        (``history`` of :meth:`of`).
+        """
+        with self._turn:
+            at = Standing(self.scenario, self._forgotten, self._past)
+            return saved_state(at, self._decider, self.options)
+
+    @property
+    def measured(self) -> History | None:
+        """What was measured in the last step, one row; None where no forecaster learns from it."""
+        history = self._past.history
+        return None if history is None else history.rows(history.n_steps - 1, history.n_steps)
+
     @property
     def times(self) -> pd.DatetimeIndex:
         """Beginnings of the steps that are known: those that can be decided on, and the past."""
@@ -223,6 +259,15 @@ class Controller:
         A window ends where what is known ends.
         """
         steps = self._window(step_at(self.scenario.grid, time))
+        return self.times[steps.start : steps.stop]
+
+    def ahead(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
+        """Times on which the decision at ``time`` may rest in any way.
+
+        Those of its window; with beliefs of outages also those that stored energy may be for.
+        """
+        row = step_at(self.scenario.grid, time)
+        steps = self._ahead(row, self._window(row))
         return self.times[steps.start : steps.stop]
 
     def _window(self, row: int) -> range:
@@ -398,8 +443,11 @@ class Controller:
         switching, cold_load = past.held_until(t)
         window = self._window(seen.t)
         ends = window.stop == self.scenario.grid.n_steps
-        ahead = replace(seen.window(self._ahead(seen.t, window)).scenario, history=past.history)
-        forecasts = forecasts_of(ahead, self.options, ForecastErrors())
+        beyond = seen.window(self._ahead(seen.t, window))
+        beside = Beside(self.scenario.price_gbp_per_kwh[: seen.t], beyond.announced_kw)
+        ahead = replace(beyond.scenario, history=past.history)
+        own = forecasts_of(ahead, self.options, ForecastErrors())
+        forecasts = GivenFirst.of(own, ahead, seen)
         forecast = forecasts.at(0, range(len(window)))
         seen = seen.window(window)
         grid_seen = past.grid_seen.after(
@@ -411,7 +459,7 @@ class Controller:
             t,
             replace(
                 forecast,
-                load_kw=_first_row(forecast.load_kw, seen.load_kw),
+                load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
                 pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
             ),
             soc,
@@ -424,10 +472,11 @@ class Controller:
             import_kw=seen.import_kw,
             served=past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
+            keep_stored=self.options.keep_stored,
         )
-        view = OutageView.create(self.scenario, self.options.as_record())
-        measured = view.told(measured, grid_seen, ahead, 0, forecasts)
-        decision = self._decider.decide(measured)
+        view = OutageView.create(self.scenario, self._record)
+        measured = view.told(measured, grid_seen, ahead, 0, forecasts, beside)
+        decision = _without(self._decider.decide(measured), seen.connected)
         guard = self._decider
         known = (
             guard.known.observation
@@ -449,11 +498,25 @@ class Controller:
                 day.switching,
                 day.plant.cold_load,
                 record.customers["served"],
-                past.with_measured(scenario),
+                past.with_measured(
+                    scenario.grid.times[seen.t],
+                    np.where(
+                        np.isnan(seen.load_kw) | ~seen.connected, np.nan, scenario.load_kw[seen.t]
+                    ),
+                    np.where(np.isnan(seen.pv_kw), np.nan, scenario.pv_kw[seen.t]),
+                ),
                 day.ac.found,
                 grid_seen,
             ),
         )
+
+
+def _without(decision: Decision, connected: Flags) -> Decision:
+    """A decision that serves nobody who cannot be supplied; they take nothing in it."""
+    if connected.all():
+        return decision
+    served = decision.dispatch.served & connected
+    return replace(decision, dispatch=replace(decision.dispatch, served=served))
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:

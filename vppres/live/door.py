@@ -78,6 +78,7 @@ RANGES = {
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
     ),
     "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
+    "announced_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     "export_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
     "export_price_gbp_per_kwh": Range(
         -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
@@ -258,19 +259,22 @@ class Door:
 
     def _values_of(self, field: str, frame: pd.DataFrame, rows: Wholes) -> Floats:
         """A table's numbers, one by one only where a column holds anything but floats."""
-        values = np.empty(frame.shape)
-        for column, name in enumerate(frame.columns):
+        limits = RANGES[field]
+        values = frame.to_numpy()
+        numeric = values.dtype.kind in "fiu"
+        values = values.astype(float) if numeric else np.full(frame.shape, np.nan)
+        good = ((values >= limits.lowest) & (values <= limits.highest)).all(axis=0)
+        for column in np.flatnonzero(~good).tolist():
             cells = frame.iloc[:, column]
             plain = isinstance(cells.dtype, np.dtype) and cells.dtype.kind in "fiu"
             numbers = cells.to_numpy(dtype=float) if plain else None
-            limits = RANGES[field]
             if (
                 numbers is not None
                 and ((numbers >= limits.lowest) & (numbers <= limits.highest)).all()
             ):
                 values[:, column] = numbers
                 continue
-            what = f"{field} of {shown(name)}"
+            what = f"{field} of {shown(frame.columns[column])}"
             values[:, column] = [
                 self._number(field, what, value, now=bool(step == self.t))
                 for value, step in zip(cells.to_list(), rows, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem, VppresError
 from vppres.live.door import WHERE, Door, readable
 from vppres.scenario.scenario import Scenario
@@ -60,6 +60,13 @@ class Measurement:
     import_kw : float, optional
         Mean import since the last step in kW, losses included, negative where exported. With
         ``battery_kw`` of all batteries it shows frozen readings of demand and PV power.
+    connected : mapping or Series of bool, optional
+        Whether each customer can be supplied at all; all that are not named can. Who cannot takes
+        nothing in the whole window, and is not served.
+    announced_limit_kw : Series, optional
+        Largest import in kW by time while there is grid, as it is known beforehand. It says nothing
+        of outages, and so reaches controllers that are not told of them otherwise; where it says
+        nothing the limit of now is taken to stay.
 
     Examples
     --------
@@ -81,6 +88,9 @@ class Measurement:
     battery_kw: Values | None = None
     online: Switches | None = None
     import_kw: float | None = None
+    connected: Switches | None = None
+    announced_limit_kw: pd.Series | None = None
+    foretold: Mapping[str, Sequence[str]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +114,12 @@ class Seen:
         Which of them report to be able to work.
     import_kw : float or None
         Import since the last step.
+    connected : array of bool, shape (C,)
+        Who can be supplied at all.
+    announced_kw : array, shape (T,), or None
+        Largest import while there is grid, as far as it was announced; NaN elsewhere.
+    foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
+        Of whom the steps ahead are somebody's forecast.
     """
 
     t: int
@@ -116,10 +132,20 @@ class Seen:
     battery_kw: Floats | None
     online: Flags
     import_kw: float | None
+    connected: Flags
+    announced_kw: Floats | None
+    foretold_load: Flags
+    foretold_pv: Flags
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
-        return replace(self, t=0, scenario=self.scenario.between(rows.start, rows.stop))
+        announced = self.announced_kw
+        return replace(
+            self,
+            t=0,
+            scenario=self.scenario.between(rows.start, rows.stop),
+            announced_kw=None if announced is None else announced[rows.start : rows.stop],
+        )
 
     def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
         """The scenario with what is taken for true of the step, (C,) and (P,)."""
@@ -212,6 +238,12 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     battery_kw = door.values("battery_kw", measured.battery_kw, b.id, none)
     online = door.flags("online", measured.online, b.id)
     import_kw = door.number("import_kw", measured.import_kw)
+    connected = door.flags("connected", measured.connected, c.id)
+    announced = None
+    if measured.announced_limit_kw is not None:
+        unknown = np.full(scenario.grid.n_steps, np.nan)
+        announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+    foretold = measured.foretold or {}
     _check_batteries(door, scenario, soc, battery_kw)
     if not guard:
         _check_complete(door, scenario, measured, soc, online)
@@ -220,7 +252,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     t = door.t
     laid = replace(
         scenario,
-        load_kw=np.where(np.isnan(load), scenario.load_kw, load),
+        load_kw=np.where(np.isnan(load), scenario.load_kw, load) * connected,
         pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
         price_gbp_per_kwh=price,
         grid_limit_kw=limit,
@@ -231,7 +263,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     return Seen(
         t,
         laid,
-        load[t],
+        np.where(connected, load[t], 0.0),
         pv_kw[t],
         soc,
         np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
@@ -239,7 +271,17 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         None if measured.battery_kw is None else battery_kw,
         online,
         import_kw,
+        connected,
+        announced,
+        _among(c.id, foretold.get("load_kw", ())),
+        _among(pv.id, foretold.get("pv_kw", ())),
     )
+
+
+def _among(ids: Names, named: Sequence[str]) -> Flags:
+    """Which identifiers are named."""
+    chosen = set(named)
+    return np.array([str(name) in chosen for name in ids], dtype=bool)
 
 
 def _check_order(door: Door, measured: Measurement, earliest: int) -> None:

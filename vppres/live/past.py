@@ -6,10 +6,13 @@ from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.switching import SwitchingState
 from vppres.control.remembered import memory_of, put_back
-from vppres.core.arrays import Complexes, Flags
+from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
@@ -63,11 +66,11 @@ class Past:
         history = None if options.forecaster == PAPER else history_before(scenario)
         return cls(-1, None, day.switching, day.plant.cold_load, None, history, {})
 
-    def with_measured(self, now: Scenario) -> History | None:
-        """The history with the first step of a window; None where no forecaster learns from it."""
+    def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
+        """The history with a step, (C,) and (P,); None where no forecaster learns from it."""
         if self.history is None:
             return None
-        return self.history.followed_by(now.grid.start, now.load_kw[:1], now.pv_kw[:1]).last_days(
+        return self.history.followed_by(start, load_kw[np.newaxis], pv_kw[np.newaxis]).last_days(
             REMEMBERED_DAYS
         )
 

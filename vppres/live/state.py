@@ -84,9 +84,28 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
     options : RunOptions
         What it was made with.
     """
+    body = {
+        **_body(standing, decider, options),
+        "history": to_plain(standing.past.history),
+        "before": _moment_before(decider, standing, _given(standing.known, options)),
+    }
+    return {**body, "digest": _digest(_text(body))}
+
+
+def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> str:
+    """The same as text, for whoever saves every step: each number is written once.
+
+    What was measured is not in it, nor what the last step may be decided again from.
+    """
+    text = _text({**_body(standing, decider, options), "history": None, "before": None})
+    return f'{text[:-1]},"digest":"{_digest(text)}"}}'
+
+
+def _body(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
+    """What both have in common."""
     known = standing.known
     given = _given(known, options)
-    body = {
+    return {
         "kind": KIND,
         "version": VERSION,
         "site": Site.of(known).key,
@@ -99,11 +118,8 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
             "series": {name: to_plain(getattr(known, name)) for name in SERIES},
             "warnings": to_plain(known.warnings),
         },
-        "history": to_plain(standing.past.history),
         "now": _moment(decider, standing.past, given),
-        "before": _moment_before(decider, standing, given),
     }
-    return {**body, "digest": _digest(body)}
 
 
 def restored(
@@ -223,7 +239,7 @@ def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
             state.get("version"),
         )
     body = {name: value for name, value in state.items() if name != "digest"}
-    if state.get("digest") != _digest(body):
+    if state.get("digest") != _digest(_text(body)):
         raise _refused("is damaged: it is not as it was written", "Begin from an older one.")
     if state["site"] != Site.of(scenario).key:
         raise _refused(
@@ -258,9 +274,13 @@ def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
     return replace(scenario, grid=grid, **series)
 
 
-def _digest(body: dict[str, Any]) -> str:
-    """SHA-256 of a state without its digest."""
-    text = json.dumps(body, sort_keys=True, allow_nan=False, separators=(",", ":"))
+def _text(body: dict[str, Any]) -> str:
+    """A state without its digest, as text that is the same wherever it is written."""
+    return json.dumps(body, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _digest(text: str) -> str:
+    """SHA-256 of that text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -109,7 +109,6 @@ class WindowData:
         offset = delta_offset(site.network, point, centre)
         island = forecast.grid_limit_kw <= 0.0
         stores = len(site.batteries) > 0
-        valued = observation.stored_value is not None  # and knows what is to be held
         return cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
@@ -123,7 +122,7 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
-            terminal=None if valued or not stores else observation.terminal,
+            terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
         )
 

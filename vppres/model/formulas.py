@@ -92,7 +92,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
 
 def lossless_flows(network: Network, injections: Floats) -> Floats:
     """Flows of all lines that balance the injections (8), (11), shape (..., L) for (..., N)."""
-    return np.asarray(-injections @ network.downstream.T)
+    return np.asarray((network.downstream @ -injections.T).T)
 
 
 def voltage_drop_pu2(network: Network, p_kw: Floats, q_kvar: Floats) -> Floats:

@@ -29,8 +29,20 @@ class SeenOutage:
 
 
 @dataclass(frozen=True)
-class _Announced:
-    """An announced outage as its messages so far leave it: the last one, and its onset."""
+class Announced:
+    """An announced outage as its messages so far leave it: the last one, and its onset.
+
+    Parameters
+    ----------
+    message : OutageWarning
+        The last one, with what it leaves out as those before it said it.
+    first_issued : pandas.Timestamp
+        When it was first announced.
+    earliest, likely, latest : pandas.Timestamp
+        When it begins.
+    shares : OnsetShares, optional
+        The same as a distribution.
+    """
 
     message: OutageWarning
     first_issued: pd.Timestamp
@@ -138,16 +150,16 @@ class OutageOutlook:
         rates = self._rates
         return durations.lognormal(rates.median_h, rates.sigma, self.step_h, length)
 
-    def _announced(self, now: pd.Timestamp, lasting: SeenOutage | None) -> list[_Announced]:
+    def _announced(self, now: pd.Timestamp, lasting: SeenOutage | None) -> list[Announced]:
         """Outages that are announced by now, by their likely onset."""
         messages: dict[str, list[OutageWarning]] = {}
         for warning in sorted(self.warnings, key=lambda w: w.issued_at):
             if warning.issued_at <= now:
                 messages.setdefault(warning.outage, []).append(completed(warning))
-        found = [one for group in messages.values() if (one := _of_messages(group, lasting))]
+        found = [one for group in messages.values() if (one := announced_by(group, lasting))]
         return sorted(found, key=lambda one: one.likely)
 
-    def _onset(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+    def _onset(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""
         begun = self._begun(one, now, n_steps)
         p = 1.0 if one.message.probability is None else one.message.probability
@@ -158,7 +170,7 @@ class OutageOutlook:
             onset[1:] = p * np.diff(begun)[1:] / left
         return onset
 
-    def _begun(self, one: _Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+    def _begun(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins before each step if it comes, (T + 1,)."""
         steps = np.arange(n_steps + 1)
         if one.shares is not None:
@@ -211,7 +223,7 @@ def said_so_far(
         The last message with what those before it said, and the probability of each step to be
         the one in which it begins; None after the all-clear, or where none says when it begins.
     """
-    found = _of_messages([completed(one) for one in messages], None)
+    found = announced_by([completed(one) for one in messages], None)
     if found is None:
         return None
     step_h = (times[1] - times[0]) / HOUR
@@ -236,13 +248,20 @@ def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutag
     return found
 
 
-def _of_messages(
-    messages: Sequence[OutageWarning], lasting: SeenOutage | None
-) -> _Announced | None:
+def announced_by(
+    messages: Sequence[OutageWarning], lasting: SeenOutage | None = None
+) -> Announced | None:
     """The outage that messages speak of, in their order; None after the all-clear.
 
     What the last message leaves out stands as the one before said it. A message without any onset
     that comes during an outage speaks of that one.
+
+    Parameters
+    ----------
+    messages : sequence of OutageWarning
+        Of one outage, by their issue, with what their presets say.
+    lasting : SeenOutage, optional
+        The present outage.
     """
     last = messages[-1]
     if last.all_clear:
@@ -263,11 +282,11 @@ def _of_messages(
     if not timed:
         if lasting is None:
             return None
-        return _Announced(last, first_issued, lasting.start, lasting.start, lasting.start)
+        return Announced(last, first_issued, lasting.start, lasting.start, lasting.start)
     onset = timed[-1]
     likely = onset.onset_likely
     assert likely is not None
-    return _Announced(
+    return Announced(
         last,
         first_issued,
         onset.onset_earliest or likely,

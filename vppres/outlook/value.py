@@ -64,7 +64,7 @@ class Ahead:
         Demand of each customer if served.
     pv_kw, price_gbp_per_kwh : array, shape (T,)
         PV power of all systems, import price.
-    import_kw : float
+    import_kw : array, shape (T,)
         Largest import while there is grid, may be infinite.
     export : Export, optional
         What the grid takes back while it is there.
@@ -79,7 +79,7 @@ class Ahead:
     load_kw: Floats
     pv_kw: Floats
     price_gbp_per_kwh: Floats
-    import_kw: float
+    import_kw: Floats
     export: Export | None
     weight: Floats
     lambda_curt: float
@@ -127,7 +127,8 @@ class Ahead:
     def worth_with_grid(self, t: int, charge_kw: Floats, gbp_per_service: float) -> Floats:
         """The same with grid: cost in service, less what is curtailed or an import limit denies."""
         net_kw = self.total_kw[t] - self.pv_kw[t] + charge_kw
-        imported_kw = np.clip(net_kw, 0.0, self.import_kw)
+        most_kw = float(self.import_kw[t])
+        imported_kw = np.clip(net_kw, 0.0, most_kw)
         surplus_kw = np.maximum(-net_kw, 0.0)
         gbp = self.price_gbp_per_kwh[t] * imported_kw
         if self.export is not None:
@@ -135,11 +136,9 @@ class Ahead:
             gbp = gbp - self.export.price_gbp_per_kwh[t] * out_kw
             surplus_kw = surplus_kw - out_kw
         worth = -gbp * self.dt_h / gbp_per_service - self.lambda_curt * self.dt_h * surplus_kw
-        if np.isinf(self.import_kw):
+        if np.isinf(most_kw):
             return np.asarray(worth)
-        denied = np.where(
-            net_kw > self.import_kw, self.total_kw[t] - (net_kw - self.import_kw), np.inf
-        )
+        denied = np.where(net_kw > most_kw, self.total_kw[t] - (net_kw - most_kw), np.inf)
         everyone = self.dt_h * float(self.weight.sum())
         return np.asarray(worth + np.minimum(self.service(t, denied) - everyone, 0.0))
 

@@ -312,6 +312,15 @@ OPTIONS: tuple[Option, ...] = (
         file_most=1.0,
     ),
     Option(
+        "keep-stored",
+        "keep_stored",
+        bool,
+        False,
+        "of plans that serve the same without grid, take the one that leaves most in store",
+        page="the paper leaves it open; see {doc}`method`",
+        sweep=False,
+    ),
+    Option(
         "outages",
         "outages",
         str,

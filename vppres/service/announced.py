@@ -36,11 +36,35 @@ def prices(events: Iterable[Event], window: Window) -> Floats:
 
 def limits_kw(events: Iterable[Event], window: Window) -> Floats:
     """Import limits of a window as long as there is grid, (W,)."""
-    found = window.series["grid_limit_kw"].copy()
+    return _limited(window.series["grid_limit_kw"], events, window)
+
+
+def announced_kw(events: Iterable[Event], window: Window, own_days: bool) -> Floats | None:
+    """Import limits that are known beforehand, (W,), NaN where none is; None if nothing is.
+
+    Parameters
+    ----------
+    events : iterable of Event
+        What is announced.
+    window : Window
+        The steps.
+    own_days : bool
+        Whether the scenario's own days come, as in a rehearsal: then its limits ahead are what
+        nobody knows, and the one of now is taken to stay. Those of a profile are known.
+    """
+    known = window.series["grid_limit_kw"]
+    if own_days:
+        known = np.full(len(known), known[0] if known[0] > 0.0 else np.nan)
+    found = _limited(known, events, window)
+    return None if own_days and np.array_equal(found, known, equal_nan=True) else found
+
+
+def _limited(found: Floats, events: Iterable[Event], window: Window) -> Floats:
+    """Limits with those of events below them."""
     for body in _bodies(events, "import_limit"):
         touched = window.touched(read_moment(body["start"]), _moment(body["end"]))
-        found = np.where(touched, np.minimum(found, float(body["limit_kw"])), found)
-    return np.asarray(found)
+        found = np.where(touched, np.fmin(found, float(body["limit_kw"])), found)
+    return np.array(found)
 
 
 def outages(events: Iterable[Event], window: Window) -> Flags:

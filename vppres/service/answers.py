@@ -13,9 +13,11 @@ from starlette.exceptions import HTTPException
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.service.access import Denied
+from vppres.service.store import ChangedError
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50
+STATUSES = {StorageError: 503, ChangedError: 412}
 
 TITLES = {
     400: "The request cannot be read",
@@ -53,7 +55,8 @@ def answer_errors(app: FastAPI) -> None:
         if isinstance(error, InputError):
             first = str(error).splitlines()[0]
             return problem_answer(422, first, [p for p in error.problems if isinstance(p, Problem)])
-        return problem_answer(503 if isinstance(error, StorageError) else 500, str(error))
+        status = next((code for kind, code in STATUSES.items() if isinstance(error, kind)), 500)
+        return problem_answer(status, str(error))
 
     @app.exception_handler(Denied)
     async def denied(_: Request, error: Denied) -> Response:

@@ -85,7 +85,16 @@ class Explainer:
         if done.returncode:
             return unsolved(plan, FAILED)
         found: dict[str, Any] = json.loads(done.stdout)
-        return found
+        return {**found, "reasons": [_of_lost(one, plan) for one in found["reasons"]]}
+
+
+def _of_lost(reason: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
+    """A reason, or that of a customer whom nobody can switch on: no price explains it."""
+    lost = {one["asset"]: one["reason"] for one in plan.get("lost", ())}
+    if reason["kind"] != "customers" or reason["asset"] not in lost:
+        return reason
+    words = f"Not served: it cannot be supplied ({lost[reason['asset']]})."
+    return {**reason, "driver": "lost", "binding": "", "words": words}
 
 
 def _asked(question: bytes) -> subprocess.CompletedProcess[bytes]:

@@ -27,6 +27,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.runner import Service
 from vppres.service.store import Store, moment
+from vppres.service.told import Told
 from vppres.service.world import World
 
 MOST_STEPS = 40_000
@@ -168,9 +169,10 @@ class _Measured:
 def as_it_was(
     scenario: Scenario, stored: list[dict[str, Any] | None], store: Store
 ) -> tuple[Scenario, Floats]:
-    """What was measured, without grid where plans say so; and states of charge, NaN if not read."""
+    """What was measured and announced, without grid where plans say so; and SoC, NaN if not so."""
     measured = _Measured(store, scenario)
     dark = [plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored]
+    told = Told.of(scenario, stored, store)
     nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
     soc = measured.laid("soc", scenario.batteries.id, nothing)
     first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
@@ -181,7 +183,8 @@ def as_it_was(
         pv_kw=np.minimum(
             measured.laid("pv_kw", scenario.pv.id, scenario.pv_kw), scenario.pv.p_max_kw
         ),
-        grid_limit_kw=np.where(dark, 0.0, scenario.grid_limit_kw),
+        price_gbp_per_kwh=told.price_gbp_per_kwh,
+        grid_limit_kw=np.where(dark, 0.0, told.limit_kw),
         batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
     )
     return known, soc

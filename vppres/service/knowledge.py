@@ -22,8 +22,9 @@ from vppres.live.door import RANGES, Range
 from vppres.live.measurement import Measurement
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import announced_at, limits_kw, outages, prices
+from vppres.service.announced import announced_at, announced_kw, limits_kw, outages, prices
 from vppres.service.clock import written
+from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.store import Event, Reading, Store, moment, seconds
 from vppres.service.window import CAUTIOUS, Window
@@ -104,6 +105,8 @@ class Known:
         What stands in for readings that are lost.
     soc : dict of str to float
         State of charge that was read.
+    lost : dict of str to str
+        Customers that cannot be supplied, and why.
     """
 
     measurement: Measurement
@@ -111,6 +114,7 @@ class Known:
     grid: Grid
     estimated: list[str]
     soc: dict[str, float] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
 
     @property
     def limits_kw(self) -> pd.Series[float]:
@@ -121,11 +125,12 @@ class Known:
 def assets_of(scenario: Scenario) -> dict[str, list[str]]:
     """Assets of each quantity."""
     batteries = [str(name) for name in scenario.batteries.id]
+    customers = [str(name) for name in scenario.customers.id]
     return {
         "soc": batteries,
         "battery_kw": batteries,
-        "online": batteries,
-        "load_kw": [str(name) for name in scenario.customers.id],
+        "online": [*batteries, *customers],
+        "load_kw": customers,
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
@@ -199,7 +204,9 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
         raise InputError(problems)
 
 
-def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
+def known_at(
+    time: pd.Timestamp, controller: Controller, store: Store, own_days: bool = False
+) -> Known:
     """What is known at the beginning of a step.
 
     Parameters
@@ -210,11 +217,14 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
         Whose window is to be known; it has been told of the outages that are announced.
     store : Store
         What was heard.
+    own_days : bool, optional
+        Whether the scenario's own days come, of which the limits ahead are known to nobody.
     """
     scenario = controller.scenario
     readings = _Readings.at(time, scenario, store)
     window = Window.of(controller, time)
     estimated: list[str] = []
+    foretold: dict[str, list[str]] = {}
 
     def expected(quantity: str, ids: Names) -> pd.DataFrame | None:
         if not len(ids):
@@ -222,12 +232,14 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
         forecast = store.forecast(quantity, time + window.length)
         lost = readings.lost(quantity)
         table, cautious = window.expected(quantity, ids, forecast, lost)
+        foretold[quantity] = list((forecast or {"assets": {}})["assets"])
         estimated.extend(
             f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
         )
         read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
-        table.iloc[0] = [read.get(str(name), old) for name, old in table.iloc[0].items()]
-        return table
+        names = [str(name) for name in ids]
+        table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
+        return pd.DataFrame(table, window.times, names)
 
     batteries = [str(name) for name in scenario.batteries.id]
     events = list(store.events().values())
@@ -241,6 +253,8 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
         name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
     }
     off = {name for name, value in readings.now("online").items() if value == 0.0}
+    lost = lost_customers(scenario, readings.found, store)
+    announced = announced_kw(events, window, own_days)
     measurement = Measurement(
         time,
         soc={name: value for name, value in soc.items() if name not in out},
@@ -251,9 +265,14 @@ def known_at(time: pd.Timestamp, controller: Controller, store: Store) -> Known:
         battery_kw=power or None,
         online={name: name not in out | off for name in batteries},
         import_kw=means.get((GRID, "import_kw")),
+        connected=dict.fromkeys(lost, False),
+        announced_limit_kw=None
+        if announced is None
+        else pd.Series(announced, window.times).dropna(),
+        foretold=foretold,
     )
     known_soc = {name: value for name, value in soc.items() if np.isfinite(value)}
-    return Known(measurement, readings.heard, grid, estimated, known_soc)
+    return Known(measurement, readings.heard, grid, estimated, known_soc, lost)
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
@@ -268,8 +287,10 @@ class _Readings:
 
     Parameters
     ----------
+    found : list of Reading
+        The last ones of all that was ever heard.
     heard : list of Heard
-        All that was ever heard.
+        How old they are.
     values : dict
         By asset and quantity; NaN where it is too old, or known to be missing.
     last : dict
@@ -280,6 +301,7 @@ class _Readings:
         When readings that hold were taken, in seconds, by asset and quantity.
     """
 
+    found: list[Reading]
     heard: list[Heard]
     values: dict[tuple[str, str], float]
     last: dict[tuple[str, str], Reading]
@@ -290,7 +312,8 @@ class _Readings:
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
-        heard = [_heard(reading, time, step_s) for reading in found]
+        now_s = seconds(time)
+        heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
             (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
             for r, h in zip(found, heard, strict=True)
@@ -298,14 +321,14 @@ class _Readings:
         last = {
             (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
         }
-        power = [_heard(reading, time, step_s) for reading in store.latest(time, ("battery_kw",))]
+        power = [_heard(reading, now_s, step_s) for reading in store.latest(time, ("battery_kw",))]
         told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
         alive = {one.asset for one in told if one.state != "lost"}
         silent = {one.asset for one in told} - alive
         times = {
             (r.asset, r.quantity): r.time for r in found if np.isfinite(values[r.asset, r.quantity])
         }
-        return cls(heard, values, last, silent, times)
+        return cls(found, heard, values, last, silent, times)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
@@ -346,10 +369,10 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
     return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
-def _heard(reading: Reading, time: pd.Timestamp, step_s: int) -> Heard:
+def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
     """How old a reading is."""
     held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
-    age_s = max(seconds(time) - held, 0)
+    age_s = max(now_s - held, 0)
     lost_s = LOST_AFTER * max(reading.resolution_s, step_s)
     moves = reading.quantity in MOVING
     holds_s = MOVING_SHARE * step_s if moves else max(reading.resolution_s, step_s)
@@ -362,8 +385,8 @@ def _means(store: Store, time: pd.Timestamp, step: pd.Timedelta) -> dict[tuple[s
     begun = time - step
     values: dict[tuple[str, str], list[float]] = {}
     for reading in store.between(begun - step, time + step, MEAN):
-        middle = moment(reading.time) + pd.Timedelta(seconds=reading.resolution_s / 2)
-        if reading.value is not None and begun <= middle < time:
+        middle_s = reading.time + reading.resolution_s / 2
+        if reading.value is not None and seconds(begun) <= middle_s < seconds(time):
             values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
     return {key: sum(each) / len(each) for key, each in values.items()}
 

@@ -30,6 +30,9 @@ MOST_AHEAD = 48
 DEFAULT = "default: "
 """How the reason of a set-point begins that was not let pass."""
 
+LOST = "cannot be supplied: "
+"""How the reason begins of a customer that nobody can switch on."""
+
 DECIDED = ("ok", "fallback")
 """Outcomes of steps in which the controller decided."""
 
@@ -74,7 +77,8 @@ def plan_of(
             *known.estimated,
         ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
-        "setpoints": _set_points(decision, scenario, refused, reason),
+        "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
+        "setpoints": _set_points(decision, scenario, known, refused, reason),
         "expected": {
             "import_kw": _number(decision.import_kw),
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
@@ -82,6 +86,7 @@ def plan_of(
             "v_max_pu": _number(v_pu.max()),
             "v_min_bus": _at_lowest(v_pu),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
+            "price_gbp_per_kwh": _price(known.measurement),
         },
         "ahead": _ahead(decision, known),
     }
@@ -89,12 +94,9 @@ def plan_of(
 
 def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
     """The plan of a step in which nothing was decided: every device does its default."""
-    empty: dict[str, dict[str, dict[str, Any]]] = {
-        "batteries": {str(name): {} for name in scenario.batteries.id},
-        "pv": {str(name): {} for name in scenario.pv.id},
-        "customers": {str(name): {} for name in scenario.customers.id},
-    }
-    refused = {(kind, name): reason for kind, names in empty.items() for name in names}
+    defaults = _defaults(scenario)
+    refused = {(kind, name): reason for kind, names in defaults.items() for name in names}
+    speaker = _Speaker.of(time, scenario, refused)
     return {
         **_head(time, scenario, status),
         "inputs_digest": None,
@@ -102,10 +104,11 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
         "reason": reason,
         "estimated": [],
         "late": [],
+        "lost": [],
         "setpoints": [
-            _set_point(time, scenario, kind, name, values, refused, "default")
-            for kind, each in empty.items()
-            for name, values in each.items()
+            speaker.point(kind, name, {}, "default")
+            for kind, names in defaults.items()
+            for name in names
         ],
         "expected": None,
         "ahead": None,
@@ -139,10 +142,9 @@ class Ordered:
         }
         over = {(one["kind"], one["asset"]): one for one in asked}
         tables = {}
-        for kind in ("batteries", "pv", "customers"):
+        for kind, defaults in _defaults(scenario).items():
             rows = {}
-            for name in map(str, getattr(scenario, kind).id):
-                default = _default(scenario, kind, name)
+            for name, default in defaults.items():
                 now = {**default, **told.get((kind, name), {})}
                 if (kind, name) in over:
                     now = {**default, **over[kind, name]}
@@ -163,10 +165,11 @@ def ordered_plan(
     """The plan of a step that an operator decided."""
     reason = mode["reason"] or mode["mode"]
     kinds = {name: getattr(ordered, name) for name in ("batteries", "pv", "customers")}
+    speaker = _Speaker.of(time, scenario, refused)
     return {
         **defaults_of(time, scenario, mode["mode"], reason),
         "setpoints": [
-            _set_point(time, scenario, kind, str(name), _fields(kind, row), refused, reason)
+            speaker.point(kind, str(name), _fields(kind, row), reason)
             for kind, table in kinds.items()
             for name, row in table.iterrows()
         ],
@@ -191,24 +194,19 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
     foreseen = decision.foreseen
     times = foreseen.import_kw.index[:MOST_AHEAD]
-    limits_kw = known.limits_kw.reindex(times)
+    n = len(times)
+    limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))
+    soc = foreseen.soc_end.to_numpy(float)[:n].T
+    served = foreseen.served.to_numpy(bool)[:n].T
     return {
         "times": [written(time) for time in times],
-        "grid_limit_kw": _numbers(limits_kw),
-        "import_kw": _numbers(foreseen.import_kw[times]),
+        "grid_limit_kw": _numbers(limits_kw.get(time, math.nan) for time in times),
+        "import_kw": _numbers(foreseen.import_kw.to_numpy(float)[:n]),
         "soc": {
-            str(name): _numbers(values[: len(times)])
-            for name, values in zip(
-                foreseen.soc_end.columns, foreseen.soc_end.to_numpy(float).T, strict=True
-            )
+            str(name): _numbers(values)
+            for name, values in zip(foreseen.soc_end.columns, soc, strict=True)
         },
-        "served": dict(
-            zip(
-                foreseen.served.columns,
-                foreseen.served.to_numpy(bool)[: len(times)].T.tolist(),
-                strict=True,
-            )
-        ),
+        "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
     }
 
 
@@ -247,67 +245,97 @@ def _head(time: pd.Timestamp, scenario: Scenario, status: str) -> dict[str, Any]
 def _set_points(
     decision: SetPoints,
     scenario: Scenario,
+    known: Known,
     refused: Mapping[tuple[str, str], str],
     reason: str,
 ) -> list[dict[str, Any]]:
     """Batteries, then PV systems, then customers."""
-    batteries = {
-        str(name): {"p_kw": float(row.p_kw), "q_kvar": float(row.q_kvar)}
-        for name, row in decision.batteries.iterrows()
-    }
-    pv = {
-        str(name): {
-            "p_kw": float(row.p_kw),
-            "q_kvar": float(row.q_kvar),
-            "curtailed_kw": float(row.curtailed_kw),
-        }
-        for name, row in decision.pv.iterrows()
-    }
+    speaker = _Speaker.of(decision.time, scenario, refused)
+    batteries = _rows(decision.batteries, "p_kw", "q_kvar")
+    pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
     customers = {str(name): {"served": bool(on)} for name, on in decision.customers.served.items()}
+    lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
     return [
-        _set_point(decision.time, scenario, kind, name, values, refused, reason)
+        speaker.point(kind, name, values, lost.get((kind, name), reason))
         for kind, each in (("batteries", batteries), ("pv", pv), ("customers", customers))
         for name, values in each.items()
     ]
 
 
-def _set_point(
-    time: pd.Timestamp,
-    scenario: Scenario,
-    kind: str,
-    name: str,
-    values: Mapping[str, Any],
-    refused: Mapping[tuple[str, str], str],
-    reason: str,
-) -> dict[str, Any]:
-    """What one device is to do, until when, and what after that."""
-    length = pd.Timedelta(minutes=scenario.grid.step_minutes)
-    default = _default(scenario, kind, name)
-    stopped = refused.get((kind, name))
+def _rows(table: pd.DataFrame, *columns: str) -> dict[str, dict[str, float]]:
+    """Numbers of a table by identifier and column."""
+    rows = zip(*(table[name].to_numpy(float).tolist() for name in columns), strict=True)
     return {
-        "id": f"{written(time)}/{kind}/{name}",
-        "asset": name,
-        "kind": kind,
-        **(values if stopped is None else default),
-        **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
-        "valid_from": written(time),
-        "valid_until": written(time + (1.0 + OVERLAP) * length),
-        "default": default,
-        "reason": reason if stopped is None else f"{DEFAULT}{stopped}",
+        str(name): dict(zip(columns, row, strict=True))
+        for name, row in zip(table.index, rows, strict=True)
     }
+
+
+@dataclass(frozen=True, eq=False)
+class _Speaker:
+    """Says set-points of a step.
+
+    Parameters
+    ----------
+    begin, end : str
+        From when until when they hold.
+    defaults : mapping
+        What devices do without us, by kind and identifier.
+    refused : mapping
+        What is not said, and why, by kind and identifier.
+    """
+
+    begin: str
+    end: str
+    defaults: Mapping[str, Mapping[str, dict[str, Any]]]
+    refused: Mapping[tuple[str, str], str]
+
+    @classmethod
+    def of(
+        cls, time: pd.Timestamp, scenario: Scenario, refused: Mapping[tuple[str, str], str]
+    ) -> _Speaker:
+        """Of the step that begins at a time."""
+        length = pd.Timedelta(minutes=scenario.grid.step_minutes)
+        end = written(time + (1.0 + OVERLAP) * length)
+        return cls(written(time), end, _defaults(scenario), refused)
+
+    def point(self, kind: str, name: str, values: Mapping[str, Any], reason: str) -> dict[str, Any]:
+        """What one device is to do, until when, and what after that."""
+        default = self.defaults[kind][name]
+        stopped = self.refused.get((kind, name))
+        return {
+            "id": f"{self.begin}/{kind}/{name}",
+            "asset": name,
+            "kind": kind,
+            **(values if stopped is None else default),
+            **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
+            "valid_from": self.begin,
+            "valid_until": self.end,
+            "default": default,
+            "reason": reason if stopped is None else f"{DEFAULT}{stopped}",
+        }
 
 
 _SIGNS = {"batteries": "charging_positive", "pv": "injection_positive"}
 
 
-def _default(scenario: Scenario, kind: str, name: str) -> dict[str, Any]:
-    """What a device does without us: batteries rest, the sun shines, customers are on."""
-    if kind == "customers":
-        return {"served": True}
-    if kind == "batteries":
-        return {"p_kw": 0.0, "q_kvar": 0.0}
-    place = [str(each) for each in scenario.pv.id].index(name)
-    return {"p_kw": float(scenario.pv.p_max_kw[place]), "q_kvar": 0.0, "curtailed_kw": 0.0}
+def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
+    """What devices do without us: batteries rest, the sun shines, customers are on."""
+    pv = scenario.pv
+    return {
+        "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
+        "pv": {
+            str(name): {"p_kw": float(p_kw), "q_kvar": 0.0, "curtailed_kw": 0.0}
+            for name, p_kw in zip(pv.id, pv.p_max_kw, strict=True)
+        },
+        "customers": {str(name): {"served": True} for name in scenario.customers.id},
+    }
+
+
+def _price(measured: Measurement) -> float | None:
+    """Import price of the step."""
+    prices = measured.price_gbp_per_kwh
+    return _number(prices.iloc[0]) if isinstance(prices, pd.Series) else None
 
 
 def _at_lowest(v_pu: pd.Series[float]) -> str | None:

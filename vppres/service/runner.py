@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time as machine
 from collections import OrderedDict
 from collections.abc import Callable
@@ -13,10 +14,12 @@ from typing import Any
 import pandas as pd
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
+from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.live.past import REMEMBERED_DAYS
 from vppres.live.profile import Profile
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -24,11 +27,15 @@ from vppres.service.announced import warnings
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
 from vppres.service.knowledge import Heard, Known, known_at, soc_at
+from vppres.service.learned import learned, measured_in
 from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
-from vppres.service.store import Store
+from vppres.service.store import After, Asked, Store
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""
+
+MODE = "mode"
+"""The setting of what an operator asked for."""
 
 BY_HAND = ("hold", "manual")
 """Modes in which an operator decides."""
@@ -112,13 +119,15 @@ class Runner:
         """End the thread, after the step that it is in."""
         self._thread.shutdown()
 
-    def step(self, time: pd.Timestamp | None = None) -> dict[str, Any]:
+    def step(self, time: pd.Timestamp | None = None, actor: str | None = None) -> dict[str, Any]:
         """The plan of a step: the stored one, or a new one.
 
         Parameters
         ----------
         time : pandas.Timestamp, optional
             Its beginning; that of the present step if not given.
+        actor : str, optional
+            Who asks, for the audit; nobody where the clock does.
 
         Raises
         ------
@@ -127,14 +136,14 @@ class Runner:
         StorageError
             If it could not be kept: then nothing was decided.
         """
-        return self._thread.submit(self._step, time).result()
+        return self._thread.submit(self._step, time, actor).result()
 
-    def begin(self, time: pd.Timestamp | None = None) -> str:
+    def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
         """Let a step be decided, and do not wait; the name of the job, that of its step."""
         time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
         name = written(time)
         if name not in self._jobs or self._jobs[name].done():
-            self._jobs[name] = self._thread.submit(self._step, time)
+            self._jobs[name] = self._thread.submit(self._step, time, actor)
             while len(self._jobs) > MOST_JOBS:
                 self._jobs.popitem(last=False)
         return name
@@ -185,7 +194,7 @@ class Runner:
     @property
     def mode(self) -> dict[str, Any]:
         """What an operator asked for, as long as it holds."""
-        asked = self.store.setting("mode")
+        asked, _ = self.store.setting(MODE)
         if asked is None or (
             asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
         ):
@@ -201,9 +210,10 @@ class Runner:
         end = pd.Timestamp(self.last["start"]) + self.length
         return (end - self.clock.now()).total_seconds()
 
-    def _step(self, time: pd.Timestamp | None) -> dict[str, Any]:
+    def _step(self, time: pd.Timestamp | None, actor: str | None) -> dict[str, Any]:
         """The same, in the thread of steps."""
         now = self.clock.now()
+        asked = None if actor is None else Asked(actor, now)
         time = self.begun(now) if time is None else time.tz_convert("UTC")
         stored = self.store.step(time)
         if stored is not None:
@@ -215,11 +225,11 @@ class Runner:
         self._write_missed(time)
         mode = self.mode
         if mode["mode"] == "off":
-            plan = self._without(time, "off", mode["reason"] or "switched off")
+            plan = self._without(time, "off", mode["reason"] or "switched off", asked)
         elif mode["mode"] in BY_HAND:
-            plan = self._by_hand(time, mode)
+            plan = self._by_hand(time, mode, asked)
         else:
-            plan = self._decided(time)
+            plan = self._decided(time, asked)
         self.on_step(machine.monotonic() - begin)
         self._forget(time)
         self.last = plan
@@ -246,43 +256,45 @@ class Runner:
         if problem is not None:
             raise InputError(Problem("step", *problem, field="time", value=written(time)))
 
-    def _decided(self, time: pd.Timestamp) -> dict[str, Any]:
+    def _decided(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
         """The plan of the controller, or of nobody if it fails."""
         try:
             self._feed(time)
             self._controller.warn(*self.warnings(time), replacing=True)
-            known = known_at(time, self._controller, self.store)
+            known = known_at(time, self._controller, self.store, self.rehearsal)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             refused = refusals(decision, self.scenario, known.soc)
         except StorageError:
             raise
         except VppresError as error:
-            return self._without(time, "failed", str(error).splitlines()[0])
+            return self._without(time, "failed", str(error).splitlines()[0], asked)
         plan = {
             **plan_of(decision, self.scenario, known, refused),
             "outage_probability": self._believed(known),
             "generated_at": written(self.clock.now()),
         }
-        state = self._controller.state()
+        after = After(self._controller.saved(), measured_in(self._controller))
         try:
-            self.store.write_step(time, plan, state)
+            self.store.write_step(time, plan, after, asked)
         except StorageError:
             self._controller = self._restored()  # as if it had not decided
             raise
-        self._state = state
+        self._state = after.state
         self.expected[plan["id"]] = known.measurement
         while len(self.expected) > MOST_KNOWN:
             self.expected.popitem(last=False)
         return plan
 
-    def _without(self, time: pd.Timestamp, status: str, reason: str) -> dict[str, Any]:
+    def _without(
+        self, time: pd.Timestamp, status: str, reason: str, asked: Asked | None = None
+    ) -> dict[str, Any]:
         """The plan of a step in which nothing is decided."""
         plan = {
             **defaults_of(time, self.scenario, status, reason),
             "generated_at": written(self.clock.now()),
         }
-        self.store.write_plan(time, plan)
+        self.store.write_step(time, plan, asked=asked)
         return plan
 
     def _forget(self, time: pd.Timestamp) -> None:
@@ -290,9 +302,11 @@ class Runner:
         begun = None if self.last is None else pd.Timestamp(self.last["start"]).normalize()
         if begun != time.normalize():
             with suppress(StorageError):  # the step is kept; tomorrow is another day
-                self.store.forget(time - self.keeps)
+                self.store.forget(time - self.keeps, time - pd.Timedelta(days=REMEMBERED_DAYS))
 
-    def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
+    def _by_hand(
+        self, time: pd.Timestamp, mode: dict[str, Any], asked: Asked | None
+    ) -> dict[str, Any]:
         """The plan of an operator, through the gate as any other."""
         ordered = Ordered.of(self.scenario, self.last, mode.get("setpoints", []))
         refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
@@ -300,7 +314,7 @@ class Runner:
             **ordered_plan(time, self.scenario, mode, ordered, refused),
             "generated_at": written(self.clock.now()),
         }
-        self.store.write_plan(time, plan)
+        self.store.write_step(time, plan, asked=asked)
         return plan
 
     def _write_missed(self, time: pd.Timestamp) -> None:
@@ -319,7 +333,11 @@ class Runner:
         known = self.scenario
         if self.profile is not None:
             known = self.profile.steps(self.begun(self.clock.now()), self.n_ahead)
-        return Controller.of(known, self.options, state=self._state)
+        state = None if self._state is None else json.loads(self._state)
+        history = None
+        if self.options.forecaster in FORECASTERS:
+            history = learned(self.store, self.scenario, self.begun(self.clock.now()))
+        return Controller.of(known, self.options, state=state, history=history)
 
     def _feed(self, time: pd.Timestamp) -> None:
         """Let the controller know the steps up to the horizon's end and one more."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,12 @@ import pandas as pd
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
-from vppres.core.errors import InputError, Problem, StorageError
+from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.service.database import opened_database
 
 LAYOUT = "1"
 STATES_KEPT = 3
+COMPACT = (",", ":")
 COUNTED = {"preserve_rowcount": True}
 REFUSED = ("rejected", "aborted")
 
@@ -74,11 +77,24 @@ _steps = sa.Table(
     sa.Column("outcome", sa.String, nullable=False),
     sa.Column("plan", sa.Text, nullable=False),
 )
+_outcomes = sa.Table(
+    "outcomes",
+    _tables,
+    sa.Column("outcome", sa.String, primary_key=True),
+    sa.Column("steps", sa.BigInteger, nullable=False),
+)
 _states = sa.Table(
     "controller_state",
     _tables,
     sa.Column("time", sa.BigInteger, primary_key=True),
     sa.Column("state", sa.Text, nullable=False),
+)
+_measured = sa.Table(
+    "measured",
+    _tables,
+    sa.Column("time", sa.BigInteger, primary_key=True),
+    sa.Column("load_kw", sa.Text, nullable=False),
+    sa.Column("pv_kw", sa.Text, nullable=False),
 )
 _acks = sa.Table(
     "acks",
@@ -91,6 +107,13 @@ _acks = sa.Table(
     sa.Column("asset", sa.String, nullable=False),
     sa.Column("status", sa.String, nullable=False),
     sa.Column("value", sa.Float),
+    sa.Column("reason", sa.String, nullable=False),
+)
+_lost = sa.Table(
+    "lost_customers",
+    _tables,
+    sa.Column("asset", sa.String, primary_key=True),
+    sa.Column("at", sa.BigInteger, nullable=False),
     sa.Column("reason", sa.String, nullable=False),
 )
 _keys = sa.Table(
@@ -184,12 +207,56 @@ class Event:
         When it was written.
     since : int
         When the first version was, after it was withdrawn last.
+    new : bool
+        Whether no version held before it; told of one that was just written.
     """
 
     version: int
     body: dict[str, Any]
     made_at: int
     since: int
+    new: bool = False
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Since when somebody cannot be supplied, and why."""
+
+    at: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Demand and PV power of a step in the site's order, None where nothing was measured."""
+
+    time: int
+    load_kw: list[float | None]
+    pv_kw: list[float | None]
+
+
+@dataclass(frozen=True)
+class After:
+    """What a controller is at after a step.
+
+    Parameters
+    ----------
+    state : str
+        Its state as JSON.
+    measured : Measured or None
+        What its forecaster learned; None where none learns.
+    """
+
+    state: str
+    measured: Measured | None = None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Who asked for something, and when."""
+
+    actor: str
+    at: pd.Timestamp
 
 
 @dataclass(frozen=True)
@@ -200,6 +267,10 @@ class Token:
     sha256: str
     scopes: str
     expires: int | None = None
+
+
+class ChangedError(VppresError):
+    """It is no longer as whoever wants to change it believes."""
 
 
 class Store:
@@ -223,12 +294,17 @@ class Store:
     def __init__(self, place: Path | str, site: str, reading: bool = False) -> None:
         self._database = opened_database(place, reading)
         self._engine = self._database.engine
+        self._reading = reading
         self._writing = threading.Lock()
         self.changes = 0  # whoever shows what is stored looks again when it has grown
+        self._events_known: tuple[int, dict[str, Event]] | None = None
+        self._event_changes = 0
         if not reading:
             with _plain_errors():
                 _tables.create_all(self._engine)
         self._belongs_to(site, reading)
+        if not reading:
+            self._count_older_steps()
         self._items = self._known_items()
 
     def _known_items(self) -> set[tuple[str, str]]:
@@ -278,40 +354,20 @@ class Store:
 
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
-        named = _heard_of
-        t = _telemetry.c
-        earlier = _telemetry.alias("earlier")
-        last = (
-            sa.select(sa.func.max(earlier.c.time))
-            .where(
-                earlier.c.asset == named.c.asset,
-                earlier.c.quantity == named.c.quantity,
-                earlier.c.time <= seconds(until),
-            )
-            .scalar_subquery()
-        )
-        same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
-        chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
-        chosen = chosen.where(named.c.quantity.in_(list(quantities)))
         # Of two sources that speak at once the first by name counts.
-        found = self._readings(chosen.order_by(t.asset, t.quantity, t.source.desc()))
+        found = self._readings(_LATEST, {"until": seconds(until), "quantities": list(quantities)})
         return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
     ) -> list[Reading]:
         """Readings from a time on, up to but without another one."""
-        t = _telemetry.c
-        inside = sa.and_(t.time >= seconds(start), t.time < seconds(end))
-        chosen = sa.select(_telemetry).where(inside, t.quantity.in_(list(quantities)))
-        return self._readings(chosen.order_by(t.time, t.source))
+        named = {"start": seconds(start), "end": seconds(end), "quantities": list(quantities)}
+        return self._readings(_BETWEEN, named)
 
-    def _readings(self, chosen: Any) -> list[Reading]:
+    def _readings(self, chosen: Any, named: Mapping[str, Any]) -> list[Reading]:
         with self._reads() as db:
-            return [
-                Reading(r.asset, r.quantity, r.time, r.source, r.resolution_s, r.value)
-                for r in db.execute(chosen)
-            ]
+            return list(starmap(Reading, db.execute(chosen, named)))
 
     def contacts(self) -> dict[str, int]:
         """When each source was last heard from."""
@@ -321,20 +377,59 @@ class Store:
     # Events and forecasts
 
     def put_event(
-        self, identifier: str, body: dict[str, Any] | None, now: pd.Timestamp, actor: str
-    ) -> int:
-        """Keep a version of an event, none to withdraw it; its number."""
+        self,
+        identifier: str,
+        body: dict[str, Any] | None,
+        now: pd.Timestamp,
+        actor: str,
+        replacing: int | None = None,
+    ) -> Event:
+        """Keep a version of an event, none to withdraw it; the version.
+
+        Parameters
+        ----------
+        identifier : str
+            Of the event.
+        body : dict or None
+            What it says.
+        now : pandas.Timestamp
+            When it is said.
+        actor : str
+            Who says it.
+        replacing : int, optional
+            The version that it is to replace, whichever it is if not given.
+
+        Raises
+        ------
+        ChangedError
+            If the event has another version, or there is none to be withdrawn.
+        """
         with self._changes() as db:
-            chosen = sa.select(sa.func.max(_events.c.version)).where(_events.c.id == identifier)
-            version = (db.execute(chosen).scalar() or 0) + 1
+            e = _events.c
+            newest = sa.select(_events).where(e.id == identifier).order_by(e.version.desc())
+            before = db.execute(newest.limit(1)).first()
+            holds = before is not None and before.body is not None
+            if replacing is not None and (not holds or before.version != replacing):
+                raise ChangedError(f"The event has another version than {replacing}.")
+            if body is None and not holds:
+                raise ChangedError("The event was withdrawn before.")
+            version = 1 if before is None else before.version + 1
             text = None if body is None else json.dumps(body, sort_keys=True)
             _put(db, _events, id=identifier, version=version, made_at=seconds(now), body=text)
             action = "event withdrawn" if body is None else "event"
             _note(db, now, actor, action, f"{identifier} {text or ''}")
-        return version
+        self._event_changes += 1
+        return Event(version, body or {}, seconds(now), seconds(now), new=not holds)
 
     def events(self) -> dict[str, Event]:
         """The latest version of each event that holds."""
+        # Nobody else writes here, so that what was read holds until an event changes.
+        seen = self._event_changes
+        if self._events_known is None or self._events_known[0] != seen or self._reading:
+            self._events_known = seen, self._events_stored()
+        return dict(self._events_known[1])
+
+    def _events_stored(self) -> dict[str, Event]:
         e = _events.c
         newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
         gone = (
@@ -373,6 +468,12 @@ class Store:
             found.append(Event(row.version, body, row.made_at, since))
         return found
 
+    def events_ever(self) -> list[list[Event]]:
+        """All versions of every event that there ever was, as far as they are kept."""
+        with self._reads() as db:
+            names = db.execute(sa.select(_events.c.id).distinct()).scalars().all()
+        return [self.event_versions(name) for name in names]
+
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
     ) -> None:
@@ -385,38 +486,47 @@ class Store:
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
-        f = _forecasts.c
-        chosen = (
-            sa.select(f.body)
-            .where(f.quantity == quantity, f.issued_at <= seconds(now))
-            .order_by(f.issued_at.desc())
-            .limit(1)
-        )
         with self._reads() as db:
-            text = db.execute(chosen).scalar()
+            text = db.execute(_FORECAST, {"quantity": quantity, "now": seconds(now)}).scalar()
         found: dict[str, Any] | None = None if text is None else json.loads(text)
         return found
 
     # Steps
 
-    def write_step(self, time: pd.Timestamp, plan: dict[str, Any], state: dict[str, Any]) -> None:
-        """Keep a step: its plan and the controller's state after it, both or neither."""
-        with self._changes() as db:
-            self._put_step(db, time, plan)
-            _put(db, _states, time=seconds(time), state=json.dumps(state, allow_nan=False))
-            old = sa.select(_states.c.time).order_by(_states.c.time.desc()).offset(STATES_KEPT - 1)
-            oldest = db.execute(old.limit(1)).scalar()
-            if oldest is not None:
-                db.execute(_states.delete().where(_states.c.time < oldest))
+    def write_step(
+        self,
+        time: pd.Timestamp,
+        plan: dict[str, Any],
+        after: After | None = None,
+        asked: Asked | None = None,
+    ) -> None:
+        """Keep a step: its plan and the controller's state after it, both or neither.
 
-    def write_plan(self, time: pd.Timestamp, plan: dict[str, Any]) -> None:
-        """Keep a step in which the controller did not decide."""
+        Parameters
+        ----------
+        time : pandas.Timestamp
+            The step.
+        plan : dict
+            Its plan.
+        after : After, optional
+            What the controller is at; nothing where it did not decide.
+        asked : Asked, optional
+            Who asked for the step, if somebody did.
+        """
+        at = seconds(time)
         with self._changes() as db:
-            self._put_step(db, time, plan)
-
-    def _put_step(self, db: sa.Connection, time: pd.Timestamp, plan: dict[str, Any]) -> None:
-        text = json.dumps(plan, allow_nan=False)
-        _put(db, _steps, time=seconds(time), outcome=plan["status"], plan=text)
+            text = json.dumps(plan, allow_nan=False, separators=COMPACT)
+            _put(db, _steps, time=at, outcome=plan["status"], plan=text)
+            _count(db, plan["status"], 1)
+            if after is not None:
+                _put(db, _states, time=at, state=after.state)
+                newest = sa.select(_states.c.time).order_by(_states.c.time.desc())
+                kept = newest.limit(STATES_KEPT).scalar_subquery()
+                db.execute(_states.delete().where(_states.c.time.not_in(kept)))
+                if after.measured is not None:
+                    _put_measured(db, [after.measured])
+            if asked is not None:
+                _note(db, asked.at, asked.actor, "step", f"{plan['id']} {plan['status']}")
 
     def step(self, time: pd.Timestamp) -> dict[str, Any] | None:
         """The plan of a step, None if it is none of ours."""
@@ -445,18 +555,43 @@ class Store:
         return plan
 
     def outcomes(self) -> dict[str, int]:
-        """How many steps there were of each outcome."""
-        chosen = sa.select(_steps.c.outcome, sa.func.count()).group_by(_steps.c.outcome)
+        """How many steps there were of each outcome, those included that are forgotten."""
         with self._reads() as db:
-            return {row[0]: row[1] for row in db.execute(chosen)}
+            return {row.outcome: row.steps for row in db.execute(sa.select(_outcomes))}
 
-    def state(self) -> dict[str, Any] | None:
-        """The controller's last state."""
+    def _count_older_steps(self) -> None:
+        """Count the steps of a database from before there was a table for it."""
+        by_outcome = sa.select(_steps.c.outcome, sa.func.count()).group_by(_steps.c.outcome)
+        with self._reads() as db:
+            if db.execute(sa.select(_outcomes).limit(1)).first() is not None:
+                return
+            found = db.execute(by_outcome).all()
+        if found:
+            with self._changes() as db:
+                for outcome, count in found:
+                    _count(db, outcome, count)
+
+    def state(self) -> str | None:
+        """The controller's last state, as it was written."""
         chosen = sa.select(_states.c.state).order_by(_states.c.time.desc()).limit(1)
         with self._reads() as db:
-            text = db.execute(chosen).scalar()
-        state: dict[str, Any] | None = None if text is None else json.loads(text)
-        return state
+            text: str | None = db.execute(chosen).scalar()
+        return text
+
+    def put_measured(self, rows: Iterable[Measured]) -> None:
+        """Keep what was measured in steps."""
+        with self._changes(routine=True) as db:
+            _put_measured(db, rows)
+
+    def measured(self, since: pd.Timestamp) -> list[Measured]:
+        """What was measured in the steps from a time on."""
+        m = _measured.c
+        chosen = sa.select(_measured).where(m.time >= seconds(since)).order_by(m.time)
+        with self._reads() as db:
+            return [
+                Measured(row.time, json.loads(row.load_kw), json.loads(row.pv_kw))
+                for row in db.execute(chosen)
+            ]
 
     def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
         """The step that was asked for with a key: the first one, whatever is asked for now."""
@@ -466,10 +601,11 @@ class Store:
                 db.execute(_keys.insert().values(key=key, time=seconds(time)))
         return time if found is None else moment(found)
 
-    def forget(self, before: pd.Timestamp) -> None:
+    def forget(self, before: pd.Timestamp, learned_before: pd.Timestamp) -> None:
         """Drop what is older: readings, steps, forecasts, acknowledgements, events that are over.
 
-        What holds stays, however old it is, and so does the audit.
+        What holds stays, however old it is, and so does the audit; what a forecaster learns from
+        has a time of its own.
         """
         at = seconds(before)
         f = _forecasts.c
@@ -480,10 +616,12 @@ class Store:
         with self._changes(routine=True) as db:
             db.execute(_telemetry.delete().where(_telemetry.c.time < at))
             db.execute(_steps.delete().where(_steps.c.time < at))
+            db.execute(_measured.delete().where(_measured.c.time < seconds(learned_before)))
             db.execute(_keys.delete().where(_keys.c.time < at))
             db.execute(_acks.delete().where(_acks.c.at < at))
             db.execute(_forecasts.delete().where(f.issued_at < at, f.issued_at.not_in(newest)))
             db.execute(_events.delete().where(e.made_at < at, sa.or_(replaced, e.body.is_(None))))
+        self._event_changes += 1
 
     # Acknowledgements
 
@@ -504,6 +642,13 @@ class Store:
             if before is None or before._asdict() != dict(said):
                 row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
                 db.execute(_acks.insert().values(**row, **said))
+                if setpoint.get("served"):  # whoever was to be on
+                    _note_lost(db, setpoint["asset"], said, seconds(now))
+
+    def lost(self) -> dict[str, Lost]:
+        """Customers whose device did not switch them on when it was last told to."""
+        with self._reads() as db:
+            return {row.asset: Lost(row.at, row.reason) for row in db.execute(sa.select(_lost))}
 
     def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
         """What was said last of each set-point of which anything was."""
@@ -517,32 +662,37 @@ class Store:
 
     def refusing(self, kind: str) -> dict[str, int]:
         """Devices of a kind that did not do what they were told last, and since when."""
-        a = _acks.c
-        newest = (
-            sa.select(sa.func.max(a.number))
-            .where(a.kind == kind)
-            .group_by(a.asset)
-            .scalar_subquery()
-        )
-        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
         with self._reads() as db:
-            return {row.asset: row.at for row in db.execute(chosen)}
+            return {row.asset: row.at for row in db.execute(_REFUSING, {"kind": kind})}
 
     # Settings, people
 
-    def put_setting(self, key: str, value: Any, now: pd.Timestamp, actor: str) -> None:
-        """Keep a setting, and who changed it."""
-        with self._changes() as db:
-            text = json.dumps(value, sort_keys=True)
-            _put(db, _meta, key=f"setting.{key}", value=text)
-            _note(db, now, actor, key, text)
+    def put_setting(
+        self, key: str, value: Any, now: pd.Timestamp, actor: str, replacing: str | None = None
+    ) -> str:
+        """Keep a setting, and who changed it; its tag.
 
-    def setting(self, key: str) -> Any:
-        """A setting, None if there is none."""
+        Raises
+        ------
+        ChangedError
+            If it is to replace one with another tag than the present one's.
+        """
+        name = f"setting.{key}"
+        with self._changes() as db:
+            before = db.execute(sa.select(_meta.c.value).where(_meta.c.key == name)).scalar()
+            if replacing is not None and replacing != _tag(before):
+                raise ChangedError(f"The {key} has changed since.")
+            text = json.dumps(value, sort_keys=True)
+            _put(db, _meta, key=name, value=text)
+            _note(db, now, actor, key, text)
+        return _tag(text)
+
+    def setting(self, key: str) -> tuple[Any, str]:
+        """A setting, None if there is none, and its tag."""
         chosen = sa.select(_meta.c.value).where(_meta.c.key == f"setting.{key}")
         with self._reads() as db:
             text = db.execute(chosen).scalar()
-        return None if text is None else json.loads(text)
+        return (None if text is None else json.loads(text)), _tag(text)
 
     def add_token(self, token: Token, now: pd.Timestamp) -> None:
         """Let somebody in, in place of whoever had the name."""
@@ -607,10 +757,90 @@ class Store:
             yield db
 
 
+def _latest() -> Any:
+    """The last reading of each asset and quantity up to a time."""
+    named = _heard_of
+    t = _telemetry.c
+    earlier = _telemetry.alias("earlier")
+    last = (
+        sa.select(sa.func.max(earlier.c.time))
+        .where(
+            earlier.c.asset == named.c.asset,
+            earlier.c.quantity == named.c.quantity,
+            earlier.c.time <= sa.bindparam("until"),
+        )
+        .scalar_subquery()
+    )
+    same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+    chosen = sa.select(_telemetry).select_from(named.join(_telemetry, same))
+    chosen = chosen.where(named.c.quantity.in_(sa.bindparam("quantities", expanding=True)))
+    return chosen.order_by(t.asset, t.quantity, t.source.desc())
+
+
+def _between() -> Any:
+    """Readings from a time on, before another one."""
+    t = _telemetry.c
+    inside = sa.and_(t.time >= sa.bindparam("start"), t.time < sa.bindparam("end"))
+    named = t.quantity.in_(sa.bindparam("quantities", expanding=True))
+    return sa.select(_telemetry).where(inside, named).order_by(t.time, t.source)
+
+
+def _forecast() -> Any:
+    """The forecast of a quantity that was issued last, up to a time."""
+    f = _forecasts.c
+    issued = sa.and_(f.quantity == sa.bindparam("quantity"), f.issued_at <= sa.bindparam("now"))
+    return sa.select(f.body).where(issued).order_by(f.issued_at.desc()).limit(1)
+
+
+def _refusing() -> Any:
+    """Devices of a kind whose last word is that they did not."""
+    a = _acks.c
+    newest = sa.select(sa.func.max(a.number)).where(a.kind == sa.bindparam("kind"))
+    last = newest.group_by(a.asset).scalar_subquery()
+    return sa.select(a.asset, a.at).where(a.number.in_(last), a.status.in_(REFUSED))
+
+
+# Statements of every step are put together once.
+_LATEST = _latest()
+_BETWEEN = _between()
+_FORECAST = _forecast()
+_REFUSING = _refusing()
+
+
 def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
     db.execute(table.delete().where(_where(table, row)))
     db.execute(table.insert().values(**row))
+
+
+def _put_measured(db: sa.Connection, rows: Iterable[Measured]) -> None:
+    for row in rows:
+        load_kw, pv_kw = (json.dumps(values) for values in (row.load_kw, row.pv_kw))
+        _put(db, _measured, time=row.time, load_kw=load_kw, pv_kw=pv_kw)
+
+
+def _note_lost(db: sa.Connection, asset: str, said: Mapping[str, Any], at: int) -> None:
+    """A customer that could not be switched on, or was after all."""
+    if said["status"] not in REFUSED:
+        db.execute(_lost.delete().where(_lost.c.asset == asset))
+        return
+    reason = f"{said['status']}: {said['reason']}" if said["reason"] else said["status"]
+    _put(db, _lost, asset=asset, at=at, reason=reason)
+
+
+def _tag(text: str | None) -> str:
+    """Name of what a setting says."""
+    return hashlib.sha256((text or "").encode()).hexdigest()[:16]
+
+
+def _count(db: sa.Connection, outcome: str, more: int) -> None:
+    """Count steps of an outcome."""
+    o = _outcomes.c
+    counted = db.execute(
+        sa.update(_outcomes).where(o.outcome == outcome).values(steps=o.steps + more)
+    )
+    if not counted.rowcount:
+        db.execute(_outcomes.insert().values(outcome=outcome, steps=more))
 
 
 def _upsert(db: sa.Connection, table: sa.Table, value: str) -> Any:

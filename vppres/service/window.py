@@ -42,8 +42,8 @@ class Window:
 
     @classmethod
     def of(cls, controller: Controller, time: pd.Timestamp) -> Window:
-        """The window of a controller's step."""
-        times = controller.window(time)
+        """The steps that a controller's decision looks at."""
+        times = controller.ahead(time)
         scenario = controller.scenario
         inside = (scenario.grid.times >= times[0]) & (scenario.grid.times <= times[-1])
         series = {name: values[inside] for name, values in scenario.series.items()}
@@ -69,7 +69,7 @@ class Window:
         ids: Iterable[Any],
         forecast: Mapping[str, Any] | None,
         lost: Iterable[str] = (),
-    ) -> tuple[pd.DataFrame, list[str]]:
+    ) -> tuple[Floats, list[str]]:
         """What is expected, (W, items), and of which items that are lost it is cautious.
 
         Parameters
@@ -83,20 +83,19 @@ class Window:
         lost : iterable of str
             Who has been silent for too long.
         """
-        table = pd.DataFrame(self.series[quantity].copy(), self.times, [str(name) for name in ids])
+        table = self.series[quantity].copy()
+        columns = {str(name): column for column, name in enumerate(ids)}
         silent = set(lost)
         cautious = []
         for name, quantiles in (forecast or {"assets": {}})["assets"].items():
-            if name not in table.columns:
+            if name not in columns:
                 continue
             level = CAUTIOUS[quantity]
             if name in silent and quantiles[level] is not None:
                 cautious.append(name)
             else:
                 level = MEDIAN
-            column = table[name].to_numpy(float).copy()
-            self.lay(column, forecast or {}, quantiles[level])
-            table[name] = column
+            self.lay(table[:, columns[name]], forecast or {}, quantiles[level])
         return table, cautious
 
 

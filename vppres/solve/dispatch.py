@@ -29,7 +29,7 @@ from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
 from vppres.solve.programs import ProgramSolution, compiled
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import SolverSpec, run, run_conic
+from vppres.solve.solvers import SolverSpec, run, run_conic, run_for_variables
 from vppres.solve.task import WindowTask
 
 POLYGON_SIDES = 16
@@ -332,7 +332,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
         ending=data.ending,
     )
     model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
-    outcome = run_conic(model.problem, deadline.left_s)
+    outcome = run_for_variables(model.problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = model.dispatch(dispatch.served)
@@ -367,7 +367,7 @@ def least_reactive(
             status = Status.TIME_LIMIT
             break
         model.fill(data, dispatch, t)
-        outcome = run_conic(model.problem, deadline.left_s)
+        outcome = run_for_variables(model.problem, deadline.left_s)
         solver = outcome.solver
         if outcome.status == Status.OPTIMAL:
             changed = model.put_into(changed, t)

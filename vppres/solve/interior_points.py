@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -18,31 +17,16 @@ import scipy.sparse as sp
 from cvxpy.constraints import SOC, NonNeg, Zero
 from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ReducedMat
 from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL
-from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 
 from vppres.core.arrays import Floats, Wholes
 
 
 class RenumberedClarabel(CLARABEL):  # type: ignore[misc]
-    """cvxpy's interface of Clarabel but for the order of the rows.
-
-    Parameters
-    ----------
-    duals : bool
-        Whether constraints get their duals.
-    """
-
-    def __init__(self, duals: bool = True) -> None:
-        super().__init__()
-        self.duals = duals
+    """cvxpy's interface of Clarabel but for the order of the rows."""
 
     def name(self) -> str:
         """Of this interface: cvxpy's own keep theirs."""
-        return f"RENUMBERED_CLARABEL{'' if self.duals else '_WITHOUT_DUALS'}"
-
-    def invert(self, solution: Any, inverse_data: Any) -> Any:
-        """The solution as cvxpy hands it on."""
-        return super().invert(solution if self.duals else Primal.of(solution), inverse_data)
+        return "RENUMBERED_CLARABEL"
 
     @classmethod
     def format_constraints(cls, problem: Any, exp_cone_order: Sequence[int]) -> Any:
@@ -64,29 +48,6 @@ class RenumberedClarabel(CLARABEL):  # type: ignore[misc]
         formatted.reduced_A = ReducedMat(formatted.A, problem.x.size)
         formatted.formatted = True
         return formatted
-
-
-@dataclass(frozen=True)
-class Primal:
-    """A solution of Clarabel without its duals: what cvxpy reads of it, by Clarabel's names."""
-
-    status: Any
-    obj_val: float
-    x: list[float]
-    solve_time: float
-    iterations: int
-    z: None = None
-
-    @classmethod
-    def of(cls, solution: Any) -> Primal:
-        """The same solution without duals."""
-        return cls(
-            solution.status,
-            solution.obj_val,
-            solution.x,
-            solution.solve_time,
-            solution.iterations,
-        )
 
 
 def places(constraints: Sequence[cp.Constraint]) -> Wholes:
@@ -114,21 +75,5 @@ def signs(constraints: Sequence[cp.Constraint]) -> Floats:
     )
 
 
-class HighsWithoutDuals(HIGHS):  # type: ignore[misc]
-    """cvxpy's interface of HiGHS but for the duals."""
-
-    def name(self) -> str:
-        """Of this interface."""
-        return "HIGHS_WITHOUT_DUALS"
-
-    def apply(self, problem: Any) -> Any:
-        """The problem as data: cvxpy looks for no duals where it thinks that there are binaries."""
-        data, inverse_data = super().apply(problem)
-        return data, {**inverse_data, "is_mip": True}
-
-
 CLARABEL_INTERFACE = RenumberedClarabel()
-CLARABEL_WITHOUT_DUALS = RenumberedClarabel(duals=False)
-HIGHS_WITHOUT_DUALS = HighsWithoutDuals()
-"""Those that are used: cvxpy keeps what it compiled by its interface. To sort duals by constraints
-takes as long as all else that is done with an answer, and only shadow prices read them."""
+"""The one that is used: cvxpy keeps what it compiled by its interface."""

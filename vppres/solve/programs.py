@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -14,9 +15,10 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
+from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import Deadline, Patience
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import COMPILER, LEAST_S
+from vppres.solve.solvers import LEAST_S
 
 DIRECT = "highs"
 """Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear
@@ -103,7 +105,13 @@ class Program:
         prices = self.allowed(prices)
         limits = np.where(prices > 0.0, self.lower, self.upper)
         used = prices != 0.0
-        return float(prices[used] @ limits[used]), np.asarray(self.cost - prices @ self.rows)
+        left: Floats = self.cost - self._by_columns @ prices
+        return float(prices[used] @ limits[used]), left
+
+    @cached_property
+    def _by_columns(self) -> sp.csr_array:
+        """The rows' transpose: turning them takes longer than a product with them."""
+        return self.rows.T
 
     def allowed(self, prices: Floats) -> Floats:
         """Prices of rows, without those of a sign that a one-sided row forbids."""
@@ -294,22 +302,20 @@ def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
     Program, dict
         Equalities come first; the first column of each variable by its name.
     """
-    data, _, _ = problem.get_problem_data(cp.HIGHS, canon_backend=COMPILER)
-    place = data["param_prob"].var_id_to_col
-    equal = data["dims"].zero
-    count = len(data["c"])
-    lower = np.full(len(data["b"]), -np.inf)
-    lower[:equal] = data["b"][:equal]
-    bounds = [
-        np.full(count, free) if data[name] is None else data[name]
-        for name, free in (("lower_bounds", -np.inf), ("upper_bounds", np.inf))
-    ]
-    whole = np.asarray([*data["int_vars_idx"], *data["bool_vars_idx"]], dtype=np.int64)
+    known = compiled_for(problem, cp.HIGHS)
+    numbers = known.numbers()
     program = Program(
-        data["c"], bounds[0], bounds[1], sp.csc_array(data["A"]), lower, data["b"], whole
+        numbers.cost,
+        known.x_lower,
+        known.x_upper,
+        numbers.rows,
+        known.row_lower(numbers.limit),
+        numbers.limit,
+        known.whole,
     )
     # Variables without entries are not compiled.
-    return program, {v.name(): place[v.id] for v in problem.variables() if v.id in place}
+    first = known.first
+    return program, {v.name(): first[v.id] for v in problem.variables() if v.id in first}
 
 
 def _status(status: highspy.HighsModelStatus, primal: int) -> Status:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -13,17 +13,11 @@ import numpy as np
 from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.errors import InputError, Problem
+from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import Deadline
-from vppres.solve.interior_points import (
-    CLARABEL_INTERFACE,
-    CLARABEL_WITHOUT_DUALS,
-    HIGHS_WITHOUT_DUALS,
-)
+from vppres.solve.direct import solve_by_clarabel, solve_by_highs
+from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.result import Outcome, Status
-
-COMPILER = cp.settings.COO_CANON_BACKEND
-"""cvxpy's compiler back end; for problems with many parameters it takes a third of the default's
-time, and the compiled problem is the same."""
 
 INTERIOR_POINTS = "clarabel"
 """Solver of all continuous problems with cones or squares, whichever solver is chosen: those of the
@@ -36,6 +30,26 @@ COMPILE_S = 0.04
 COMPILE_S_PER_ENTRY = 5e-6
 """What compiling takes: 0.02 to 0.04 s for a small problem of any kind, and 1 to 5 µs for each
 number that a large one has as a variable or in a constraint, with cones or without."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How a solve ended.
+
+    Parameters
+    ----------
+    word : str
+        cvxpy's word for it.
+    stats : object
+        The solver's own figures.
+    mixed_integer, has_values : bool
+        Whether the problem has whole numbers; whether its variables got values.
+    """
+
+    word: str
+    stats: Any
+    mixed_integer: bool
+    has_values: bool
 
 
 @dataclass(frozen=True)
@@ -54,27 +68,22 @@ class SolverSpec:
     options : callable
         ``(absolute gap, seconds) -> options`` of the solver.
     slack : callable
-        ``problem -> value - bound`` of the last solve in the solver's own (minimising) sense.
+        ``answer -> value - bound`` in the solver's own (minimising) sense.
     ended : callable
-        ``problem -> Status`` for answers that cvxpy does not call optimal.
+        ``answer -> Status`` for answers that cvxpy does not call optimal.
     """
 
     name: str
     cvxpy_name: str
     mip_cones: bool
     options: Callable[[float, float], Mapping[str, Any]]
-    slack: Callable[[cp.Problem], float]
-    ended: Callable[[cp.Problem], Status]
+    slack: Callable[[Answer], float]
+    ended: Callable[[Answer], Status]
 
     @property
     def installed(self) -> bool:
         """Whether cvxpy finds it on this machine."""
         return self.cvxpy_name in _installed()
-
-    @property
-    def interface(self) -> str | Solver:
-        """What cvxpy hands problems to."""
-        return HIGHS_WITHOUT_DUALS if self.cvxpy_name == cp.HIGHS else self.cvxpy_name
 
 
 @cache
@@ -83,30 +92,25 @@ def _installed() -> frozenset[str]:
     return frozenset(cp.installed_solvers())
 
 
-def _stats(problem: cp.Problem) -> Any:
-    return problem.solver_stats.extra_stats
-
-
-def _highs_slack(problem: cp.Problem) -> float:
-    info = _stats(problem)
+def _highs_slack(answer: Answer) -> float:
     # For a problem without binaries HiGHS leaves the MIP bound at its default of minus infinity.
-    if not problem.is_mixed_integer():
+    if not answer.mixed_integer:
         return 0.0
-    return float(info.objective_function_value - info.mip_dual_bound)
+    return float(answer.stats.objective_function_value - answer.stats.mip_dual_bound)
 
 
-def _highs_ended(problem: cp.Problem) -> Status:
-    feasible = getattr(_stats(problem), "primal_solution_status", 0) == 2
+def _highs_ended(answer: Answer) -> Status:
+    feasible = getattr(answer.stats, "primal_solution_status", 0) == 2
     return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
 
 
-def _scip_slack(problem: cp.Problem) -> float:
-    model = _stats(problem)["model"]
+def _scip_slack(answer: Answer) -> float:
+    model = answer.stats["model"]
     return float(model.getPrimalbound() - model.getDualbound())
 
 
-def _scip_ended(problem: cp.Problem) -> Status:
-    model = _stats(problem)["model"]
+def _scip_ended(answer: Answer) -> Status:
+    model = answer.stats["model"]
     if model.getNSols() == 0:
         return Status.NO_ANSWER
     return {
@@ -116,26 +120,23 @@ def _scip_ended(problem: cp.Problem) -> Status:
     }.get(model.getStatus(), Status.INACCURATE)
 
 
-def _gurobi_slack(problem: cp.Problem) -> float:
-    model = _stats(problem)
-    return float(model.ObjVal - model.ObjBound)
+def _gurobi_slack(answer: Answer) -> float:
+    return float(answer.stats.ObjVal - answer.stats.ObjBound)
 
 
-def _copt_slack(problem: cp.Problem) -> float:
-    model = _stats(problem)
-    return float(model.objval - model.bestbnd)
+def _copt_slack(answer: Answer) -> float:
+    return float(answer.stats.objval - answer.stats.bestbnd)
 
 
-def _xpress_slack(problem: cp.Problem) -> float:
-    attributes = _stats(problem)
+def _xpress_slack(answer: Answer) -> float:
     # cvxpy does not hand them on in every version: without them there is no bound.
-    if not attributes:
+    if not answer.stats:
         return np.inf
-    return float(attributes["mipobjval"] - attributes["bestbound"])
+    return float(answer.stats["mipobjval"] - answer.stats["bestbound"])
 
 
-def _ended_with_values(problem: cp.Problem) -> Status:
-    return Status.TIME_LIMIT if problem.variables()[0].value is not None else Status.NO_ANSWER
+def _ended_with_values(answer: Answer) -> Status:
+    return Status.TIME_LIMIT if answer.has_values else Status.NO_ANSWER
 
 
 SOLVERS: dict[str, SolverSpec] = {
@@ -232,6 +233,14 @@ def find_solver(name: str) -> SolverSpec:
     return spec
 
 
+def compile_now(problem: cp.Problem, spec: SolverSpec) -> None:
+    """Compile a problem before it is solved: its parameters have values."""
+    if spec.cvxpy_name == cp.HIGHS:
+        compiled_for(problem, spec.cvxpy_name)
+    else:
+        problem.get_problem_data(spec.cvxpy_name, canon_backend=COMPILER)
+
+
 def run(
     problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float, scale: float = 1.0
 ) -> Outcome:
@@ -252,34 +261,35 @@ def run_with(
 ) -> Outcome:
     """The same with options of one's own, of the seconds that are left."""
     deadline = Deadline(time_s)
+    ask = _by_highs if spec.cvxpy_name == cp.HIGHS else _by_cvxpy
     try:
-        asked = _solve(problem, spec.interface, deadline, options)
+        answer = ask(problem, spec.cvxpy_name, deadline, options)
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, deadline.spent_s, spec.name)
     elapsed = deadline.spent_s
-    status = _map_status(problem, spec) if asked else Status.NO_ANSWER
-    if not status.has_answer:
+    status = Status.NO_ANSWER if answer is None else _status(answer, spec)
+    if answer is None or not status.has_answer:
         return Outcome(status, np.nan, np.nan, elapsed, spec.name)
     sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
     value = float(problem.objective.value)
-    bound = value + sign * max(spec.slack(problem), 0.0)
+    bound = value + sign * max(spec.slack(answer), 0.0)
     return Outcome(status, value / scale, bound / scale, elapsed, spec.name)
 
 
-def _map_status(problem: cp.Problem, spec: SolverSpec) -> Status:
-    """Status of the last solve."""
-    if problem.status == cp.OPTIMAL:
+def _status(answer: Answer, spec: SolverSpec) -> Status:
+    """What an answer is worth."""
+    if answer.word == cp.OPTIMAL:
         return Status.OPTIMAL
-    if problem.status in (
+    if answer.word in (
         cp.INFEASIBLE,
         cp.INFEASIBLE_INACCURATE,
         cp.settings.INFEASIBLE_OR_UNBOUNDED,
     ):
         return Status.INFEASIBLE
-    if problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
+    if answer.word in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
         return Status.UNBOUNDED
-    if problem.status in (cp.USER_LIMIT, cp.OPTIMAL_INACCURATE) or _stats(problem) is not None:
-        return spec.ended(problem)
+    if answer.word in (cp.USER_LIMIT, cp.OPTIMAL_INACCURATE) or answer.stats is not None:
+        return spec.ended(answer)
     return Status.NUMERICAL
 
 
@@ -291,48 +301,96 @@ def run_conic(
     ``scale`` is a factor in the problem's objective; the value is meant without it. The time limit
     holds for compiling too. Constraints get their duals where they are asked for.
     """
+    outcome = run_for_variables(problem, time_s, duals)
+    if not outcome.status.has_answer:
+        return outcome
+    value = float(problem.objective.value) / scale
+    return replace(outcome, value=value, bound=value)
+
+
+def run_for_variables(problem: cp.Problem, time_s: float, duals: bool = False) -> Outcome:
+    """The same for who reads the variables alone: a sum of squares takes long to evaluate."""
     deadline = Deadline(time_s)
-    interface = CLARABEL_INTERFACE if duals else CLARABEL_WITHOUT_DUALS
     # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
-    status = _interior_points(problem, interface, deadline, refined=False)
+    status = _interior_points(problem, deadline, duals, refined=False)
     if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
-        status = _interior_points(problem, interface, deadline, refined=True)
-    value = float(problem.objective.value) / scale if status.has_answer else np.nan
-    return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
+        status = _interior_points(problem, deadline, duals, refined=True)
+    return Outcome(status, np.nan, np.nan, deadline.spent_s, INTERIOR_POINTS)
 
 
-def _interior_points(
-    problem: cp.Problem, interface: Solver, deadline: Deadline, refined: bool
-) -> Status:
+def _interior_points(problem: cp.Problem, deadline: Deadline, duals: bool, refined: bool) -> Status:
     """Status of a solve by interior points, with or without refined steps."""
 
     def options(time_s: float) -> Mapping[str, Any]:
         return {"time_limit": time_s, "iterative_refinement_enable": refined}
 
+    ask = _by_cvxpy if duals else _by_clarabel
     try:
-        if not _solve(problem, interface, deadline, options):
-            return Status.NO_ANSWER
+        answer = ask(problem, CLARABEL_INTERFACE, deadline, options)
     except cp.SolverError:
         return Status.NUMERICAL
+    if answer is None:
+        return Status.NO_ANSWER
     return {
         cp.OPTIMAL: Status.OPTIMAL,
         cp.OPTIMAL_INACCURATE: Status.INACCURATE,
         cp.INFEASIBLE: Status.INFEASIBLE,
         cp.UNBOUNDED: Status.UNBOUNDED,
         cp.USER_LIMIT: Status.NO_ANSWER,
-    }.get(problem.status, Status.NUMERICAL)
+    }.get(answer.word, Status.NUMERICAL)
 
 
-def _solve(
+# What is asked of a solver in what is left after compiling; None where no time was left to ask.
+
+
+def _by_highs(
     problem: cp.Problem,
     interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
-) -> bool:
-    """Solve in what is left after compiling; whether there was time to ask the solver.
+) -> Answer | None:
+    """Ask HiGHS, without duals."""
+    known = _in_time(problem, interface, deadline)
+    if known is None:
+        return None
+    word, info = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)))
+    if word == cp.SOLVER_ERROR:
+        raise cp.SolverError("HiGHS gave up.")
+    return Answer(word, info, len(known.whole) > 0, word in cp.settings.SOLUTION_PRESENT)
+
+
+def _by_clarabel(
+    problem: cp.Problem,
+    interface: str | Solver,
+    deadline: Deadline,
+    options: Callable[[float], Mapping[str, Any]],
+) -> Answer | None:
+    """Ask Clarabel, without duals."""
+    known = _in_time(problem, interface, deadline)
+    if known is None:
+        return None
+    word = solve_by_clarabel(known, options(max(deadline.left_s, LEAST_S)))
+    return Answer(word, None, False, word in cp.settings.SOLUTION_PRESENT)
+
+
+def _in_time(problem: cp.Problem, interface: str | Solver, deadline: Deadline) -> Compiled | None:
+    """The compiled problem; None if it could not be compiled in time, or need not be begun."""
+    if not is_compiled(problem, interface) and deadline.left_s < _compile_s(problem):
+        return None
+    known = compiled_for(problem, interface)
+    return None if deadline.passed else known
+
+
+def _by_cvxpy(
+    problem: cp.Problem,
+    interface: str | Solver,
+    deadline: Deadline,
+    options: Callable[[float], Mapping[str, Any]],
+) -> Answer | None:
+    """Ask by way of cvxpy.
 
     These are the steps of ``Problem.solve``, which hands a solver the whole limit however long
-    compiling took. A problem that could not be compiled in time is not begun.
+    compiling took.
 
     Raises
     ------
@@ -340,19 +398,21 @@ def _solve(
         If the solver gave up.
     """
     if deadline.left_s < _compile_s(problem):
-        return False
+        return None
     data, chain, inverse = problem.get_problem_data(
         interface, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
     )
     if deadline.passed:
-        return False
+        return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": the status says it
         solution = chain.solve_via_data(
             problem, data, False, False, dict(options(max(deadline.left_s, LEAST_S)))
         )
         problem.unpack_results(solution, chain, inverse)
-    return True
+    stats = None if problem.solver_stats is None else problem.solver_stats.extra_stats
+    has_values = problem.variables()[0].value is not None
+    return Answer(problem.status, stats, problem.is_mixed_integer(), has_values)
 
 
 def _compile_s(problem: cp.Problem) -> float:

@@ -19,9 +19,8 @@ from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.forecasts.seasonal import Seasonal
-from vppres.io.find import load_scenario, packaged_scenarios
+from vppres.io.find import is_scenario, load_scenario
 from vppres.io.history import read_history
-from vppres.io.settings import SCENARIO_FILE
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC, is_zone
 
@@ -347,9 +346,8 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
                 value=zone,
             )
         )
-    path = Path(name_or_path)
-    if name_or_path not in packaged_scenarios() and not (path / SCENARIO_FILE).is_file():
-        return read_history(path, zone=zone or UTC)
+    if not is_scenario(name_or_path):
+        return read_history(Path(name_or_path), zone=zone or UTC)
     day = load_scenario(name_or_path)
     history = history_before(day).followed_by(day.grid.start, day.load_kw, day.pv_kw)
     return history if zone is None else replace(history, zone=zone)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +18,9 @@ from vppres.report.key_figures import number
 from vppres.report.pages import embedded, page
 from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, draw_grid
 from vppres.studies.backtest import ENERGY_H, SHARES, Backtest
+from vppres.studies.warning_scores import WarningScores
+
+Scores = TypeVar("Scores")
 
 PAGE_FILE = "backtest.html"
 TEMPLATE = "backtest.html.j2"
@@ -25,10 +28,13 @@ SIZE_IN = (4.6, 3.2)
 WORDS = {"load": "Load", "pv": "PV power", "net": "Load less PV power"}
 SHARE_COLOURS = dict(zip(SHARES, (GREEN, BLUE, ORANGE), strict=True))
 PIT_BINS = 10
+LENGTH_BINS = 5
 TWO_SIGMA = 1.96
 
 
-def write_backtest(result: Backtest, folder: Path, title: str) -> dict[str, Any]:
+def write_backtest(
+    result: Backtest, folder: Path, title: str, warned: WarningScores | None = None
+) -> dict[str, Any]:
     """Write page, tables and summary into a folder; returns the summary.
 
     Parameters
@@ -39,18 +45,22 @@ def write_backtest(result: Backtest, folder: Path, title: str) -> dict[str, Any]
         A folder that does not exist yet, or an older back-test.
     title : str
         What was tested, for the heading.
+    warned : WarningScores, optional
+        Outage warnings, scored beside the forecasts.
     """
     summary = {"title": title, **result.summary()}
+    if warned is not None:
+        summary["warnings"] = warned.summary()
     with atomic_folder(folder) as aside:
         result.by_lead().to_csv(aside / "by_lead.csv", index=False)
         result.energy().to_csv(aside / "energy.csv", index=False)
         result.by_month().to_csv(aside / "by_month.csv")
-        atomic_write_text(aside / PAGE_FILE, render_backtest(result, title))
+        atomic_write_text(aside / PAGE_FILE, render_backtest(result, title, warned))
         atomic_write_text(aside / RUN_MARK, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 
 
-def render_backtest(result: Backtest, title: str) -> str:
+def render_backtest(result: Backtest, title: str, warned: WarningScores | None = None) -> str:
     """The back-test as one HTML page that needs nothing beside it."""
     return page(
         TEMPLATE,
@@ -59,7 +69,7 @@ def render_backtest(result: Backtest, title: str) -> str:
             "result": result,
             "first": f"{result.issues[0]:%Y-%m-%d}",
             "last": f"{result.issues[-1]:%Y-%m-%d}",
-            "findings": backtest_findings(result),
+            "findings": backtest_findings(result, warned),
             "words": WORDS,
             "ranges": result.ranges().to_dict("records"),
             "leads": _held_by_lead(result),
@@ -77,12 +87,14 @@ def render_backtest(result: Backtest, title: str) -> str:
                 )
                 for quantity in result.quantities
             ],
+            "warned": warned,
+            "warned_figures": [] if warned is None else _warned_figures(warned),
             "number": number,
         },
     )
 
 
-def backtest_findings(result: Backtest) -> list[str]:
+def backtest_findings(result: Backtest, warned: WarningScores | None = None) -> list[str]:
     """What a reader is to know first, in sentences."""
     ranges = result.ranges()
     held = result.by_lead()
@@ -106,7 +118,7 @@ def backtest_findings(result: Backtest) -> list[str]:
             f"{_percent(day['held_80%'].iloc[0])}."
         )
     sentences += _drift_findings(result)
-    return sentences
+    return sentences if warned is None else [*sentences, *_warned_findings(warned)]
 
 
 def _drift_findings(result: Backtest) -> list[str]:
@@ -119,6 +131,71 @@ def _drift_findings(result: Backtest) -> list[str]:
         for row in result.drift().to_dict("records")
         if abs(row["held_80%_recent"] - 0.8) > band
     ]
+
+
+def _warned_findings(warned: WarningScores) -> list[str]:
+    """What warnings were worth."""
+    sentences = [
+        f"Outage warnings: of {_counted(len(warned.pairs), 'announced outage')} {warned.n_came} "
+        f"came, and {_counted(len(warned.unannounced), 'outage')} came unannounced."
+    ]
+    if warned.brier > warned.brier_of_share:
+        sentences.append(
+            f"Their probabilities are off by more (Brier score {warned.brier:.3f}) than the share "
+            f"that came, said each time, would be ({warned.brier_of_share:.3f})."
+        )
+    table = warned.reliability
+    sentences += [
+        f"Where warnings said {_percent(row['said'])}, {_percent(row['came'])} of "
+        f"{row['warnings']} came, outside of {_percent(row['low'])} to {_percent(row['high'])}."
+        for row in table[(table["came"] < table["low"]) | (table["came"] > table["high"])].to_dict(
+            "records"
+        )
+    ]
+    return sentences
+
+
+def _counted(number: int, thing: str) -> str:
+    """A number of things.
+
+    >>> _counted(1, "outage"), _counted(3, "outage")
+    ('1 outage', '3 outages')
+    """
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def _warned_figures(warned: WarningScores) -> list[tuple[str, str]]:
+    """Captions and pictures of what there is enough of."""
+    drawn = []
+    if len(warned.reliability):
+        caption = "How often an outage came of warnings that said as much; bars: a right forecast."
+        drawn.append((caption, embedded(_small(_draw_reliability, warned))))
+    if len(warned.duration_pit):
+        caption = "Where lengths lay in what was said of them; level is right."
+        drawn.append((caption, embedded(_small(_draw_lengths, warned))))
+    return drawn
+
+
+def _draw_reliability(ax: Axes, warned: WarningScores) -> None:
+    table = warned.reliability
+    said = 100.0 * table["said"]
+    middle = 50.0 * (table["low"] + table["high"])
+    half = 50.0 * (table["high"] - table["low"])
+    ax.errorbar(said, middle, half, fmt="none", ecolor=GREY, elinewidth=6.0, alpha=0.6)
+    ax.plot([0.0, 100.0], [0.0, 100.0], color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
+    ax.plot(said, 100.0 * table["came"], color=BLUE, marker="o", linestyle="none")
+    for x, y, count in zip(said, 100.0 * table["came"], table["warnings"], strict=True):
+        ax.annotate(f"{count}", (x, y), (6, 4), textcoords="offset points", fontsize=8)
+    ax.set_xlim(-4.0, 104.0)
+    ax.set_ylim(-4.0, 104.0)
+    ax.set_xlabel("Said (%)")
+    ax.set_ylabel("Came (%)")
+
+
+def _draw_lengths(ax: Axes, warned: WarningScores) -> None:
+    _pit_bars(ax, warned.duration_pit, LENGTH_BINS)
+    ax.set_xlabel("Share of what was said below the length that came")
+    ax.set_ylabel("Outages (%)")
 
 
 def _band(result: Backtest) -> float:
@@ -149,11 +226,16 @@ def _percent(share: float) -> str:
 
 
 def _figure(draw: Callable[[Axes, Backtest, str], None], result: Backtest, quantity: str) -> Figure:
-    """One small figure."""
+    """One small figure of a quantity."""
+    return _small(lambda ax, scores: draw(ax, scores, quantity), result)
+
+
+def _small(draw: Callable[[Axes, Scores], None], scores: Scores) -> Figure:
+    """One small figure of scores."""
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     ax = figure.subplots()
     draw_grid(ax)
-    draw(ax, result, quantity)
+    draw(ax, scores)
     return figure
 
 
@@ -191,12 +273,17 @@ def _draw_held(ax: Axes, result: Backtest, quantity: str) -> None:
 
 def _draw_pit(ax: Axes, result: Backtest, quantity: str) -> None:
     values = result.scores["pit", quantity]
-    count, edges = np.histogram(values[~np.isnan(values)], bins=PIT_BINS, range=(0.0, 1.0))
-    share = 100.0 * count / max(count.sum(), 1)
-    ax.bar(edges[:-1], share, width=1.0 / PIT_BINS, align="edge", color=BLUE, edgecolor="white")
-    ax.axhline(100.0 / PIT_BINS, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
+    _pit_bars(ax, values[~np.isnan(values)], PIT_BINS)
     ax.set_xlabel("Share of the forecast below what came")
     ax.set_ylabel("Steps (%)")
+
+
+def _pit_bars(ax: Axes, values: Floats, bins: int) -> None:
+    """How values between 0 and 1 are spread, beside what an even spread is."""
+    count, edges = np.histogram(values, bins=bins, range=(0.0, 1.0))
+    share = 100.0 * count / max(count.sum(), 1)
+    ax.bar(edges[:-1], share, width=1.0 / bins, align="edge", color=BLUE, edgecolor="white")
+    ax.axhline(100.0 / bins, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
 
 
 def _draw_energy(ax: Axes, result: Backtest, quantity: str) -> None:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
 from vppres.core.arrays import Floats
+from vppres.io.find import is_scenario, load_scenario
+from vppres.io.outage_log import read_outage_log, read_warning_file
 from vppres.outlook.durations import Z90
-from vppres.outlook.outlook import SeenOutage
+from vppres.outlook.outlook import Announced, SeenOutage, announced_by, seen_outages
+from vppres.outlook.presets import completed
 from vppres.scenario.outage_warnings import OutageWarning
+from vppres.scenario.scenario import Scenario
 
 BINS = 5
+
+HOUR_H = 1.0
+"""What an onset of a file may be off by at least."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,170 @@ class WarnedOutage:
         if self.came is None or self.came.end is None:
             return float("nan")
         return (self.came.end - self.came.start) / pd.Timedelta(hours=1)
+
+
+@dataclass(frozen=True, eq=False)
+class WarningScores:
+    """Warnings of many outages and what came of them.
+
+    Parameters
+    ----------
+    pairs : tuple of WarnedOutage
+        One for each announced outage, with the last message before it began or could have begun.
+    unannounced : tuple of SeenOutage
+        Outages that no message spoke of.
+    """
+
+    pairs: tuple[WarnedOutage, ...]
+    unannounced: tuple[SeenOutage, ...]
+
+    @classmethod
+    def of(
+        cls, warnings: Iterable[OutageWarning], outages: Sequence[SeenOutage], step_h: float
+    ) -> WarningScores:
+        """Scores of messages by the outages that were.
+
+        Parameters
+        ----------
+        warnings : iterable of OutageWarning
+            Those of the same name of an outage speak of one.
+        outages : sequence of SeenOutage
+            All outages of the time, over.
+        step_h : float
+            What an onset may be off by at least.
+        """
+        step = pd.Timedelta(hours=step_h)
+        named: dict[str, list[OutageWarning]] = {}
+        for warning in sorted(warnings, key=lambda one: one.issued_at):
+            named.setdefault(warning.outage, []).append(completed(warning))
+        left = sorted(outages, key=lambda one: one.start)
+        pairs = []
+        for messages in (one for group in named.values() for one in _of_one(group, left, step)):
+            came = _came_of(messages, left, step)
+            last = _last_before(messages, came)
+            if last is not None:
+                pairs.append(WarnedOutage(last, came))
+            left = [one for one in left if one is not came]
+        return cls(tuple(pairs), tuple(left))
+
+    @classmethod
+    def of_files(cls, warnings: str | Path, outages: str | Path) -> WarningScores:
+        """Scores of a file of messages by a file of outages.
+
+        Parameters
+        ----------
+        warnings : path
+            Like ``warnings.csv`` of a scenario.
+        outages : path
+            A table with ``start`` and ``end``.
+
+        Raises
+        ------
+        InputError
+            With every problem of the files.
+        """
+        messages = read_warning_file(warnings)
+        came = [SeenOutage(start, end) for start, end in read_outage_log(outages)]
+        return cls.of(messages, came, HOUR_H)
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario) -> WarningScores | None:
+        """Scores of a scenario's own messages by its outages; None where it has no message."""
+        if not scenario.warnings:
+            return None
+        seen = seen_outages(scenario.grid.times, scenario.outage.tolist())
+        return cls.of(scenario.warnings, seen, scenario.grid.dt_h)
+
+    @property
+    def n_came(self) -> int:
+        """Announced outages that came."""
+        return sum(pair.came is not None for pair in self.pairs)
+
+    @cached_property
+    def reliability(self) -> pd.DataFrame:
+        """:func:`reliability` of the pairs."""
+        return reliability(self.pairs)
+
+    @cached_property
+    def duration_pit(self) -> Floats:
+        """:func:`duration_pit` of the pairs."""
+        return duration_pit(self.pairs)
+
+    def summary(self) -> dict[str, Any]:
+        """All figures as JSON can hold them."""
+        return {
+            "announced": len(self.pairs),
+            "came": self.n_came,
+            "unannounced": len(self.unannounced),
+            "brier": _or_none(self.brier),
+            "brier_of_share": _or_none(self.brier_of_share),
+            "reliability": self.reliability.to_dict("records"),
+            "duration_pit": self.duration_pit.tolist(),
+        }
+
+    @property
+    def brier(self) -> float:
+        """:func:`brier` of the pairs."""
+        return brier(self.pairs)
+
+    @property
+    def brier_of_share(self) -> float:
+        """The same if the share that came had been said each time: what warnings are to beat."""
+        _, came = _said(self.pairs)
+        return float(came.mean() * (1.0 - came.mean())) if len(came) else float("nan")
+
+
+def _of_one(
+    messages: Sequence[OutageWarning], outages: Sequence[SeenOutage], step: pd.Timedelta
+) -> Iterator[list[OutageWarning]]:
+    """Messages of one name outage by outage: what comes after one is over speaks of the next."""
+    group: list[OutageWarning] = []
+    for message in messages:
+        known = announced_before(group, message.issued_at)
+        if known is not None:
+            came = _came_of(group, outages, step)
+            over = known.latest if came is None or came.end is None else came.end
+            if message.issued_at > over:
+                yield group
+                group = []
+        group.append(message)
+    if group:
+        yield group
+
+
+def _came_of(
+    messages: Sequence[OutageWarning], outages: Sequence[SeenOutage], step: pd.Timedelta
+) -> SeenOutage | None:
+    """The first outage that messages explain as they stood when it began, None if there is none.
+
+    An all-clear before it does not undo what was announced: it was wrong.
+    """
+    for outage in outages:
+        known = announced_before(messages, outage.start)
+        if known is not None and known.explains(outage, step):
+            return outage
+    return None
+
+
+def announced_before(messages: Sequence[OutageWarning], time: pd.Timestamp) -> Announced | None:
+    """What messages up to a time had announced, all-clears left out."""
+    said = [one for one in messages if one.issued_at <= time and not one.all_clear]
+    return announced_by(said) if said else None
+
+
+def _last_before(
+    messages: Sequence[OutageWarning], came: SeenOutage | None
+) -> OutageWarning | None:
+    """The last message before the outage began, or before it could no longer begin."""
+    announced = announced_before(messages, messages[-1].issued_at)
+    if announced is None:
+        return None  # an all-clear of nothing
+    until = announced.latest if came is None else came.start
+    before = [one for one in messages if one.issued_at <= until]
+    if not before:
+        return None
+    last = announced_by([one for one in before if not one.all_clear])
+    return before[-1] if last is None or before[-1].all_clear else last.message
 
 
 def reliability(pairs: Sequence[WarnedOutage], bins: int = BINS) -> pd.DataFrame:
@@ -109,3 +283,32 @@ def _said(pairs: Sequence[WarnedOutage]) -> tuple[Floats, Floats]:
     given = [pair for pair in pairs if pair.warning.probability is not None]
     said = np.array([pair.warning.probability for pair in given], dtype=float)
     return said, np.array([pair.came is not None for pair in given], dtype=float)
+
+
+def _or_none(value: float) -> float | None:
+    """A number, None where it is not known."""
+    return None if np.isnan(value) else value
+
+
+def warnings_scored(
+    history: str, warnings: Path | None = None, outages: Path | None = None
+) -> WarningScores | None:
+    """Scores of the files that are given, or of a scenario's own messages; None without any.
+
+    Parameters
+    ----------
+    history : str
+        What :func:`vppres.studies.backtest.measured_in` takes.
+    warnings, outages : Path, optional
+        What :meth:`WarningScores.of_files` takes.
+
+    Raises
+    ------
+    InputError
+        With every problem of the files.
+    """
+    if warnings is not None and outages is not None:
+        return WarningScores.of_files(warnings, outages)
+    if not is_scenario(history):
+        return None
+    return WarningScores.of_scenario(load_scenario(history))

@@ -3,10 +3,11 @@
 import { chart, meter, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  MARKS, SiteClock, announced, attention, counted, covers, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  MARKS, SiteClock, announced, attention, counted, covers, grouped, inShort, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
+const WHY_PATIENCE_MS = 35000;
 const LOST_MS = 10000; // without an answer, after which the page says that it is out of date
 
 const KNOWN_BY = { reading: ", as read", "last reading": ", as last read", event: ", as announced", belief: ", as is likely", profile: ", as foreseen" };
@@ -16,9 +17,9 @@ let token = null; // in memory alone
 const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new Date(), heard: new Date(), lost: false };
 let heardAt = performance.now(); // on this machine's clock, which nobody sets
 
-async function ask(path, options = {}) {
+async function ask(path, options = {}, patience_ms = PATIENCE_MS) {
   const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
-  const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS) });
+  const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(patience_ms) });
   const body = await answer.json().catch(() => ({}));
   if (!answer.ok) throw Object.assign(new Error(body.detail ?? `The service answers ${answer.status}.`), { status: answer.status });
   return body;
@@ -35,10 +36,24 @@ async function look() {
     heardAt = performance.now();
     view.heard = new Date(view.overview.now);
     wantToken(null);
+    learnWhy();
   } catch (error) {
     if (error.status === 401 || error.status === 403) wantToken(error.message);
   }
   show();
+}
+
+// Why somebody is off the service works out when it is first asked: once for each plan.
+let asking = false;
+async function learnWhy() {
+  const { plan } = view.overview;
+  if (asking || !plan?.off.length || view.why?.plan === plan.id) return;
+  asking = true;
+  try {
+    view.why = await ask("v1/explanations", {}, WHY_PATIENCE_MS);
+    show();
+  } catch { /* it is asked again when the page looks again */ }
+  asking = false;
 }
 
 function wantToken(words) {
@@ -210,16 +225,18 @@ function chartTable() {
 }
 
 function showOff() {
-  const { off = [], status } = view.overview.plan ?? {};
-  renew("off-list", [off, status, view.overview.now.slice(0, 13)], () => {
+  const { off = [], status, id } = view.overview.plan ?? {};
+  const explained = view.why?.plan === id ? view.why : null;
+  renew("off-list", [off, status, explained, view.overview.now.slice(0, 13)], () => {
     if (!off.length) return [node("p", {}, "Nobody is off.")];
     const dark = outage(view) !== null;
-    const groups = grouped(off, (one) => JSON.stringify([one.tier, one.reason, one.until]));
-    const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones.map((one) => one.asset)]);
+    const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
+    const groups = grouped(told, (one) => JSON.stringify([one.tier, inShort(one.why), one.until]));
+    const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
     return [node("table", {}, ...table(["Tier", "Customers", "Why", "Back, as planned"],
-      rows.map(([[tier, reason, until], names]) => [tier, node("span", { class: "names" }, `${names.length}: ${list(names, 12)}`), why(reason, dark),
-        until ? view.clock.at(until, view.now) : "not in what is planned"])))];
+      rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map((one) => one.asset), 12)}`),
+        ones.length === 1 ? ones[0].why : reason, until ? view.clock.at(until, view.now) : "not in what is planned"])))];
   });
 }
 

@@ -174,6 +174,9 @@ export function attention(view) {
     if (high !== null && high > view.site.v_max_pu) say(ALARM, `Voltage above its limit: ${high.toFixed(3)} pu.`);
     if (limit > 0 && drawn > 0.98 * limit) say(WARNING, `Import is at its limit: ${kilo(drawn)} of ${kilo(limit)} kW.`);
   }
+  for (const [reason, ones] of grouped(plan?.lost ?? [], (one) => one.reason)) {
+    say(ALARM, `${list(ones.map((one) => one.asset))} cannot be supplied: ${reason}.`);
+  }
   if (outage(view)) {
     for (const [name, b] of Object.entries(view.site.batteries)) {
       const soc = socNow(view, name);
@@ -206,11 +209,22 @@ export function socNow(view, name) {
   return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
 }
 
+const CANNOT = "cannot be supplied";
 const REASONS = { plan: "by plan", corrected: "by plan, corrected", critical_only: "only the first tier is kept on" };
 
-export function why(reason, dark) {
+// What the service says of who is off, as far as it has been asked; until then what the plan says.
+export function why(one, explained, dark) {
+  const said = explained?.reasons.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
+  return said ? capital(said.words.replace(/^Not served[:,] /, "")) : planned(one.reason, dark);
+}
+
+// The reason without the figures of a single customer, which follow a semicolon.
+export const inShort = (words) => words.split("; ")[0].replace(/\.$/, "");
+
+function planned(reason, dark) {
   const [kind, ...rest] = reason.split(": ");
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
+  if (kind === CANNOT) return reason;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
   return kind === "plan" && dark ? "outage; not enough for all, by plan" : words;
 }

@@ -57,26 +57,29 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if_match: Annotated[str | None, Header()] = None,
     ) -> dict[str, Any]:
         """An outage or belief, an import limit, prices or an alert; it replaces the old one."""
-        before = runner.store.events().get(identifier)
-        if if_match is not None and (before is None or if_match != f'"{before.version}"'):
-            raise HTTPException(412, "The event has another version than If-Match names.")
         if isinstance(body, payloads.Prices):
             check_forecast("load_kw", {}, body.start, body.resolution, runner.scenario)
         plain = payloads.plain(body)
         if isinstance(body, payloads.Belief):
             check_belief(plain, runner.options)
-        version = runner.store.put_event(identifier, plain, runner.clock.now(), actor)
-        response.status_code = 201 if before is None else 200
-        response.headers["ETag"] = f'"{version}"'
-        return {"version": version, **plain}
+        now = runner.clock.now()
+        put = runner.store.put_event(identifier, plain, now, actor, _version(if_match))
+        response.status_code = 201 if put.new else 200
+        response.headers["ETag"] = f'"{put.version}"'
+        return {"version": put.version, **plain}
 
     @router.delete("/v1/events/{identifier}")
-    def delete_event(identifier: payloads.Name, actor: str = guarded("events")) -> dict[str, Any]:
+    def delete_event(
+        identifier: payloads.Name,
+        actor: str = guarded("events"),
+        if_match: Annotated[str | None, Header()] = None,
+    ) -> dict[str, Any]:
         """Withdraw an event; its history stays."""
         if identifier not in runner.store.events():
             raise HTTPException(404, "There is no such event.")
-        version = runner.store.put_event(identifier, None, runner.clock.now(), actor)
-        return {"version": version}
+        now = runner.clock.now()
+        put = runner.store.put_event(identifier, None, now, actor, _version(if_match))
+        return {"version": put.version}
 
     @router.post("/v1/openadr/events", status_code=201)
     def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
@@ -92,3 +95,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         return {"events": list(found), "ignored": ignored}
 
     return router
+
+
+def _version(if_match: str | None) -> int | None:
+    """The version that is to be replaced; none that there can be if the header names none."""
+    if if_match is None:
+        return None
+    text = if_match.strip().strip('"')
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else -1

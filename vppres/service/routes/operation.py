@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Header, Response
 
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.knowledge import check_setpoints, last_heard
 from vppres.service.routes.guard import Guard
-from vppres.service.runner import Runner
+from vppres.service.runner import MODE, Runner
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
@@ -32,12 +32,25 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "heard": [vars(one) for one in runner.heard],
         }
 
+    @router.get("/v1/mode")
+    def mode(response: Response, _: str = guarded("read")) -> dict[str, Any]:
+        """What the operator asked for, with the ETag that ``If-Match`` takes."""
+        response.headers["ETag"] = f'"{runner.store.setting(MODE)[1]}"'
+        return runner.mode
+
     @router.put("/v1/mode")
-    def mode(body: payloads.ModeRequest, actor: str = guarded("operator")) -> dict[str, Any]:
+    def put_mode(
+        body: payloads.ModeRequest,
+        response: Response,
+        actor: str = guarded("operator"),
+        if_match: Annotated[str | None, Header(max_length=100)] = None,
+    ) -> dict[str, Any]:
         """Decide, hold the last set-points, give the operator's or defaults, from the next step."""
         check_setpoints(body.setpoints, runner.scenario)
         asked = payloads.plain(body)
-        runner.store.put_setting("mode", asked, runner.clock.now(), actor)
+        replacing = None if if_match is None else if_match.strip().strip('"')
+        tag = runner.store.put_setting(MODE, asked, runner.clock.now(), actor, replacing)
+        response.headers["ETag"] = f'"{tag}"'
         return runner.mode
 
     @router.put("/v1/clock")

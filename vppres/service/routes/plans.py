@@ -30,7 +30,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     @router.post("/v1/steps", responses={202: {"description": "It is decided; see Location."}})
     def step(
         body: payloads.StepRequest | None = None,
-        _: str = guarded("operator"),
+        actor: str = guarded("operator"),
         prefer: Annotated[str | None, Header(max_length=200)] = None,
         idempotency_key: Annotated[str | None, Header(min_length=1, max_length=100)] = None,
     ) -> Any:
@@ -43,10 +43,10 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if idempotency_key is not None:
             time = _step_of(idempotency_key, time)
         if RESPOND_ASYNC in (prefer or ""):
-            name = runner.begin(time)
+            name = runner.begin(time, actor)
             headers = {"Location": f"/v1/jobs/{name}", "Preference-Applied": RESPOND_ASYNC}
             return JSONResponse(runner.job(name), 202, headers)
-        return runner.step(time)
+        return JSONResponse(runner.step(time, actor))
 
     def _step_of(key: str, time: pd.Timestamp | None) -> pd.Timestamp:
         wanted = runner.begun(runner.clock.now()) if time is None else time.tz_convert("UTC")

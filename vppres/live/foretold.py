@@ -1,0 +1,50 @@
+"""Forecasts of which somebody else's go first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vppres.contract.forecast import Forecast
+from vppres.core.arrays import Flags
+from vppres.day.forecasting import Forecasts
+from vppres.live.measurement import Seen
+from vppres.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class GivenFirst:
+    """A forecaster's forecasts, but for those whom somebody else foretold.
+
+    Parameters
+    ----------
+    own : Forecasts
+        The forecaster's.
+    scenario : Scenario
+        The steps, as they were foretold.
+    load, pv : array of bool, shape (C,) and (P,)
+        Who was.
+    """
+
+    own: Forecasts
+    scenario: Scenario
+    load: Flags
+    pv: Flags
+
+    @classmethod
+    def of(cls, own: Forecasts, scenario: Scenario, seen: Seen) -> Forecasts:
+        """The forecaster's alone where nobody was foretold."""
+        if not (seen.foretold_load.any() or seen.foretold_pv.any()):
+            return own
+        return cls(own, scenario, seen.foretold_load, seen.foretold_pv)
+
+    def at(self, t0: int, steps: range) -> Forecast:
+        """What is known at the beginning of step ``t0``."""
+        found = self.own.at(t0, steps)
+        rows = slice(steps.start, steps.stop)
+        return replace(
+            found,
+            load_kw=np.where(self.load, self.scenario.load_kw[rows], found.load_kw),
+            pv_kw=np.where(self.pv, self.scenario.pv_kw[rows], found.pv_kw),
+        )

@@ -1,0 +1,97 @@
+"""What was measured at a site, step by step, as a forecaster learns from it.
+
+Each decided step leaves a row in a table of its own. Where there is none yet, as when a forecaster
+is chosen for a service that ran without one, the rows are made of the readings that are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.live.controller import Controller
+from vppres.live.past import REMEMBERED_DAYS
+from vppres.scenario.history import History
+from vppres.scenario.scenario import Scenario
+from vppres.service.store import Measured, Store, moment, seconds
+
+QUANTITIES = ("load_kw", "pv_kw")
+
+
+def measured_in(controller: Controller) -> Measured | None:
+    """The row of the step that was decided last; None where no forecaster learns from it."""
+    last = controller.measured
+    if last is None:
+        return None
+    return Measured(seconds(last.start), _known(last.load_kw[0]), _known(last.pv_kw[0]))
+
+
+def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | None:
+    """What was measured up to a time, behind what the site itself brings; None if nothing was.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is kept; what is made of readings is kept there too, so that it stays as it is.
+    scenario : Scenario
+        The site.
+    now : pandas.Timestamp
+        Beginning of the step to come.
+    """
+    since = now - pd.Timedelta(days=REMEMBERED_DAYS)
+    rows = store.measured(since)
+    if not rows:
+        # The present step may have been decided before this forecaster was chosen.
+        rows = _read(store, scenario, since, now + pd.Timedelta(minutes=scenario.grid.step_minutes))
+        store.put_measured(rows)
+    before = scenario.history
+    if before is not None:
+        before = before.in_steps_of(scenario.grid.step_minutes)
+    if not rows:
+        return before
+    start = moment(rows[0].time)
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    n_steps = round((moment(rows[-1].time) - start) / step) + 1
+    places = [round((moment(row.time) - start) / step) for row in rows]
+    load_kw = _laid(places, [row.load_kw for row in rows], n_steps)
+    pv_kw = _laid(places, [row.pv_kw for row in rows], n_steps)
+    grid = scenario.grid
+    if before is None or before.end < since:
+        return History(start, grid.step_minutes, load_kw, pv_kw, zone=grid.zone)
+    return before.followed_by(start, load_kw, pv_kw).last_days(REMEMBERED_DAYS)
+
+
+def _read(
+    store: Store, scenario: Scenario, since: pd.Timestamp, end: pd.Timestamp
+) -> list[Measured]:
+    """Rows of the steps up to a time, made of the first readings in each."""
+    grid = scenario.grid
+    step = pd.Timedelta(minutes=grid.step_minutes)
+    first = end - ((end - since) // step) * step
+    ids = {"load_kw": scenario.customers.id, "pv_kw": scenario.pv.id}
+    places = {(kind, str(name)): i for kind, names in ids.items() for i, name in enumerate(names)}
+    found: dict[int, dict[str, list[float | None]]] = {}
+    for reading in store.between(first, end, QUANTITIES):
+        place = places.get((reading.quantity, reading.asset))
+        if place is None or reading.value is None:
+            continue
+        begun = seconds(first + ((moment(reading.time) - first) // step) * step)
+        row = found.setdefault(begun, {kind: [None] * len(names) for kind, names in ids.items()})
+        if row[reading.quantity][place] is None:
+            row[reading.quantity][place] = reading.value
+    return [Measured(time, **found[time]) for time in sorted(found)]
+
+
+def _known(row: Floats) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in row]
+
+
+def _laid(places: list[int], rows: Iterable[list[float | None]], n_steps: int) -> Floats:
+    """Rows in their places, NaN in between, (n, items)."""
+    values = np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=float)
+    found = np.full((n_steps, values.shape[1] if values.ndim > 1 else 0), np.nan)
+    found[places] = values
+    return found

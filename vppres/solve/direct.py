@@ -1,0 +1,94 @@
+"""HiGHS and Clarabel asked with the numbers of compiled problems, as cvxpy asks them.
+
+The model, the options and their order are those of cvxpy's interfaces, and so are the answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import clarabel
+import cvxpy as cp
+import highspy
+import numpy as np
+from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL, dims_to_solver_cones
+from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
+from cvxpy.settings import SOLUTION_PRESENT
+
+from vppres.core.arrays import Floats
+from vppres.solve.compiled import Compiled, Numbers
+
+
+def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str, Any]:
+    """Solve a problem without cones; cvxpy's word for how it ended, and HiGHS's own figures.
+
+    Raises
+    ------
+    ValueError
+        If HiGHS does not know an option.
+    NumericalError
+        If a coefficient is not finite.
+    """
+    solver = highspy.Highs()
+    solver.setOptionValue("log_to_console", False)
+    for name, value in options.items():
+        if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
+            raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
+    solver.passModel(_model(compiled, compiled.numbers()))
+    solver.run()
+    word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
+    if word in SOLUTION_PRESENT:
+        compiled.put(np.array(solver.getSolution().col_value))
+    return word, solver.getInfo()
+
+
+def _model(compiled: Compiled, numbers: Numbers) -> highspy.HighsModel:
+    """A problem in HiGHS's own form."""
+    model = highspy.HighsModel()
+    lp = model.lp_
+    lp.num_row_, lp.num_col_ = numbers.rows.shape
+    lp.col_cost_ = numbers.cost
+    lp.row_lower_ = compiled.row_lower(numbers.limit)
+    lp.row_upper_ = numbers.limit
+    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+    lp.a_matrix_.start_ = numbers.rows.indptr
+    lp.a_matrix_.index_ = numbers.rows.indices
+    lp.a_matrix_.value_ = numbers.rows.data
+    if len(compiled.whole):
+        kinds = [highspy.HighsVarType.kContinuous] * len(numbers.cost)
+        for column in compiled.whole:
+            kinds[column] = highspy.HighsVarType.kInteger
+        lp.integrality_ = kinds
+    lp.col_lower_ = compiled.x_lower
+    lp.col_upper_ = compiled.x_upper
+    return model
+
+
+def solve_by_clarabel(compiled: Compiled, options: Mapping[str, Any]) -> str:
+    """Solve a continuous problem with cones; cvxpy's word for how it ended.
+
+    Raises
+    ------
+    NumericalError
+        If a coefficient is not finite.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    for name, value in options.items():
+        setattr(settings, name, value)
+    numbers = compiled.numbers()
+    solver = clarabel.DefaultSolver(
+        numbers.squares,
+        numbers.cost,
+        numbers.rows,
+        numbers.limit,
+        dims_to_solver_cones(compiled.dims),
+        settings,
+    )
+    found = solver.solve()
+    word: str = CLARABEL.STATUS_MAP.get(str(found.status), cp.SOLVER_ERROR)
+    if word in SOLUTION_PRESENT:
+        x: Floats = np.array(found.x)
+        compiled.put(x)
+    return word
