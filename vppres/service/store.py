@@ -486,15 +486,8 @@ class Store:
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
-        f = _forecasts.c
-        chosen = (
-            sa.select(f.body)
-            .where(f.quantity == quantity, f.issued_at <= seconds(now))
-            .order_by(f.issued_at.desc())
-            .limit(1)
-        )
         with self._reads() as db:
-            text = db.execute(chosen).scalar()
+            text = db.execute(_FORECAST, {"quantity": quantity, "now": seconds(now)}).scalar()
         found: dict[str, Any] | None = None if text is None else json.loads(text)
         return found
 
@@ -669,16 +662,8 @@ class Store:
 
     def refusing(self, kind: str) -> dict[str, int]:
         """Devices of a kind that did not do what they were told last, and since when."""
-        a = _acks.c
-        newest = (
-            sa.select(sa.func.max(a.number))
-            .where(a.kind == kind)
-            .group_by(a.asset)
-            .scalar_subquery()
-        )
-        chosen = sa.select(a.asset, a.at).where(a.number.in_(newest), a.status.in_(REFUSED))
         with self._reads() as db:
-            return {row.asset: row.at for row in db.execute(chosen)}
+            return {row.asset: row.at for row in db.execute(_REFUSING, {"kind": kind})}
 
     # Settings, people
 
@@ -800,9 +785,26 @@ def _between() -> Any:
     return sa.select(_telemetry).where(inside, named).order_by(t.time, t.source)
 
 
+def _forecast() -> Any:
+    """The forecast of a quantity that was issued last, up to a time."""
+    f = _forecasts.c
+    issued = sa.and_(f.quantity == sa.bindparam("quantity"), f.issued_at <= sa.bindparam("now"))
+    return sa.select(f.body).where(issued).order_by(f.issued_at.desc()).limit(1)
+
+
+def _refusing() -> Any:
+    """Devices of a kind whose last word is that they did not."""
+    a = _acks.c
+    newest = sa.select(sa.func.max(a.number)).where(a.kind == sa.bindparam("kind"))
+    last = newest.group_by(a.asset).scalar_subquery()
+    return sa.select(a.asset, a.at).where(a.number.in_(last), a.status.in_(REFUSED))
+
+
 # Statements of every step are put together once.
 _LATEST = _latest()
 _BETWEEN = _between()
+_FORECAST = _forecast()
+_REFUSING = _refusing()
 
 
 def _put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
