@@ -15,13 +15,6 @@ import typer
 from experiments.random_days import small_day
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -40,7 +33,6 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.day.trajectory import StepRecord
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Where
 
 MATERIAL = 0.05
 """Frozen readings further off than this share (of demand, PV power or capacity) do harm."""
@@ -269,15 +261,9 @@ def write_report(days: Sequence[AlarmDay], wall_s: float, folder: Path) -> Path:
 STUDY = Study(run_one, write_report)
 
 
-def main(
-    days: Days = 200,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Freeze readings on random days, and count alarms that are false or missing."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(
+    days=200, words="Freeze readings on random days, and count alarms that are false or missing."
+)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,8 @@ It prints JSON, times in ms.
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import vppres
+from experiments.within import Within
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
 from vppres.service.app import make_app
@@ -47,41 +46,14 @@ def of_a_processor(service: Service) -> dict[str, Any]:
     steps_s = []
     readings_s = []
     with TemporaryDirectory() as folder, opened(service, Path(folder)) as runner:
-        app = make_app(runner, Access())
+        client = Within(make_app(runner, Access()))
         for t, now in enumerate(scenario.grid.times):
-            body = {"series": world.readings(t)}
-            readings_s.append(_used_s(app, "/v1/telemetry", body))
-            steps_s.append(_used_s(app, "/v1/steps", {"time": written(now)}))
-            world.obey(t, runner.last["setpoints"] if runner.last else [])
+            readings = {"series": world.readings(t)}
+            readings_s.append(client.wanted("POST", "/v1/telemetry", readings).seconds)
+            step = client.wanted("POST", "/v1/steps", {"time": written(now)})
+            steps_s.append(step.seconds)
+            world.obey(t, step.body["setpoints"])
     return {"step": _percentiles(steps_s), "telemetry": _percentiles(readings_s)}
-
-
-def _used_s(app: Any, path: str, body: Any) -> float:
-    """Processor time of a request to an application in this process."""
-    content = json.dumps(body).encode()
-    scope = {
-        "type": "http",
-        "asgi": {"version": "3.0"},
-        "http_version": "1.1",
-        "method": "POST",
-        "scheme": "http",
-        "path": path,
-        "raw_path": path.encode(),
-        "query_string": b"",
-        "headers": [(b"host", b"localhost"), (b"content-type", b"application/json")],
-        "client": ("127.0.0.1", 5000),
-        "server": ("127.0.0.1", 8420),
-    }
-
-    async def receive() -> dict[str, Any]:
-        return {"type": "http.request", "body": content, "more_body": False}
-
-    async def send(message: dict[str, Any]) -> None:
-        assert message.get("status", 200) == 200, message
-
-    begin = time.process_time()
-    asyncio.run(app(scope, receive, send))
-    return time.process_time() - begin
 
 
 def _percentiles(values_s: Sequence[float]) -> dict[str, float]:

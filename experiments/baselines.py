@@ -20,13 +20,6 @@ from experiments.paired import Estimate, by_seed
 from experiments.random_days import DRAWINGS
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -36,7 +29,6 @@ from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots import BLUE, draw_grid, save_figure
-from vppres.studies.side_by_side import Where
 
 CONTROLLERS = {
     "mpc": "MPC, H = 5 h",
@@ -210,15 +202,7 @@ def _report(days: Sequence[list[Run]], wall_s: float, folder: Path) -> Path:
 STUDY = Study(run_seed, _report, width=TABLE_WIDTH)
 
 
-def main(
-    days: Days = 50,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Run the MPC and the baselines on the same days."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(days=50, words="Run the MPC and the baselines on the same days.")
 
 
 if __name__ == "__main__":

@@ -18,13 +18,6 @@ from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -43,7 +36,6 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
-from vppres.studies.side_by_side import Where
 
 HORIZONS_H = (3.0, 4.0, 5.0)
 WEIGHT_TOLERANCE = 1e-6
@@ -273,15 +265,9 @@ def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:
 STUDY = Study(run_one, write_report, lambda day: day.error or day.violations or day.unnamed)
 
 
-def main(
-    days: Days = 500,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Run random days full of faults, and judge what was done to critical customers."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(
+    days=500, words="Run random days full of faults, and judge what was done to critical customers."
+)
 
 
 if __name__ == "__main__":

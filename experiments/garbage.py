@@ -22,13 +22,6 @@ from numpy.random import Generator
 from experiments.random_feeders import random_scenario
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -39,7 +32,6 @@ from vppres.day.options import RunOptions
 from vppres.live.controller import Controller, SetPoints
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Where
 
 MEASUREMENTS = 50
 STEPS = 4
@@ -335,15 +327,7 @@ def _text(outcomes: Sequence[GarbageOutcome], wall_s: float) -> str:
 STUDY = Study(run_one, write_report, lambda seed: seed.wrong)
 
 
-def main(
-    days: Days = 100,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Give controllers garbage, 50 measurements for each seed."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(days=100, words="Give controllers garbage, 50 measurements for each seed.")
 
 
 if __name__ == "__main__":

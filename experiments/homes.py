@@ -19,13 +19,6 @@ from data.homes.build import HELD_OUT, homes
 from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -35,7 +28,6 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots import BLUE, draw_grid, save_figure
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Where
 
 FORECASTERS = {
     "paper": "perfect forecasts",
@@ -211,15 +203,7 @@ def _text(runs: Sequence[Run], wall_s: float) -> str:
 STUDY = Study(run_seed, write_report, width=120)
 
 
-def main(
-    days: Days = 60,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Run days of the homes with perfect and with real forecasts."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(days=60, words="Run days of the homes with perfect and with real forecasts.")
 
 
 if __name__ == "__main__":

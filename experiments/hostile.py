@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 import pandas as pd
@@ -26,6 +25,7 @@ import sqlalchemy as sa
 
 import vppres
 from experiments.hostile_requests import Request, generated_requests, hostile_requests
+from experiments.within import ask
 from vppres.core.errors import VppresError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
@@ -84,38 +84,6 @@ def site() -> Service:
     return Service(quiet, vppres.RunOptions(horizon_h=0.0, isolate=False))
 
 
-async def _ask(app: Any, request: Request) -> tuple[int, dict[str, str], bytes]:
-    """One request to an application, without a network in between."""
-    path, _, query = request.target.partition("?")
-    scope = {
-        "type": "http",
-        "asgi": {"version": "3.0"},
-        "http_version": "1.1",
-        "method": request.method,
-        "scheme": "http",
-        "path": unquote(path),
-        "raw_path": path.encode("latin-1", "replace"),
-        "query_string": query.encode("latin-1", "replace"),
-        "headers": [
-            (name.encode(), value.encode("latin-1", "replace"))
-            for name, value in request.headers.items()
-        ],
-        "client": ("127.0.0.1", 5000),
-        "server": ("127.0.0.1", 8420),
-    }
-    messages: list[Any] = []
-
-    async def receive() -> dict[str, Any]:
-        return {"type": "http.request", "body": request.body, "more_body": False}
-
-    async def send(message: Any) -> None:
-        messages.append(message)
-
-    await app(scope, receive, send)
-    headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in messages[0]["headers"]}
-    return messages[0]["status"], headers, b"".join(m.get("body", b"") for m in messages[1:])
-
-
 def judged(request: Request, answer: tuple[int, dict[str, str], bytes]) -> list[str]:
     """What of an answer must not be."""
     status, headers, body = answer
@@ -160,7 +128,7 @@ def attack(
         for request in requests:
             tally.sent += 1
             try:
-                answer = await _ask(app, request)
+                answer = await ask(app, request)
             except Exception as error:  # what a server would log, and answer with 500
                 tally.wrong.append(f"{type(error).__name__}: {error}: {request}")
                 continue

@@ -1,9 +1,10 @@
 """The live service over many days of bad telemetry, with the plant as the world.
 
-``python -m experiments.live_days`` plays days with outages against a service in a process of its
-own, once with all that devices say and then with readings lost, late, off in time and repeated,
-separately and together; and a week in a row, to see whether anything grows. It prints JSON. What
-counts is who of the first tier was off that was on where everything was heard.
+``python -m experiments.live_days`` plays days with outages against a service, once with all that
+devices say and then with readings lost, late, off in time and repeated, separately and together;
+and a week in a row over HTTP with a process of its own, to see whether anything grows. It prints
+JSON. Whoever of the first tier was off is judged by ``experiments/shedding.py``: what counts is who
+need not have been off by what was known then.
 """
 
 from __future__ import annotations
@@ -12,18 +13,27 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 import vppres
+from experiments.shedding import Judge
+from experiments.within import Within
 from vppres.day.options import RunOptions
 from vppres.live.profile import Profile
 from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock
 from vppres.service.runner import Service
-from vppres.service.simulate import Place, Play, TelemetryFaults, simulate
+from vppres.service.serve import opened
+from vppres.service.simulate import Place, Play, Player, TelemetryFaults, simulate
+from vppres.service.world import World
 
 SITES = ("uk-heatwave-2022", "two-outages-cigre-mv")
 WORST = TelemetryFaults(lost=0.3, delayed=0.1, skew_s=90.0, repeats=True)
@@ -72,24 +82,55 @@ def faults_study(names: Sequence[str], days: int, horizon_h: float) -> list[dict
         service = Service(site, RunOptions(horizon_h=horizon_h), paced=True)
         for kind, faults in FAULTS.items():
             come = days_of(site, days, seed=1)
-            result = simulate(service, come, Play(faults=faults), Place())
+            result = judged(service, come, Play(faults=faults))
             found.append({"site": name, "faults": kind, **result})
     return found
 
 
+def judged(service: Service, come: Scenario, play: Play) -> dict[str, Any]:
+    """Days against a service in this process, and who was off that need not have been."""
+    with (
+        TemporaryDirectory() as folder,
+        opened(service, Path(folder), SetClock(come.grid.start)) as runner,
+    ):
+        player = _Judged(World(come, service.options), Within(make_app(runner, Access())), play)
+        player.judge = Judge(runner)
+        found = player.play().summary()
+    shed = player.judge.found
+    return {
+        **{name: value for name, value in found.items() if not name.endswith("_s")},
+        "critical_let_go": sum(each.now for each in shed),
+        "critical_let_go_avoidably": sum(each.avoidable for each in shed),
+        "shed": [asdict(each) for each in shed],
+    }
+
+
+class _Judged(Player):
+    """A player whose plans are judged."""
+
+    judge: Judge
+
+    def _step(self, t: int) -> None:
+        super()._step(t)
+        plan = self.judge.runner.last
+        assert plan is not None
+        self.judge.look(plan)
+
+
 def week(days: int, horizon_h: float) -> dict[str, Any]:
-    """Days in a row with all faults, and the same without any."""
+    """Days in a row with all faults over HTTP; and judged, with all of them and without any."""
     site = vppres.load_scenario(SITES[0])
     service = Service(site, RunOptions(horizon_h=horizon_h), paced=True)
     come = days_of(site, days, seed=2)
     found = simulate(service, come, Play(faults=WORST), Place())
-    heard = simulate(service, come, Play(), Place())
     step_s = site.grid.dt_h * 3600.0 / SPEED
     return {
         "days": days,
         f"in_time_at_{SPEED:g}": found["slowest_answer_s"] < step_s,
         **found,
-        "without_faults": {name: n for name, n in heard.items() if name.startswith("critical")},
+        "judged": {
+            kind: judged(service, come, Play(faults=FAULTS[kind])) for kind in ("none", "all")
+        },
     }
 
 

@@ -23,13 +23,6 @@ from experiments.outage_days import Outage, OutageClimate, OutageDay, draw_outag
 from experiments.paired import by_seed
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -43,7 +36,6 @@ from vppres.outlook.outlook import OutageOutlook
 from vppres.outlook.presets import Statistics
 from vppres.outlook.value import Ahead, Fleet, stored_value
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Where
 
 POLICIES = {
     "likely": "the most likely outage",
@@ -447,15 +439,9 @@ def _counted(title: str, outcomes: Sequence[Outcome]) -> str:
 STUDY = Study(ceiling_day, _write, width=120)
 
 
-def main(
-    days: Days = 300,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Bound what can be made of the days of ``experiments.uncertain``."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(
+    days=300, words="Bound what can be made of the days of ``experiments.uncertain``."
+)
 
 
 if __name__ == "__main__":

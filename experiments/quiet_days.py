@@ -16,13 +16,6 @@ from numpy.random import Generator
 from experiments.random_feeders import random_scenario
 from experiments.report import machine
 from experiments.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Scheduler,
-    Span,
     Study,
 )
 from experiments.tables import markdown_table, write_pages
@@ -36,7 +29,6 @@ from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Where
 
 SET_POINTS = ("served", "charge_kw", "discharge_kw", "batt_q_kvar", "pv_curtailed_kw", "pv_q_kvar")
 QUARTERS = 4
@@ -230,15 +222,9 @@ def _text(outcomes: Sequence[QuietOutcome], wall_s: float) -> str:
 STUDY = Study(run_one, write_report, lambda day: day.changed)
 
 
-def main(
-    days: Days = 500,
-    seed: FirstSeed = 0,
-    jobs: Jobs = -1,
-    results: Results = STUDIES,
-    scheduler: Scheduler = None,
-) -> None:
-    """Compare the decisions of random days without faults with and without guard."""
-    STUDY.play(Span(seed, days), Where(jobs, scheduler), results)
+main = STUDY.command(
+    days=500, words="Compare the decisions of random days without faults with and without guard."
+)
 
 
 if __name__ == "__main__":

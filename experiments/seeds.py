@@ -167,3 +167,26 @@ class Study(Generic[T]):
             typer.echo(f"Day {day.job} has no outcome. {day.reason} Run again to try it.", err=True)
         if lost or any(self.wrong(outcome) for outcome in outcomes):
             raise typer.Exit(1)
+
+    def command(self, days: int, words: str) -> Callable[..., None]:
+        """The study as a command line.
+
+        Parameters
+        ----------
+        days : int
+            Number of days if none is given.
+        words : str
+            What it does, for its help.
+        """
+
+        def main(
+            days: Days = days,
+            seed: FirstSeed = 0,
+            jobs: Jobs = -1,
+            results: Results = STUDIES,
+            scheduler: Scheduler = None,
+        ) -> None:
+            self.play(Span(seed, days), Where(jobs, scheduler), results)
+
+        main.__doc__ = words
+        return main

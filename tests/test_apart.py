@@ -25,7 +25,7 @@ from vppres.io import find_scenario, read_scenario
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.solve.apart import falls_apart
+from vppres.solve.apart import falls_apart, with_room_both_ways
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.studies.sweep_parameters import scenario_changes
@@ -114,3 +114,15 @@ def test_batteries_that_are_full_bound_what_a_run_of_steps_can_store() -> None:
     assert answer.status == Status.OPTIMAL
     assert answer.gap <= 1e-4
     assert answer.bound >= answer.objective
+
+
+def test_batteries_of_a_watt_give_no_more_than_their_range() -> None:
+    # A set of the second step needs 7.91 W of eight batteries of 1 W, one of which holds 0.90 Wh.
+    hard = hard_window("no_power", 203)
+    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=20.0)).solve(hard.data)
+    assert answer.status == Status.OPTIMAL
+    assert not any(stage.startswith("modes") for stage in answer.stages)
+    b = hard.site.batteries
+    first, second = with_room_both_ways(hard.site).batteries.energy_kwh, b.energy_kwh
+    half_full_kwh = 0.5 * (b.soc_max - b.soc_min) * first
+    np.testing.assert_allclose(half_full_kwh, (b.soc_max - b.soc_min) * second)

@@ -97,12 +97,12 @@ def test_a_service_that_breaks_is_found() -> None:
         raise RuntimeError("secret")
 
     with pytest.raises(RuntimeError):
-        asyncio.run(hostile._ask(app, PLAIN))
+        asyncio.run(hostile.ask(app, PLAIN))
     with hostile.begun(site()) as runner:
         served = make_app(runner, Access())
         served.router.routes[:] = app.router.routes
         with pytest.raises(RuntimeError):  # a server logs it, and answers:
-            asyncio.run(hostile._ask(served, PLAIN))
+            asyncio.run(hostile.ask(served, PLAIN))
         answers: list[Any] = []
 
         async def ask() -> None:

@@ -24,7 +24,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import least_reactive
-from vppres.solve.fleet.counts import SEARCH, Counts
+from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
@@ -32,7 +32,15 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections, Reactance
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.rules import RuleModel
-from vppres.solve.programs import Program, ProgramSolution, compiled, stacked
+from vppres.solve.programs import (
+    PROOF,
+    SUMS_KEPT,
+    Program,
+    ProgramSolution,
+    compiled,
+    stacked,
+    with_sums,
+)
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver
 
@@ -77,9 +85,21 @@ def test_search_ends_at_what_is_proven(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_options_of_counts_change_no_optimum(seed: int) -> None:
     plain = ProgramSolution.of(knapsack(seed).loaded(), Deadline(TIME_S))
-    lean = ProgramSolution.of(knapsack(seed).loaded(more=SEARCH), Deadline(TIME_S))
+    lean = ProgramSolution.of(knapsack(seed).loaded(more=PROOF), Deadline(TIME_S))
     assert lean.status == plain.status == Status.OPTIMAL
     assert (lean.value, lean.bound) == pytest.approx((plain.value, plain.bound), abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sums_to_branch_on_change_no_optimum(seed: int) -> None:
+    groups = [np.arange(5), np.array([7, 9, 12]), np.arange(20, 30)]
+    program = knapsack(seed)
+    options = {**PROOF, "presolve_rule_off": SUMS_KEPT}
+    plain = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
+    summed = ProgramSolution.of(with_sums(program, groups).loaded(more=options), Deadline(TIME_S))
+    assert (summed.value, summed.bound) == pytest.approx((plain.value, plain.bound), abs=1e-6)
+    chosen, sums = np.split(summed.x, [len(program.cost)])
+    np.testing.assert_allclose(sums, [chosen[group].sum() for group in groups], atol=1e-6)
 
 
 def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
@@ -301,6 +321,19 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
+
+
+def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> None:
+    sunny = replace(packaged, price_gbp_per_kwh=0.0 * packaged.price_gbp_per_kwh)
+    site = Site.of(sunny)
+    data = day_window(sunny, 9, 4, 0.3)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    served = master.service(Deadline(TIME_S))[1]
+    assert served is not None
+    dispatch = master.cheapest(served, Deadline(TIME_S))[1]
+    assert dispatch is not None
+    # Everything is free here: only what has a value is a reason to pass the sun on.
+    assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.monolith

@@ -159,6 +159,7 @@ class Controller:
         # Measurements are remembered in the past, once.
         self.scenario = replace(at.known, history=None)
         self.options = options
+        self._record = options.as_record()
         self._decider = decider
         # Steps of controllers count on from the very first one; the scenario begins later.
         self._forgotten = at.forgotten
@@ -473,7 +474,7 @@ class Controller:
             terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
             keep_stored=self.options.keep_stored,
         )
-        view = OutageView.create(self.scenario, self.options.as_record())
+        view = OutageView.create(self.scenario, self._record)
         measured = view.told(measured, grid_seen, ahead, 0, forecasts, beside)
         decision = _without(self._decider.decide(measured), seen.connected)
         guard = self._decider

@@ -194,24 +194,19 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
     foreseen = decision.foreseen
     times = foreseen.import_kw.index[:MOST_AHEAD]
-    limits_kw = known.limits_kw.reindex(times)
+    n = len(times)
+    limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))
+    soc = foreseen.soc_end.to_numpy(float)[:n].T
+    served = foreseen.served.to_numpy(bool)[:n].T
     return {
         "times": [written(time) for time in times],
-        "grid_limit_kw": _numbers(limits_kw),
-        "import_kw": _numbers(foreseen.import_kw[times]),
+        "grid_limit_kw": _numbers(limits_kw.get(time, math.nan) for time in times),
+        "import_kw": _numbers(foreseen.import_kw.to_numpy(float)[:n]),
         "soc": {
-            str(name): _numbers(values[: len(times)])
-            for name, values in zip(
-                foreseen.soc_end.columns, foreseen.soc_end.to_numpy(float).T, strict=True
-            )
+            str(name): _numbers(values)
+            for name, values in zip(foreseen.soc_end.columns, soc, strict=True)
         },
-        "served": dict(
-            zip(
-                foreseen.served.columns,
-                foreseen.served.to_numpy(bool)[: len(times)].T.tolist(),
-                strict=True,
-            )
-        ),
+        "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
     }
 
 

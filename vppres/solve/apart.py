@@ -4,7 +4,7 @@ Batteries carry energy, and switching rules carry duties, from one step to anoth
 neither, the objective is a sum over the steps, and so are the best dispatch and its bound. Solved
 together, such a window is one knapsack for each step at the same time, and a search multiplies
 their branches. Batteries of next to no power join the steps by watts: there each step is bounded
-with energy without limit, and dispatched with the energy that the steps before have left.
+from any state of charge, and dispatched with the energy that the steps before have left.
 """
 
 from __future__ import annotations
@@ -31,14 +31,17 @@ SolveStep = Callable[[WindowData, SolveLimits], WindowSolution]
 LEAST_S = 0.01
 """What a step may take where earlier ones have used up the time: its grace is for an answer."""
 
-ENDLESS = 1e6
-"""Factor of the energy of batteries that are to have no limit of energy."""
+TWICE = 2.0
+"""Factor of the energy of batteries that are to start anywhere between full and empty."""
+
+SHARES = 2.0
+"""Shares of the time left that a step may take: most need less than theirs."""
 
 LAST_SHARE = 0.25
 """Share of a window's time that a second bound may take, in which what is stored has a price."""
 
 HALF = 0.5
-"""State of charge of a battery without limit of energy, between its limits."""
+"""State of charge of a battery that may start anywhere, between its limits."""
 
 
 def falls_apart(site: Site, data: WindowData) -> bool:
@@ -46,18 +49,25 @@ def falls_apart(site: Site, data: WindowData) -> bool:
     return data.n_steps > 1 and len(site.batteries) == 0 and data.switching is None
 
 
+def are_idle(site: Site) -> bool:
+    """Whether there is no battery of more than next to no power."""
+    return bool((site.batteries.active_max_kw <= NO_POWER_KW).all())
+
+
 def hardly_joined(site: Site, data: WindowData) -> bool:
     """Whether a window has several steps that are joined by batteries of next to no power alone."""
-    b = site.batteries
-    idle = len(b) > 0 and bool((b.active_max_kw <= NO_POWER_KW).all())
+    idle = len(site.batteries) > 0 and are_idle(site)
     plain = data.switching is None and data.terminal is None and not data.physical
     return data.n_steps > 1 and idle and plain and data.stored_value is None
 
 
-def without_energy_limits(site: Site) -> Site:
-    """The site with batteries of the same power that are never full and never empty."""
+def with_room_both_ways(site: Site) -> Site:
+    """The site with batteries of twice the energy.
+
+    Half full, they can take or give in one step whatever those of the site can from any state.
+    """
     b = site.batteries
-    return replace(site, batteries=replace(b, energy_kwh=ENDLESS * b.energy_kwh))
+    return replace(site, batteries=replace(b, energy_kwh=TWICE * b.energy_kwh))
 
 
 def solve_in_turn(
@@ -74,7 +84,7 @@ def solve_in_turn(
     limits : SolveLimits
         Of the whole window: a step gets its share of the absolute gap and of the time left.
     solve, relaxed : callable
-        Solve the window of one step, and the same without limits of energy.
+        Solve the window of one step, and the same from any state of charge.
 
     Raises
     ------
@@ -92,7 +102,7 @@ def solve_in_turn(
         carried = _from_soc(site, replace(step, soc=soc), free)
         if carried is None:
             found = solve(replace(step, soc=soc), alone)
-            # Any dispatch of the step is one without limits of energy too.
+            # Any dispatch of the step is one from any state too.
             stages = free.stages + found.stages
             bound = max(free.bound, found.objective)
             solver_s = free.solver_s + found.solver_s
@@ -100,7 +110,8 @@ def solve_in_turn(
         steps.append(carried)
         soc = np.clip(carried.dispatch.soc[-1], b.soc_min, b.soc_max)
     found = _joined(steps, limits, deadline)
-    if found.status == Status.OPTIMAL or deadline.passed:
+    missing = found.gap_abs - limits.gap_at(found.objective)
+    if found.status == Status.OPTIMAL or deadline.passed or missing > _most_priced(site, data):
         return found
     bound = _bound_with_price(site, data, steps, limits.within(LAST_SHARE), relaxed)
     met = limits.met(bound, found.objective)
@@ -116,13 +127,13 @@ def _bound_with_price(
 ) -> float:
     """Bound on the window where steps in a row would fill batteries that soon are full.
 
-    Without limits of energy each of them stores what it can of sun that is lost otherwise. What a
+    From any state of charge each of them stores what it can of sun that is lost otherwise. What a
     run of steps stores together finds room in the batteries. So the run is worth no more than its
     steps if every kWh stored has a price, and that price for all the room there is: a Lagrangian
     bound. At the price of a lost kWh nothing gains by being stored.
     """
     b = site.batteries
-    price = site.weights.lambda_curt / float(data.eta_charge.min())
+    price = _price_of_lost(site, data)
     full_kwh = float(b.energy_kwh @ b.soc_max)
     dark = data.grid_limit_kw <= 0.0
     wasted = np.array([step.terms.f3 for step in steps]) > 0.0
@@ -139,13 +150,24 @@ def _bound_with_price(
     return bound
 
 
+def _most_priced(site: Site, data: WindowData) -> float:
+    """By how much a price of what is stored can lower the bounds of all steps at most."""
+    most_kwh = float(site.batteries.active_max_kw.sum()) * site.dt_h * data.n_steps
+    return _price_of_lost(site, data) * most_kwh
+
+
+def _price_of_lost(site: Site, data: WindowData) -> float:
+    """What a kWh in a battery is worth that would be lost otherwise."""
+    return site.weights.lambda_curt / float(data.eta_charge.min())
+
+
 def _with_price(
     site: Site, step: WindowData, price: float, relaxed: SolveStep, alone: SolveLimits
 ) -> float:
-    """Bound on a step without limits of energy in which what is stored has a price."""
+    """Bound on a step from any state of charge in which what is stored has a price."""
     b = site.batteries
     half = b.soc_min + HALF * (b.soc_max - b.soc_min)
-    held_kwh = ENDLESS * float(b.energy_kwh @ half)
+    held_kwh = TWICE * float(b.energy_kwh @ half)
     stored_kwh = np.arange(PIECES + 1.0) - PIECES / 2
     value = StoredValue(held_kwh + stored_kwh, -price * stored_kwh, 1.0, as_service=True)
     try:
@@ -181,7 +203,7 @@ def better(one: WindowSolution, other: WindowSolution, limits: SolveLimits) -> W
 
 
 def _from_soc(site: Site, step: WindowData, free: WindowSolution) -> WindowSolution | None:
-    """The answer without limits of energy as one with them, None where they forbid it."""
+    """The answer from any state of charge as one from the step's, None where that forbids it."""
     b = site.batteries
     found = free.dispatch
     stored_kw = cell_kw(found.charge_kw, found.discharge_kw, step.eta_charge, step.eta_discharge)
@@ -219,7 +241,7 @@ def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> Wind
 def _shares(n_steps: int, limits: SolveLimits, deadline: Deadline) -> Iterator[SolveLimits]:
     """Limits of each step, of the time as it is left when the step begins."""
     for k in range(n_steps):
-        share = 1.0 / (n_steps - k)
+        share = min(SHARES / (n_steps - k), 1.0)
         yield SolveLimits(
             gap_rel=limits.gap_rel,
             gap_abs=limits.gap_abs / n_steps,

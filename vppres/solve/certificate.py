@@ -105,6 +105,8 @@ class Certificate:
     ----------
     best : Candidate or None
         The best dispatch.
+    before : Candidate or None
+        A dispatch in the network that was known from the beginning.
     bound : float
         Upper bound on F of all dispatches.
     service_bound : float
@@ -125,6 +127,7 @@ class Certificate:
         self.lambda_grid = lambda_grid
         self.cost = cost
         self.best: Candidate | None = None
+        self.before: Candidate | None = None
         self.bound = np.inf
         self.service_bound = np.inf
         self.cost_bound_gbp = -np.inf

@@ -51,7 +51,8 @@ HELD_ABS = 1e-5
 to have an inside at all."""
 
 CURTAILMENT_HELD_REL = 1e-7
-"""The same of curtailment, which weighs more: nearly as much as all service in a sunny outage."""
+"""The same of curtailment, which weighs more: nearly as much as all service in a sunny outage. As
+much again is what interior points may miss it by."""
 
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
@@ -338,7 +339,8 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     f2_after = held_gbp(site, data, better)
-    kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + HELD_ABS
+    missed_kwh = CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
+    kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
     return Attempt(outcome, better if kept else None)
 
 

@@ -11,20 +11,24 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
 
+import numpy as np
+
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.apart import (
     LEAST_S,
+    are_idle,
     better,
     falls_apart,
     hardly_joined,
     solve_apart,
     solve_in_turn,
-    without_energy_limits,
+    with_room_both_ways,
 )
 from vppres.solve.cache import shared_cache
+from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
 from vppres.solve.fleet.masters import Master, masters_of
@@ -142,23 +146,28 @@ class WindowSolver:
         if self.method == "decomposed" and hardly_joined(self.site, data):
             deadline = Deadline(self.limits.time_s)
             turns = self.limits.within(IN_TURN_SHARE)
-            found = solve_in_turn(self.site, data, turns, self._solve, self._endless._solve)
+            found = solve_in_turn(self.site, data, turns, self._solve, self._with_room._solve)
             if found.status == Status.OPTIMAL or deadline.passed:
                 return found
             left = replace(self.limits, time_s=max(deadline.left_s, LEAST_S))
-            return better(self._solve(data, left), found, self.limits)
+            return better(self._solve(data, left, found), found, self.limits)
         return self._solve(data, self.limits)
 
     @cached_property
-    def _endless(self) -> WindowSolver:
-        """Solves windows of the site with batteries that are never full and never empty."""
-        site = without_energy_limits(self.site)
+    def _with_room(self) -> WindowSolver:
+        """Solves windows of one step from any state of charge."""
+        site = with_room_both_ways(self.site)
         sides = self.sides or POLYGON_SIDES
         return WindowSolver(site, self.method, self.spec.name, self.limits, sides)
 
-    def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
-        """Solve a window as one problem."""
+    def _solve(
+        self, data: WindowData, limits: SolveLimits, known: WindowSolution | None = None
+    ) -> WindowSolution:
+        """Solve a window as one problem; an answer that is known says which gap it needs."""
         task = self._task(data, limits)
+        if known is not None:
+            before = Candidate.of(self.site, data, known.dispatch, np.inf, in_network=True)
+            task.certificate.best = task.certificate.before = before
         if self.method == "weighted":
             return solve_weighted(task, self.weighted)
         if self.method == "decomposed":
@@ -224,11 +233,11 @@ def worth_everyone(task: WindowTask) -> bool:
 def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
     """Relaxations without the network, in the order in which they are tried.
 
-    A dark step without batteries has to match the sun with whole customers, and every kW that it
-    misses is lost: service cannot be told from curtailment there.
+    A dark step without batteries, or with some of next to no power, has to match the sun with whole
+    customers, and every kW that it misses is lost: service cannot be told from curtailment there.
     """
     data = task.data
-    if data.n_steps == 1 and len(task.site.batteries) == 0 and (data.grid_limit_kw <= 0.0).all():
+    if data.n_steps == 1 and are_idle(task.site) and (data.grid_limit_kw <= 0.0).all():
         return [all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
@@ -266,5 +275,6 @@ def worth_the_whole(task: WindowTask) -> bool:
     if compiles_nothing(task):
         return False
     decided = known.ran("network_service") and task.is_large
-    carried = known.ran("modes") and not known.ran("relaxed")
+    anew = known.best is not known.before
+    carried = known.ran("modes") and not known.ran("relaxed") and anew
     return task.goes_on and not (known.answered and (decided or carried))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +20,7 @@ from vppres.model.data import WindowData
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import DIRECT, NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
+from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
 TOLERANCE = 1e-6
@@ -36,10 +35,6 @@ LOSSY_GAP_SHARE = 0.4
 """Shares of the window's gap that the search for service may leave open: where service is a whole
 number, most of it, since the levels after it are exact; where PV power must be lost, less, since
 they have to weigh the loss again."""
-
-SEARCH = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_allow_restart": False})
-"""How HiGHS searches counts: the time goes into the proof. With its own searches for sets, and
-beginning again at the root, 341 searches of the benchmark's windows took three times as long."""
 
 HALF_UNIT = 0.5
 """What a whole number may miss a bound by and still be the number itself."""
@@ -417,7 +412,7 @@ class Counts:
     ) -> _Found:
         """Solve a program once, a search to so many nodes; nothing is below ``enough``."""
         whole = program if integer else replace(program, integer=np.arange(0))
-        solver = whole.loaded(gap_abs, nodes if integer else None, enough, SEARCH)
+        solver = whole.loaded(gap_abs, nodes if integer else None, enough, PROOF)
         answer = ProgramSolution.of(solver, deadline)
         served = self.able.copy()
         if answer.status.has_answer:

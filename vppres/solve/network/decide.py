@@ -63,6 +63,7 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
+    task.certificate.keep(task.certificate.before)
 
 
 def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:

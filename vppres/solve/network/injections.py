@@ -53,6 +53,10 @@ class Rows:
             np.broadcast_to(upper, count).astype(float),
         )
 
+    def part(self, flags: Flags) -> Rows:
+        """Some of the rows."""
+        return Rows(self.matrix[flags], self.lower[flags], self.upper[flags])
+
     @classmethod
     def joined(cls, parts: list[Rows]) -> Rows:
         """All rows of several."""

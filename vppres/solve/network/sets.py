@@ -88,13 +88,14 @@ class ServiceCuts:
         deadline: Deadline,
         held: Floats | None = None,
         at_most: float = np.inf,
+        most_nodes: int | None = None,
     ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
         Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
         service or lack of it would alone cost too much by the first bound is decided beforehand;
         ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
-        of the units that no set exceeds ends the search.
+        of the units that no set exceeds ends the search, and so do so many nodes.
         """
         away = 1.0 - shares
         spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
@@ -113,6 +114,6 @@ class ServiceCuts:
             np.array(self.most_units),
             np.arange(len(cost)),
         )
-        solver = program.loaded(1.0 - 2.0 * NEAR, enough=CLOSE - at_most)
+        solver = program.loaded(1.0 - 2.0 * NEAR, most_nodes, enough=CLOSE - at_most)
         found = ProgramSolution.of(solver, deadline)
         return replace(found, bound=found.bound - NEAR)
