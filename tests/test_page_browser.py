@@ -290,7 +290,7 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         for sentence in words:
             shown = sentence.removeprefix("Not served: ").split("; ")[0].rstrip(".")
             row = page.locator("#off-list", has_text=shown[1:])
-            row.wait_for(timeout=40_000)
+            row.wait_for(timeout=100_000)
         assert words and "by plan" not in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention
