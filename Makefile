@@ -97,6 +97,7 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.mutations --out results/studies $(call COUNT,--folders 200 --runs 2)
 	$(BIN)/python -m experiments.kills --out results/studies $(call COUNT,--kills 5)
 	$(BIN)/python -m experiments.hostile $(call COUNT,--generated 300 --hostile 200) > results/studies/hostile.json
+	$(BIN)/python -m experiments.answers $(call COUNT,--horizon 0) > results/studies/answers.json
 	$(BIN)/python -m experiments.live_days $(call COUNT,--days 1 --fault-days 1 --horizon 0 --sites uk-heatwave-2022) > results/studies/live_days.json
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from experiments.random_feeders import random_rules
+from experiments.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.switching import SwitchingState
@@ -279,19 +280,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, traits: frozenset[s
         forming[np.argmin(p)] = True
     alike = rng.random() < 0.6
     eta = np.full((2, count), 0.95) if alike else rng.uniform(0.85, 0.98, (2, count))
-    paper = {
-        "soc_min": 0.15,
-        "soc_max": 0.85,
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": 25.0,
-    }
+    constants = {**USUAL_BATTERY, "eta_charge": eta[0], "eta_discharge": eta[1]}
     return Batteries(
         id=_names("b", np.arange(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
@@ -299,10 +288,8 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, traits: frozenset[s
         p_max_kw=p,
         s_max_kva=np.maximum(p * rng.uniform(0.9, 1.3, count), 1e-3),
         soc_initial=rng.uniform(0.15, 0.85, count),
-        eta_charge=eta[0],
-        eta_discharge=eta[1],
         grid_forming=forming,
-        **{name: np.full(count, value) for name, value in paper.items()},
+        **{name: np.broadcast_to(value, count) for name, value in constants.items()},
     )
 
 

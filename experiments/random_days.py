@@ -10,6 +10,7 @@ from numpy.random import Generator
 
 import data.uk_heatwave_2022.build as builder
 from experiments.jobs import Day, scenario
+from experiments.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -134,21 +135,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float) -> Batteries:
     """One to four batteries that differ in size and state."""
     count = int(rng.integers(1, 5))
     p = peak_kw * rng.uniform(0.05, 0.3, count)
-    paper = {
-        "soc_min": 0.15,
-        "soc_max": 0.85,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.95,
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": 30.0,
-    }
+    constants = {**USUAL_BATTERY, "t_initial_c": 30.0}
     return Batteries(
         id=_names("b", np.arange(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
@@ -156,5 +143,5 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float) -> Batteries:
         p_max_kw=p,
         s_max_kva=1.2 * p,
         soc_initial=rng.uniform(0.15, 0.85, count),
-        **{name: np.full(count, value) for name, value in paper.items()},
+        **{name: np.full(count, value) for name, value in constants.items()},
     )

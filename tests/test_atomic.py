@@ -390,6 +390,7 @@ def test_killed_commands_leave_the_old_result_and_no_process(
             str(tiny_folder),
             "--kills",
             "5",
+            "--plain",
             "--out",
             str(tmp_path),
         ],

@@ -18,9 +18,9 @@ from vppres.cli import commands
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
 from vppres.service.app import make_app
+from vppres.service.records import Reading, seconds
 from vppres.service.runner import Service
 from vppres.service.serve import opened
-from vppres.service.store import Reading, seconds
 
 DEPLOY = Path(__file__).parents[1] / "docs" / "deploy"
 HOWTO = DEPLOY.parent / "howto" / "deploy.md"

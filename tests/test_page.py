@@ -21,10 +21,10 @@ from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.overview import Overview
+from vppres.service.records import Reading, seconds
 from vppres.service.routes.page import FILES
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
-from vppres.service.store import Reading, seconds
 
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 HOUR = pd.Timedelta("1h")

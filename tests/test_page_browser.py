@@ -21,9 +21,9 @@ from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.explanations import explained, question
+from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
-from vppres.service.store import Reading, seconds
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(chromium() is None, reason="no chromium or chrome on the path")
@@ -290,7 +290,7 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         for sentence in words:
             shown = sentence.removeprefix("Not served: ").split("; ")[0].rstrip(".")
             row = page.locator("#off-list", has_text=shown[1:])
-            row.wait_for(timeout=40_000)
+            row.wait_for(timeout=100_000)
         assert words and "by plan" not in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention

@@ -29,8 +29,8 @@ from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.limits import MOST_KNOWN, Limits, Rate
 from vppres.service.perimeter import MOST_STEPS_ASKED
+from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
-from vppres.service.store import Reading, seconds
 
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 OUTAGE = {"type": "outage", "start": "2026-11-21T14:00:00Z"}

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import platform
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import opendssdirect as dss
@@ -35,9 +37,16 @@ def _case(lines: pd.DataFrame, loads: pd.DataFrame) -> Case:
     return network, -(at @ loads.p_kw.to_numpy()), -(at @ loads.q_kvar.to_numpy())
 
 
+@cache
+def baran_and_wu() -> Any:
+    """pandapower's net, which it takes most of a second to read."""
+    return pp_networks.case33bw()
+
+
+@cache
 def case33(open_lines: tuple[int, ...] = TIE_LINES) -> Case:
     """Baran and Wu's 33 buses with the given lines (from 1) open."""
-    source = pp_networks.case33bw()
+    source = baran_and_wu()
     line = source.line[~(source.line.index + 1).isin(open_lines)]
     lines = pd.DataFrame(
         {

@@ -11,6 +11,7 @@ import sys
 import time
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -303,9 +304,15 @@ def small_net() -> Any:
     return net
 
 
+@cache
+def small_text() -> str:
+    """The small net's text; pandapower takes a quarter of a second for it."""
+    return str(pp.to_json(small_net()))
+
+
 def made_of(changes: dict[str, Any]) -> str:
     """A net's text with more entries."""
-    text = json.loads(pp.to_json(small_net()))
+    text = json.loads(small_text())
     text["_object"].update(changes)
     return json.dumps(text)
 

@@ -23,9 +23,9 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.service.access import Access
 from vppres.service.app import make_app
 from vppres.service.clock import written
+from vppres.service.records import seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
-from vppres.service.store import seconds
 
 RULES = SwitchingRules(min_unserved_h=2.0, cold_load_factor=1.3, cold_load_h=2.0)
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from experiments.usual_battery import USUAL_BATTERY
 from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
@@ -46,20 +47,9 @@ def batteries(bus: list[int], energy_kwh: float) -> Batteries:
         "energy_kwh": energy_kwh,
         "p_max_kw": energy_kwh / 2,
         "s_max_kva": energy_kwh,
-        "soc_min": 0.15,
-        "soc_max": 0.85,
         "soc_initial": 0.15,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.95,
+        **USUAL_BATTERY,
         "r_theta_c_per_kw": 3.0,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": 25.0,
     }
     return Batteries(
         id=[f"b{n}" for n in bus],

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from experiments.usual_battery import USUAL_BATTERY
 from vppres.contract.export import Export
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -63,20 +64,8 @@ def battery(
         "energy_kwh": energy_kwh,
         "p_max_kw": p_max_kw,
         "s_max_kva": s_max_kva,
-        "soc_min": 0.15,
-        "soc_max": 0.85,
         "soc_initial": soc,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.95,
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": 25.0,
+        **USUAL_BATTERY,
     }
     return Batteries(
         id=[f"b{i}" for i in range(count)],

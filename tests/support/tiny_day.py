@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from experiments.usual_battery import USUAL_BATTERY
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
@@ -56,18 +57,7 @@ def tiny_scenario() -> Scenario:
 
 def _tiny_batteries() -> Batteries:
     """Two batteries with the default thermal constants."""
-    thermal = {
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": np.nan,
-    }
-    limits = {"soc_min": 0.15, "soc_max": 0.85, "eta_charge": 0.95, "eta_discharge": 0.95}
+    each = {**USUAL_BATTERY, "t_initial_c": np.nan}
     return Batteries(
         id=["big", "small"],
         bus=[2, 4],
@@ -75,5 +65,5 @@ def _tiny_batteries() -> Batteries:
         p_max_kw=[50.0, 30.0],
         s_max_kva=[60.0, 35.0],
         soc_initial=[0.15, 0.5],
-        **{name: [value] * 2 for name, value in {**limits, **thermal}.items()},
+        **{name: [value] * 2 for name, value in each.items()},
     )

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from vppres.core.arrays import Complexes, Floats, content_key, freeze_fields
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
+from vppres.physics.empty_net import empty_net
 from vppres.physics.newton import Admittances, Newton
 from vppres.physics.nose import Followed, follow
 from vppres.scenario.network import Network
@@ -376,7 +377,7 @@ _FLOWS_KEPT = 3
 
 def _admittances(network: Network) -> Admittances:
     """What pandapower makes of lines of 1 km and shunts."""
-    net = pp.create_empty_network()
+    net = empty_net()
     buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
     pp.create_ext_grid(net, buses[0])
     # The rating only serves pandapower's loading figure, which is not used.

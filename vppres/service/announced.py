@@ -20,7 +20,7 @@ from vppres.day.outages import BELIEF, LIKELY, LOOKAHEAD_H
 from vppres.outlook.durations import Z90
 from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageWarning
 from vppres.service.payloads import read_duration, read_moment
-from vppres.service.store import Event, moment
+from vppres.service.records import Event, moment
 from vppres.service.window import Window
 
 HOUR = pd.Timedelta(hours=1)

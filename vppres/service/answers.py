@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.service.access import Denied
-from vppres.service.store import ChangedError
+from vppres.service.records import ChangedError
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50

@@ -11,11 +11,20 @@ from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
 from vppres.service.limits import Limits, Rate
 from vppres.service.perimeter import Perimeter
-from vppres.service.routes import events, forecasts, health, operation, page, plans, telemetry
+from vppres.service.routes import (
+    events,
+    forecasts,
+    health,
+    operation,
+    page,
+    plans,
+    setpoints,
+    telemetry,
+)
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
-GUARDED = (telemetry, forecasts, events, plans, operation, page)
+GUARDED = (telemetry, forecasts, events, plans, setpoints, operation, page)
 
 
 def make_app(

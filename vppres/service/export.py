@@ -25,8 +25,9 @@ from vppres.model.site import Site
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
+from vppres.service.records import moment
 from vppres.service.runner import Service
-from vppres.service.store import Store, moment
+from vppres.service.store import Store
 from vppres.service.told import Told
 from vppres.service.world import World
 

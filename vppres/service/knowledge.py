@@ -26,7 +26,8 @@ from vppres.service.announced import announced_at, announced_kw, limits_kw, outa
 from vppres.service.clock import written
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
-from vppres.service.store import Event, Reading, Store, moment, seconds
+from vppres.service.records import Event, Reading, moment, seconds
+from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
 INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")

@@ -16,7 +16,8 @@ from vppres.live.controller import Controller
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
-from vppres.service.store import Measured, Store, moment, seconds
+from vppres.service.records import Measured, moment, seconds
+from vppres.service.store import Store
 
 QUANTITIES = ("load_kw", "pv_kw")
 

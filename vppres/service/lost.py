@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from vppres.scenario.scenario import Scenario
-from vppres.service.store import Reading, Store
+from vppres.service.records import Reading
+from vppres.service.store import Store
 
 ONLINE = "online"
 DISCONNECTED = "reported as not connected"

@@ -15,8 +15,8 @@ from vppres.service.clock import written
 from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans import DEFAULT, at
+from vppres.service.records import Reading, moment, seconds
 from vppres.service.runner import Runner
-from vppres.service.store import Reading, moment, seconds
 
 PAST_H = 12.0
 """How much of what was is told."""

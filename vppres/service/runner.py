@@ -29,7 +29,8 @@ from vppres.service.gate import refusals
 from vppres.service.knowledge import Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
 from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
-from vppres.service.store import After, Asked, Store
+from vppres.service.records import After, Asked
+from vppres.service.store import Store
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""

@@ -12,7 +12,8 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, prices
-from vppres.service.store import Event, Store, seconds
+from vppres.service.records import Event, seconds
+from vppres.service.store import Store
 from vppres.service.window import Window
 
 

@@ -201,8 +201,10 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     """The pandapower net of the circuit, and its buses' names."""
     import pandapower as pp
 
+    from vppres.physics.empty_net import empty_net
+
     names = [bus["name"] for bus in found["buses"]]
-    net = pp.create_empty_network(name=found["name"], f_hz=found["frequency_hz"])
+    net = empty_net(name=found["name"], f_hz=found["frequency_hz"])
     pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
     _add_lines(net, found["lines"], at)

@@ -103,7 +103,9 @@ def net_of(case: Case, name: str) -> Any:
         raise InputError(problems)
     import pandapower as pp
 
-    net = pp.create_empty_network(f_hz=F_HZ, sn_mva=float(case["baseMVA"][0, 0]))
+    from vppres.physics.empty_net import empty_net
+
+    net = empty_net(f_hz=F_HZ, sn_mva=float(case["baseMVA"][0, 0]))
     bus = case["bus"]
     numbers = _whole(bus, "BUS_I")
     pp.create_buses(

@@ -3,11 +3,11 @@
 import { chart, meter, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  MARKS, SiteClock, announced, attention, counted, covers, grouped, inShort, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  MARKS, SiteClock, announced, attention, counted, covers, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
-const WHY_PATIENCE_MS = 35000;
+const WHY_PATIENCE_MS = 125000;
 const LOST_MS = 10000; // without an answer, after which the page says that it is out of date
 
 const KNOWN_BY = { reading: ", as read", "last reading": ", as last read", event: ", as announced", belief: ", as is likely", profile: ", as foreseen" };
@@ -231,12 +231,12 @@ function showOff() {
     if (!off.length) return [node("p", {}, "Nobody is off.")];
     const dark = outage(view) !== null;
     const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
-    const groups = grouped(told, (one) => JSON.stringify([one.tier, inShort(one.why), one.until]));
+    const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
     const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
     return [node("table", {}, ...table(["Tier", "Customers", "Why", "Back, as planned"],
       rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map((one) => one.asset), 12)}`),
-        ones.length === 1 ? ones[0].why : reason, until ? view.clock.at(until, view.now) : "not in what is planned"])))];
+        ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "not in what is planned"])))];
   });
 }
 

@@ -213,13 +213,13 @@ const CANNOT = "cannot be supplied";
 const REASONS = { plan: "by plan", corrected: "by plan, corrected", critical_only: "only the first tier is kept on" };
 
 // What the service says of who is off, as far as it has been asked; until then what the plan says.
+// In short without the figures of a single customer, which follow a semicolon.
 export function why(one, explained, dark) {
-  const said = explained?.reasons.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
-  return said ? capital(said.words.replace(/^Not served[:,] /, "")) : planned(one.reason, dark);
+  const told = explained?.phase ? explained.reasons : []; // without a phase it is the plan's words again
+  const said = told.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
+  const words = said ? capital(said.words.replace(/^Not served[:,] /, "")) : planned(one.reason, dark);
+  return { words, short: said ? words.split("; ")[0].replace(/\.$/, "") : words };
 }
-
-// The reason without the figures of a single customer, which follow a semicolon.
-export const inShort = (words) => words.split("; ")[0].replace(/\.$/, "");
 
 function planned(reason, dark) {
   const [kind, ...rest] = reason.split(": ");

@@ -12,9 +12,9 @@ from vppres.service import payloads
 from vppres.service.announced import check_belief
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of
+from vppres.service.records import moment
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
-from vppres.service.store import moment
 from vppres.service.window import check_forecast
 
 

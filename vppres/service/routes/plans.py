@@ -1,4 +1,4 @@
-"""Routes of what is decided."""
+"""Routes of steps: they are asked for, and their plans and reasons looked at."""
 
 from __future__ import annotations
 
@@ -9,21 +9,19 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from vppres.core.errors import InputError, Problem
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.explainer import Explainer, only
-from vppres.service.plans import at, etag
+from vppres.service.plans import etag
 from vppres.service.routes.guard import Guard
+from vppres.service.routes.times import moment_asked
 from vppres.service.runner import Runner
 
 RESPOND_ASYNC = "respond-async"
-NEW = {"status": "new"}
-"""Of a set-point of which nobody has said what became of it."""
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
-    """Steps are asked for, plans and set-points looked at."""
+    """Steps are asked for, plans and explanations looked at."""
     router = APIRouter()
     explainer = Explainer(runner)
 
@@ -91,48 +89,10 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """The stored plan of a step."""
         plan = runner.last
         if time is not None:
-            plan = runner.store.step(runner.begun(_moment(time).tz_convert("UTC")))
+            plan = runner.store.step(runner.begun(moment_asked(time).tz_convert("UTC")))
         if plan is None:
             raise HTTPException(404, "No step of that time is kept.")
         return plan
-
-    @router.get("/v1/setpoints")
-    def setpoints(
-        time: Annotated[str | None, Query(alias="at", max_length=40)] = None,
-        asset: Annotated[str | None, Query(max_length=payloads.LONGEST_NAME)] = None,
-        _: str = guarded("read"),
-    ) -> Response:
-        """What devices must do at a time, now if not given; defaults when that is over."""
-        now = runner.clock.now() if time is None else _moment(time)
-        found = runner.store.last_step(now)
-        every = [] if found is None else found["setpoints"]
-        chosen = [at(one, now) for one in every if asset in (None, one["asset"])]
-        said = runner.store.acks(one["id"] for one in chosen)
-        chosen = [{**one, "status": said.get(one["id"], NEW)["status"]} for one in chosen]
-        body = {"at": written(now), "setpoints": chosen}
-        return JSONResponse(body, headers={"Cache-Control": "no-store"})
-
-    @router.post("/v1/setpoints/{identifier:path}/status")
-    def status(
-        identifier: payloads.Name,
-        body: payloads.SetpointStatus,
-        actor: str = guarded("telemetry"),
-    ) -> dict[str, Any]:
-        """What became of a set-point; a battery that refuses is left out until it is heard."""
-        found = _setpoint(identifier)
-        if found is None:
-            raise HTTPException(404, "There is no such set-point.")
-        said = body.model_dump()
-        runner.store.put_ack(found, said, runner.clock.now(), actor)
-        return {"id": identifier, **said}
-
-    def _setpoint(identifier: str) -> dict[str, Any] | None:
-        try:
-            time = payloads.read_moment(identifier.partition("/")[0])
-        except ValueError:
-            return None
-        plan = runner.store.step(time) or {"setpoints": []}
-        return next((one for one in plan["setpoints"] if one["id"] == identifier), None)
 
     return router
 
@@ -142,12 +102,3 @@ def _unless_known(body: dict[str, Any], known: str | None) -> Response:
     tag = etag(body)
     headers = {"ETag": tag, "Cache-Control": "no-cache"}
     return Response(None, 304, headers) if known == tag else JSONResponse(body, headers=headers)
-
-
-def _moment(text: str) -> pd.Timestamp:
-    try:
-        return payloads.read_moment(text)
-    except ValueError as error:
-        raise InputError(
-            Problem("request", str(error), "Give a time.", field="at", value=text)
-        ) from None

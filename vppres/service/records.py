@@ -1,0 +1,124 @@
+"""What is kept of a site, row by row, and its times: whole seconds of UTC."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from vppres.core.errors import VppresError
+
+
+def seconds(time: pd.Timestamp) -> int:
+    """Whole seconds of UTC, as times are stored.
+
+    >>> seconds(pd.Timestamp("1970-01-01T01:00:01+01:00"))
+    1
+    """
+    return int(time.timestamp())
+
+
+def moment(stored: int) -> pd.Timestamp:
+    """The time of stored seconds."""
+    return pd.Timestamp(stored, unit="s", tz="UTC")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading; ``value`` is None where it is known to be missing."""
+
+    asset: str
+    quantity: str
+    time: int
+    source: str
+    resolution_s: int
+    value: float | None
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of a batch of readings."""
+
+    accepted: int
+    duplicates: int
+
+
+@dataclass(frozen=True)
+class Event:
+    """A version of an event.
+
+    Parameters
+    ----------
+    version : int
+        Its number, from 1.
+    body : dict
+        What it says; empty where it was withdrawn.
+    made_at : int
+        When it was written.
+    since : int
+        When the first version was, after it was withdrawn last.
+    new : bool
+        Whether no version held before it; told of one that was just written.
+    """
+
+    version: int
+    body: dict[str, Any]
+    made_at: int
+    since: int
+    new: bool = False
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Since when somebody cannot be supplied, and why."""
+
+    at: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Demand and PV power of a step in the site's order, None where nothing was measured."""
+
+    time: int
+    load_kw: list[float | None]
+    pv_kw: list[float | None]
+
+
+@dataclass(frozen=True)
+class After:
+    """What a controller is at after a step.
+
+    Parameters
+    ----------
+    state : str
+        Its state as JSON.
+    measured : Measured or None
+        What its forecaster learned; None where none learns.
+    """
+
+    state: str
+    measured: Measured | None = None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Who asked for something, and when."""
+
+    actor: str
+    at: pd.Timestamp
+
+
+@dataclass(frozen=True)
+class Token:
+    """Who may do what, until when in seconds; of the secret only the hash is kept."""
+
+    name: str
+    sha256: str
+    scopes: str
+    expires: int | None = None
+
+
+class ChangedError(VppresError):
+    """It is no longer as whoever wants to change it believes."""

@@ -1,0 +1,64 @@
+"""Routes of what devices must do, and what became of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from vppres.service import payloads
+from vppres.service.clock import written
+from vppres.service.plans import at
+from vppres.service.routes.guard import Guard
+from vppres.service.routes.times import moment_asked
+from vppres.service.runner import Runner
+
+NEW = {"status": "new"}
+"""Of a set-point of which nobody has said what became of it."""
+
+
+def routes(runner: Runner, guarded: Guard) -> APIRouter:
+    """Set-points are looked at, and answered."""
+    router = APIRouter()
+
+    @router.get("/v1/setpoints")
+    def setpoints(
+        time: Annotated[str | None, Query(alias="at", max_length=40)] = None,
+        asset: Annotated[str | None, Query(max_length=payloads.LONGEST_NAME)] = None,
+        _: str = guarded("read"),
+    ) -> Response:
+        """What devices must do at a time, now if not given; defaults when that is over."""
+        now = runner.clock.now() if time is None else moment_asked(time)
+        found = runner.store.last_step(now)
+        every = [] if found is None else found["setpoints"]
+        chosen = [at(one, now) for one in every if asset in (None, one["asset"])]
+        said = runner.store.acks(one["id"] for one in chosen)
+        chosen = [{**one, "status": said.get(one["id"], NEW)["status"]} for one in chosen]
+        body = {"at": written(now), "setpoints": chosen}
+        return JSONResponse(body, headers={"Cache-Control": "no-store"})
+
+    @router.post("/v1/setpoints/{identifier:path}/status")
+    def status(
+        identifier: payloads.Name,
+        body: payloads.SetpointStatus,
+        actor: str = guarded("telemetry"),
+    ) -> dict[str, Any]:
+        """What became of a set-point; a battery that refuses is left out until it is heard."""
+        found = _setpoint(identifier)
+        if found is None:
+            raise HTTPException(404, "There is no such set-point.")
+        said = body.model_dump()
+        runner.store.put_ack(found, said, runner.clock.now(), actor)
+        return {"id": identifier, **said}
+
+    def _setpoint(identifier: str) -> dict[str, Any] | None:
+        try:
+            time = payloads.read_moment(identifier.partition("/")[0])
+        except ValueError:
+            return None
+        plan = runner.store.step(time) or {"setpoints": []}
+        return next((one for one in plan["setpoints"] if one["id"] == identifier), None)
+
+    return router

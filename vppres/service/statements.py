@@ -1,0 +1,137 @@
+"""Statements of every step, put together once, and how rows are written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import pandas as pd
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
+
+from vppres.service.records import Measured, seconds
+from vppres.service.tables import (
+    ACKS,
+    AUDIT,
+    FORECASTS,
+    HEARD_OF,
+    LOST,
+    MEASURED,
+    OUTCOMES,
+    TELEMETRY,
+)
+
+REFUSED = ("rejected", "aborted")
+"""What devices say that did not do what they were told."""
+
+
+def _latest() -> Any:
+    """The last reading of each asset and quantity up to a time."""
+    named = HEARD_OF
+    t = TELEMETRY.c
+    earlier = TELEMETRY.alias("earlier")
+    last = (
+        sa.select(sa.func.max(earlier.c.time))
+        .where(
+            earlier.c.asset == named.c.asset,
+            earlier.c.quantity == named.c.quantity,
+            earlier.c.time <= sa.bindparam("until"),
+        )
+        .scalar_subquery()
+    )
+    same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+    chosen = sa.select(TELEMETRY).select_from(named.join(TELEMETRY, same))
+    chosen = chosen.where(named.c.quantity.in_(sa.bindparam("quantities", expanding=True)))
+    return chosen.order_by(t.asset, t.quantity, t.source.desc())
+
+
+def _between() -> Any:
+    """Readings from a time on, before another one."""
+    t = TELEMETRY.c
+    inside = sa.and_(t.time >= sa.bindparam("start"), t.time < sa.bindparam("end"))
+    named = t.quantity.in_(sa.bindparam("quantities", expanding=True))
+    return sa.select(TELEMETRY).where(inside, named).order_by(t.time, t.source)
+
+
+def _forecast() -> Any:
+    """The forecast of a quantity that was issued last, up to a time."""
+    f = FORECASTS.c
+    issued = sa.and_(f.quantity == sa.bindparam("quantity"), f.issued_at <= sa.bindparam("now"))
+    return sa.select(f.body).where(issued).order_by(f.issued_at.desc()).limit(1)
+
+
+def _refusing() -> Any:
+    """Devices of a kind whose last word is that they did not."""
+    a = ACKS.c
+    newest = sa.select(sa.func.max(a.number)).where(a.kind == sa.bindparam("kind"))
+    last = newest.group_by(a.asset).scalar_subquery()
+    return sa.select(a.asset, a.at).where(a.number.in_(last), a.status.in_(REFUSED))
+
+
+# Statements of every step are put together once.
+LATEST = _latest()
+BETWEEN = _between()
+FORECAST = _forecast()
+REFUSING = _refusing()
+
+
+def put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
+    """Insert a row, or replace the one with its key."""
+    db.execute(table.delete().where(_where(table, row)))
+    db.execute(table.insert().values(**row))
+
+
+def put_measured(db: sa.Connection, rows: Iterable[Measured]) -> None:
+    """Keep what was measured in steps."""
+    for row in rows:
+        load_kw, pv_kw = (json.dumps(values) for values in (row.load_kw, row.pv_kw))
+        put(db, MEASURED, time=row.time, load_kw=load_kw, pv_kw=pv_kw)
+
+
+def note_lost(db: sa.Connection, asset: str, said: Mapping[str, Any], at: int) -> None:
+    """A customer that could not be switched on, or was after all."""
+    if said["status"] not in REFUSED:
+        db.execute(LOST.delete().where(LOST.c.asset == asset))
+        return
+    reason = f"{said['status']}: {said['reason']}" if said["reason"] else said["status"]
+    put(db, LOST, asset=asset, at=at, reason=reason)
+
+
+def tag_of(text: str | None) -> str:
+    """Name of what a setting says."""
+    return hashlib.sha256((text or "").encode()).hexdigest()[:16]
+
+
+def count_steps(db: sa.Connection, outcome: str, more: int) -> None:
+    """Count steps of an outcome."""
+    o = OUTCOMES.c
+    counted = db.execute(
+        sa.update(OUTCOMES).where(o.outcome == outcome).values(steps=o.steps + more)
+    )
+    if not counted.rowcount:
+        db.execute(OUTCOMES.insert().values(outcome=outcome, steps=more))
+
+
+def upserting(db: sa.Connection, table: sa.Table, value: str) -> Any:
+    """Insert rows, replacing those whose value is another one; others are not counted."""
+    dialect = {"sqlite": sqlite, "postgresql": postgresql}[db.dialect.name]
+    insert = dialect.insert(table)
+    keys = [column.name for column in table.primary_key.columns]
+    rest = [column.name for column in table.columns if column.name not in keys]
+    return insert.on_conflict_do_update(
+        index_elements=keys,
+        set_={name: insert.excluded[name] for name in rest},
+        where=table.c[value].is_distinct_from(insert.excluded[value]),
+    )
+
+
+def _where(table: sa.Table, row: dict[str, Any]) -> Any:
+    """The row's key."""
+    return sa.and_(*(column == row[column.name] for column in table.primary_key.columns))
+
+
+def note(db: sa.Connection, now: pd.Timestamp, actor: str, action: str, detail: str) -> None:
+    """Add to the audit, of which nothing is ever changed."""
+    db.execute(AUDIT.insert().values(at=seconds(now), actor=actor, action=action, detail=detail))
