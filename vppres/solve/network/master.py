@@ -452,7 +452,7 @@ class NetworkMaster:
         return columns, np.append(-self.units, np.full(len(off), self.pair))
 
     def _searched(self, binding: Flags, at_most: float, patience: Patience) -> ProgramSolution:
-        """Search with binaries in the network, with some of its limits; so many units are enough."""
+        """Search with binaries and some of the limits in the network, until so many units."""
         x = self.model.at["x"]
         rows = [Rows.joined(self.found).part(binding)] if binding.any() else []
         program = _limited(self._with_cost(*self.lack), rows)
