@@ -126,3 +126,15 @@ def test_batteries_of_a_watt_give_no_more_than_their_range() -> None:
     first, second = with_room_both_ways(hard.site).batteries.energy_kwh, b.energy_kwh
     half_full_kwh = 0.5 * (b.soc_max - b.soc_min) * first
     np.testing.assert_allclose(half_full_kwh, (b.soc_max - b.soc_min) * second)
+
+
+def test_each_battery_bounds_what_it_can_lose(monkeypatch: pytest.MonkeyPatch) -> None:
+    hard = hard_window("surplus", 12)
+    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+    assert answer.status == Status.OPTIMAL
+    assert "modes_apart[highs]" in answer.stages
+    monkeypatch.setattr("vppres.solve.fleet.rungs.modes_apart", lambda *_: None)
+    whole = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+    assert not any(stage.startswith("modes_apart") for stage in whole.stages)
+    assert answer.objective <= whole.bound + 1e-6
+    assert whole.objective <= answer.bound + 1e-6

@@ -5,13 +5,17 @@ The proofs are in ``docs/method.md``, *Why a bound bounds*.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from vppres.core.arrays import Flags, Floats
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_tie_breakers
 from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
+from vppres.solve.fleet.modes import modes_apart
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
@@ -167,8 +171,39 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.bound)
         gap = task.limits.gap_at(known.bound)
+        _one_battery_at_a_time(task, outcome.bound, gap)
+    if not task.goes_on:
+        return
     if _search_modes(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
         _search_modes(task, task.gap_to_best)
+
+
+def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:
+    """Bound and set by a search of each battery alone; most windows are closed by that."""
+    if task.data.ending or task.data.switching is not None or task.search.passed:
+        return
+    form = Form("service", "integer", "integer", network=False)
+    model = window_model(task.cache, task.data, form)
+    model.fill(task.data)
+    found = modes_apart(task, model, relaxed, gap)
+    if found is None:
+        return
+    known = task.certificate
+    known.note("modes_apart", found.outcome)
+    known.bound_by(found.outcome.bound)
+    if found.served is not None:
+        _keep_with_modes(task, found.served, found.modes)
+
+
+def _keep_with_modes(task: WindowTask, served: Flags, modes: Mapping[str, Floats]) -> None:
+    """Keep the cheapest dispatch of a set with binaries held, by their names."""
+    data = task.data.for_service(served)
+    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
+    task.certificate.note("cost", attempt.outcome)
+    if attempt.dispatch is not None:
+        # What the search leaves open of cost is not known.
+        found = Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
+        task.certificate.keep(found)
 
 
 def _search_modes(task: WindowTask, gap: float) -> bool:
@@ -185,12 +220,7 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
         return False
     known.bound_by(outcome.bound)
     served = np.asarray(model.v.x_served.value) > 0.5
-    data = task.data.for_service(served)
     binaries = [v for v in model.problem.variables() if v.attributes["boolean"]]
     modes = {v.name(): np.round(v.value) for v in binaries if v.name() != "x_served"}
-    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
-    known.note("cost", attempt.outcome)
-    if attempt.dispatch is not None:
-        # What the search leaves open of cost is not known.
-        known.keep(Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False))
+    _keep_with_modes(task, served, modes)
     return outcome.status == Status.OPTIMAL
