@@ -270,7 +270,7 @@ class NetworkMaster:
             whole = ruled or (len(x) <= SMALL and rounds > ROUNDS)
             enough = known.most
             if whole:
-                found = self._searched(binding, enough + 1.0, known.bound, patience)
+                found = self._searched(binding, known.bound, patience)
             else:
                 nodes = TRIED_NODES if len(x) <= SMALL else None
                 found = cuts.most(linear.x[x], enough + 1.0, patience.end, most_nodes=nodes)
@@ -451,19 +451,11 @@ class NetworkMaster:
         columns = np.append(self.model.at["x"].ravel(), off)
         return columns, np.append(-self.units, np.full(len(off), self.pair))
 
-    def _searched(
-        self, binding: Flags, at_least: float, at_most: float, patience: Patience
-    ) -> ProgramSolution:
-        """Search with binaries in the network, with some of its limits, for so many units."""
+    def _searched(self, binding: Flags, at_most: float, patience: Patience) -> ProgramSolution:
+        """Search with binaries and some of the limits in the network, until so many units."""
         x = self.model.at["x"]
         rows = [Rows.joined(self.found).part(binding)] if binding.any() else []
         program = _limited(self._with_cost(*self.lack), rows)
-        if np.isfinite(at_least):
-            columns, lack = self.lack
-            enough = Rows.of(
-                columns[None, :], -lack, at_least - TOLERANCE, np.inf, len(program.cost)
-            )
-            program = program.with_rows(enough.matrix.tocsc(), enough.lower)
         counted = with_sums(replace(program, integer=x.ravel()), self._alike())
         solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH)
         found = ProgramSolution.of_search(solver, patience)
