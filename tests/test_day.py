@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -262,20 +262,3 @@ def test_mpc_replicates_the_full_horizon(ideal: IdealDay, full_horizon: Trajecto
     assert of_mpc is not None and of_plan is not None
     assert of_mpc == pytest.approx(of_plan, abs=0.003)
     assert of_plan >= of_mpc - 5e-3 / 79.2
-
-
-@pytest.mark.slow
-def test_resilience_rises_with_the_horizon_and_is_flat_from_four_hours(
-    packaged_day: Scenario, ideal: IdealDay
-) -> None:
-    values = []
-    for horizon_h in range(9):
-        run = (
-            ideal.run
-            if horizon_h == 5
-            else run_day(packaged_day, replace(RunOptions(), horizon_h=float(horizon_h)))
-        )
-        values.append(resilience(run) or 0.0)
-    assert min(np.diff(values)) >= -1e-9, values
-    assert max(values[4:]) - min(values[4:]) <= 0.003, values
-    assert values[4] - values[0] > 0.05, values

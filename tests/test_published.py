@@ -70,6 +70,16 @@ def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
     assert cost[0] < min(cost[1:])
 
 
+@pytest.mark.slow
+def test_resilience_rises_with_the_horizon_and_is_flat_from_four_hours(days: Days) -> None:
+    jobs = [ideal.mpc(horizon_h) for horizon_h in range(9)]
+    results = days(jobs)
+    values = [results[job].resilience for job in jobs]
+    assert min(np.diff(values)) >= -1e-9, values
+    assert max(values[4:]) - min(values[4:]) <= 0.003, values
+    assert values[4] - values[0] > 0.05, values
+
+
 def test_ideal_day_of_both_controllers(days: Days) -> None:
     results = days(ideal.jobs(IDEAL))
     rows = [
