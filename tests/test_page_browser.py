@@ -189,7 +189,8 @@ def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
         assert "every device does its default" in watcher.text("#confirm-words")
         page.keyboard.press("Enter")  # what has the focus changes nothing
         page.wait_for_selector("#confirm", state="hidden")
-        assert runner.mode["mode"] == "auto" and page.is_checked("input[value=auto]")
+        page.wait_for_selector("input[value=auto]:checked")  # told after the question is gone
+        assert runner.mode["mode"] == "auto"
         assert page.evaluate("document.activeElement.id") == "mode-change"
 
         def choose_off_again() -> None:
@@ -204,7 +205,8 @@ def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
         choose_off_again()
         page.keyboard.press("Escape")
         page.wait_for_selector("#confirm", state="hidden")
-        assert runner.mode["mode"] == "auto" and page.is_checked("input[value=auto]")
+        page.wait_for_selector("input[value=auto]:checked")  # told after the question is gone
+        assert runner.mode["mode"] == "auto"
         choose_off_again()
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")

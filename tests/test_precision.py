@@ -71,7 +71,7 @@ def test_a_row_holds_as_levelled_first(levelled: bool, again: bool | None, expec
 def test_the_report_takes_one_setting_and_few_days() -> None:
     days = jobs_of(CONFIG)
     assert len(precision.jobs(CONFIG)) == 2 * len(days)
-    assert len(days) <= 16
+    assert len(days) <= 24
     assert {
         day.options.controller for day in days if day.options.errors != RunOptions().errors
     } == {"full-horizon"}
