@@ -510,9 +510,9 @@ def serve(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Serve a scenario's site over HTTP: a controller that decides day and night.
+    r"""Serve a scenario's site over HTTP: a controller that decides day and night.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
     with _plain_errors(debug):
         from vppres.io.find import find_scenario
@@ -626,9 +626,9 @@ def simulate(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Play a scenario against a service over HTTP, the plant being the world.
+    r"""Play a scenario against a service over HTTP, the plant being the world.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
     with _plain_errors(debug):
         from vppres.io.find import find_scenario
@@ -778,6 +778,8 @@ def _plain_errors(debug: bool) -> Iterator[None]:
         _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
     except VppresError as error:
         _fail(str(error), error.exit_status, debug)
+    except BrokenPipeError:
+        raise  # whoever read the output has seen enough, as `head` has: typer ends without a word
     except Exception as error:
         _fail(
             f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
