@@ -38,6 +38,7 @@ HEADROOM = 0.1
 """Share of the inverters that physical windows keep free, the default of a run."""
 
 RUNGS = {
+    "network_terms": "all terms, in the network",
     "full": "whole problem",
     "full_outer": "whole problem",
     "relaxed": "whole problem, relaxed",

@@ -386,7 +386,7 @@ def test_sigterm_before_a_command_has_begun() -> None:
         import os, signal, sys
         from vppres.cli import commands
 
-        commands._plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
+        commands.plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
         sys.argv = ["vppres", "scenarios"]
         commands.main()
     """)

@@ -24,7 +24,7 @@ _HOME_OF = {
     "OutageWarning": "vppres.scenario.outage_warnings",
     "RunOptions": "vppres.day.options",
     "Scenario": "vppres.scenario.scenario",
-    "SetPoints": "vppres.live.controller",
+    "SetPoints": "vppres.live.set_points",
     "SwitchingRules": "vppres.scenario.rules",
     "Trajectory": "vppres.day.trajectory",
     "VppresError": "vppres.core.errors",

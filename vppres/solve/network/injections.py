@@ -19,53 +19,11 @@ from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site
+from vppres.solve.network.rows import Rows
 
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows ``lower <= matrix @ x <= upper``."""
-
-    matrix: sp.csr_array
-    lower: Floats
-    upper: Floats
-
-    @classmethod
-    def of(
-        cls,
-        columns: Wholes,
-        values: Floats,
-        lower: Floats | float,
-        upper: Floats | float,
-        size: int,
-    ) -> Rows:
-        """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
-        count, width = columns.shape
-        matrix = sp.csr_array(
-            (
-                np.broadcast_to(values, columns.shape).astype(float).ravel(),
-                (np.repeat(np.arange(count), width), columns.ravel()),
-            ),
-            shape=(count, size),
-        )
-        return cls(
-            matrix,
-            np.broadcast_to(lower, count).astype(float),
-            np.broadcast_to(upper, count).astype(float),
-        )
-
-    def part(self, flags: Flags) -> Rows:
-        """Some of the rows."""
-        return Rows(self.matrix[flags], self.lower[flags], self.upper[flags])
-
-    @classmethod
-    def joined(cls, parts: list[Rows]) -> Rows:
-        """All rows of several."""
-        return cls(
-            sp.csr_array(sp.vstack([part.matrix for part in parts])),
-            np.concatenate([part.lower for part in parts]),
-            np.concatenate([part.upper for part in parts]),
-        )
-
+SOLVER_KVA = 5e-7
+"""By how much a disc may be exceeded in any case: a solver meets its tangents no better, and of an
+inverter of 1 W would be asked for ever."""
 
 MOST_TABLED = 200
 """Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
@@ -264,6 +222,28 @@ class Injections:
             lower[self.at[name]] = low
             upper[self.at[name]] = high
         return lower, upper
+
+    @property
+    def price(self) -> tuple[Wholes, Floats]:
+        """Columns of import and export and what they cost for a step, in GBP/kW.
+
+        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
+        """
+        columns = np.hstack([self.at["P_grid"], self.at["P_out"]])
+        prices = [self.data.price_gbp_per_kwh]
+        if self.data.export is not None:
+            prices.append(-self.data.export.price_gbp_per_kwh)
+        values = (np.column_stack(prices) * self.site.dt_h).ravel()
+        if self.data.stored_value is not None:
+            kept = self.at["kept"].ravel()
+            return np.append(columns.ravel(), kept), np.append(
+                values, -self.data.stored_value.gbp_as_cost
+            )
+        if self.data.terminal is None:
+            return columns.ravel(), values
+        missing = self.at["missing"].ravel()
+        each = np.full(len(missing), self.data.terminal.price_gbp_per_kwh)
+        return np.append(columns.ravel(), missing), np.append(values, each)
 
     @cached_property
     def parts(self) -> sp.csc_array:
@@ -551,7 +531,7 @@ class Injections:
         ]
         for p, q, radius, pieces in inverters:
             size = np.hypot(p, x[q])
-            out = size > radius * (1.0 + tolerance)
+            out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
             if out.any():
                 cos = p[out] / size[out]
                 sin = x[q][out] / size[out]

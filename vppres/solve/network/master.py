@@ -21,8 +21,8 @@ from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
-from vppres.solve.network.injections import Injections, Reactance, Rows
-from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.sets import TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
@@ -131,8 +131,8 @@ class NetworkMaster:
         The window.
     deadline : Deadline
         When everything must be done but for what gets a deadline of its own.
-    rules : RuleModel, optional
-        The rules of a window that has some.
+    rules : Rows, optional
+        Rows of its switching rules.
     """
 
     def __init__(
@@ -141,13 +141,12 @@ class NetworkMaster:
         reactance: Reactance,
         data: WindowData,
         deadline: Deadline,
-        rules: RuleModel | None = None,
+        rules: Rows | None = None,
     ) -> None:
         self.deadline = deadline
         self.site = site
         self.data = data
-        ruled = None if rules is None else rules.rows(data)
-        self.model = Injections(site, reactance, data, ruled)
+        self.model = Injections(site, reactance, data, rules)
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
@@ -303,7 +302,7 @@ class NetworkMaster:
         searched: set[int] = set()
         end = deadline.part(FEEDERS_SHARE)
         while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
-            program = _limited(self._with_cost(*self.lack), self.found)
+            program = limited(self._with_cost(*self.lack), self.found)
             feeders = Feeders(program, linear, of_column, x)
             cuts = []
             for number in feeders.fractional:
@@ -318,7 +317,7 @@ class NetworkMaster:
                 break
             rows = Rows.joined(cuts)
             self.found.append(rows)
-            _add(solver, rows)
+            add(solver, rows)
             tighter = self._until_carried(solver, deadline)
             if tighter.status != Status.OPTIMAL:
                 break
@@ -422,7 +421,7 @@ class NetworkMaster:
     def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
-        program = _limited(self._with_cost(*self.lack), self.found)
+        program = limited(self._with_cost(*self.lack), self.found)
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
@@ -455,7 +454,7 @@ class NetworkMaster:
         """Search with binaries and some of the limits in the network, until so many units."""
         x = self.model.at["x"]
         rows = [Rows.joined(self.found).part(binding)] if binding.any() else []
-        program = _limited(self._with_cost(*self.lack), rows)
+        program = limited(self._with_cost(*self.lack), rows)
         counted = with_sums(replace(program, integer=x.ravel()), self._alike())
         solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH)
         found = ProgramSolution.of_search(solver, patience)
@@ -498,8 +497,7 @@ class NetworkMaster:
         program = replace(self._enough(units_min), integer=x.ravel())
         while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
             size = len(self.found)
-            limited = _limited(program, self.found)
-            solver = limited.loaded(0.5 * gap_gbp, COST_NODES)
+            solver = limited(program, self.found).loaded(0.5 * gap_gbp, COST_NODES)
             found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
@@ -521,12 +519,12 @@ class NetworkMaster:
         columns, lack = self.lack
         size = len(self.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - TOLERANCE, np.inf, size)
-        return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
+        return self._with_cost(*self.model.price).with_rows(enough.matrix.tocsc(), enough.lower)
 
     def _of_set(self, served: Floats | Flags) -> Program:
         """Least cost of a set."""
         x = self.model.at["x"]
-        program = self._with_cost(*self.price)
+        program = self._with_cost(*self.model.price)
         program.x_lower[x] = served
         program.x_upper[x] = served
         return program
@@ -615,7 +613,7 @@ class NetworkMaster:
         Without it, any dispatch would be the cheapest where nothing has a price.
         """
         return float(
-            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.price[1]).max(initial=0.0))
+            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.model.price[1]).max(initial=0.0))
         )
 
     def _begun(
@@ -629,7 +627,7 @@ class NetworkMaster:
         if begin is not None:
             solver.setBasis(begin)
             return begin
-        prices = self.price[1] * self.program.x_upper[self.price[0]]
+        prices = self.model.price[1] * self.program.x_upper[self.model.price[0]]
         basis = None if prices.any() else self.root[0].getBasis()
         if basis is None or not basis.valid:
             self._start(solver)
@@ -661,28 +659,6 @@ class NetworkMaster:
         self.found = known
         return found
 
-    @property
-    def price(self) -> tuple[Wholes, Floats]:
-        """Columns of import and export and what they cost for a step, in GBP/kW.
-
-        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
-        """
-        columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
-        prices = [self.data.price_gbp_per_kwh]
-        if self.data.export is not None:
-            prices.append(-self.data.export.price_gbp_per_kwh)
-        values = (np.column_stack(prices) * self.site.dt_h).ravel()
-        if self.data.stored_value is not None:
-            kept = self.model.at["kept"].ravel()
-            return np.append(columns.ravel(), kept), np.append(
-                values, -self.data.stored_value.gbp_as_cost
-            )
-        if self.data.terminal is None:
-            return columns.ravel(), values
-        missing = self.model.at["missing"].ravel()
-        each = np.full(len(missing), self.data.terminal.price_gbp_per_kwh)
-        return np.append(columns.ravel(), missing), np.append(values, each)
-
     def _with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""
         cost = np.zeros(len(self.program.cost))
@@ -696,7 +672,7 @@ class NetworkMaster:
 
     def _loaded(self, program: Program) -> highspy.Highs:
         """A solver with the program and the limits that were violated so far."""
-        return _limited(program, self.found).loaded()
+        return limited(program, self.found).loaded()
 
     def _until_carried(
         self,
@@ -733,26 +709,4 @@ class NetworkMaster:
                 return replace(answer, status=Status.NO_ANSWER)
             rows = self._limits(found)
             self.found.append(rows)
-            _add(solver, rows)
-
-
-def _limited(program: Program, rows: list[Rows]) -> Program:
-    """A program with limits in it."""
-    if not rows:
-        return program
-    limits = Rows.joined(rows)
-    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
-
-
-def _add(solver: highspy.Highs, rows: Rows) -> None:
-    """Add rows to a solver that keeps its basis."""
-    m = rows.matrix
-    solver.addRows(
-        m.shape[0],
-        rows.lower,
-        rows.upper,
-        m.nnz,
-        m.indptr[:-1].astype(np.int32),
-        m.indices.astype(np.int32),
-        m.data,
-    )
+            add(solver, rows)
