@@ -466,9 +466,9 @@ def serve(
     name: cli_serve.ProxyName = None,
     debug: Debug = False,
 ) -> None:
-    """Serve a scenario's site over HTTP: a controller that decides day and night.
+    r"""Serve a scenario's site over HTTP: a controller that decides day and night.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
     with plain_errors(debug):
         from vppres.io.find import load_scenario
@@ -552,9 +552,9 @@ def simulate(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Play a scenario against a service over HTTP, the plant being the world.
+    r"""Play a scenario against a service over HTTP, the plant being the world.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
     with plain_errors(debug):
         from vppres.io.find import load_scenario
