@@ -14,8 +14,9 @@ from vppres.core.errors import InputError
 from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
 from vppres.day.outages import believed_outages
+from vppres.day.run_files import read_run
 from vppres.day.simulate import run_day
-from vppres.day.trajectory import Trajectory, read_run
+from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement

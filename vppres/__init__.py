@@ -34,7 +34,7 @@ _HOME_OF = {
     "load_scenario": "vppres.io.find",
     "new_scenario": "vppres.feeders.new.scenario",
     "packaged_scenarios": "vppres.io.find",
-    "read_run": "vppres.day.trajectory",
+    "read_run": "vppres.day.run_files",
     "read_scenario": "vppres.io.scenario_folder",
     "run_day": "vppres.day.simulate",
     "summarise": "vppres.day.metrics",

@@ -14,8 +14,8 @@ from vppres.core.arrays import Floats
 from vppres.day.forecasting import Forecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
+from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
 from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.notebook import facts_html
-from vppres.day.trajectory import Feeder, StepRecord
+from vppres.day.recorder import StepRecord
+from vppres.day.trajectory import Feeder
 from vppres.feeders.actuate import Feeding
 from vppres.live.foreseen import Foreseen
 from vppres.scenario.scenario import Scenario
