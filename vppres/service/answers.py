@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
+from vppres.core.text import visible
 from vppres.service.access import Denied
 from vppres.service.records import ChangedError
 
@@ -109,7 +110,8 @@ def listed(problems: Sequence[Problem]) -> list[dict[str, Any]]:
             "message": problem.message,
             "cure": problem.cure,
             "field": problem.field,
-            "value": None if problem.value is None else str(problem.value)[:100],
+            # A lone surrogate that was sent cannot be encoded.
+            "value": None if problem.value is None else visible(str(problem.value)[:100]),
         }
         for problem in problems[:MOST_PROBLEMS]
     ]
