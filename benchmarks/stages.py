@@ -38,9 +38,9 @@ HEADROOM = 0.1
 """Share of the inverters that physical windows keep free, the default of a run."""
 
 RUNGS = {
-    "network_terms": "all terms, in the network",
     "full": "whole problem",
     "full_outer": "whole problem",
+    "network_terms": "all terms, in the network",
     "relaxed": "whole problem, relaxed",
     "network_service": "in the network",
     "modes": "modes of all batteries",

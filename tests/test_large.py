@@ -76,10 +76,10 @@ def test_reactive_power_in_two_parts_proves_the_same(
 
     def service() -> tuple[float, float]:
         master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-        return master.root[1].value, sum(len(rows.lower) for rows in master.found)
+        return master.root[1].value, sum(len(rows.lower) for rows in master.network.found)
 
     value, tangents = service()
-    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
     parted, fewer = service()
     # Discs are met to a tolerance only, so the same bound comes out to within it.
     assert parted == pytest.approx(value, rel=1e-5)
@@ -98,7 +98,7 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
     for name in (
         "task.LARGE",
         "task.HUGE",
-        "network.master.SMALL",
+        "network.program.SMALL",
         "network.injections.MOST_TABLED",
     ):
         monkeypatch.setattr(f"vppres.solve.{name}", 0)

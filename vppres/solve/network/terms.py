@@ -19,22 +19,17 @@ from vppres.model.site import Site
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import with_tie_breakers
+from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.program import VOLTAGE_PU2
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import WindowTask
 
-VOLTAGE_PU2 = 1e-6
-"""By how much a squared voltage may miss its limit: the tolerance to which a linear solver meets
-its rows."""
-
 DISC = 1e-4
 """Share of its radius by which a disc may be exceeded in a search."""
-
-EXACT_DISC = 5e-6
-"""The same in a dispatch, whose discs are checked."""
 
 MOST_BINARIES = 2000
 """Binaries up to which the search is tried: beyond it, it does not end in minutes."""
