@@ -289,6 +289,17 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
     assert not words.str.contains("neither shadow prices nor the record").any()
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_step_and_its_batteries_tell_the_same_worth(tiny: Scenario, seed: int) -> None:
+    run = explain_day(run_day(random_day(tiny, seed), RunOptions(outages="belief", horizon_h=3.0)))
+    assert run.explanations is not None
+    told = run.explanations[run.explanations["item"].isin(["step", "battery"])]
+    worth = told["words"].str.extract(r"kWh in store is worth (-?[\d.]+) GBP")[0]
+    counts = worth.groupby(told["time"]).agg(["count", "nunique"])
+    assert (counts["count"] > 1).any()
+    assert (counts["nunique"] <= 1).all()
+
+
 def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:
     run = explain_day(run_day(certainly(tiny), RunOptions(outages="belief", horizon_h=2.0)))
     known = explain_day(run_day(certainly(tiny), RunOptions(horizon_h=2.0)))
