@@ -20,8 +20,9 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import with_tie_breakers
 from vppres.solve.network.cheapest import EXACT_DISC
-from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.injections import Injections
 from vppres.solve.network.program import VOLTAGE_PU2
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
