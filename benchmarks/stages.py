@@ -40,6 +40,7 @@ HEADROOM = 0.1
 RUNGS = {
     "full": "whole problem",
     "full_outer": "whole problem",
+    "network_terms": "all terms, in the network",
     "relaxed": "whole problem, relaxed",
     "network_service": "in the network",
     "modes": "modes of all batteries",

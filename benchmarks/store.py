@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from experiments.jobs import sources_digest
+from vppres.core.plain import json_safe
 from vppres.day.metrics import versions
-from vppres.day.trajectory import json_safe
 from vppres.io.atomic import atomic_write_text
 
 Row = dict[str, Any]

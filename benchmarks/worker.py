@@ -14,8 +14,8 @@ from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
+from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.solve.isolated import close_workers, shared_workers
 

@@ -218,7 +218,7 @@ ARCHITECTURE = Diagram(
         ),
         "ac": Node(2, 2, ("AC power flow", "vppres.physics.powerflow.ACPowerFlow.solve")),
         "plant": Node(2, 3, ("What the day does with them", "vppres.plant.plant.Plant.apply")),
-        "record": Node(2, 4, ("Record of the run", "vppres.day.trajectory.Recorder.add")),
+        "record": Node(2, 4, ("Record of the run", "vppres.day.recorder.Recorder.add")),
         "words": Node(
             1,
             4,
@@ -262,7 +262,7 @@ MPC = Diagram(
             0, 5, ("Charge, temperature, efficiencies", "vppres.plant.plant.Plant.advance")
         ),
         "last": Node(0, 6, ("Last step?",), "choice"),
-        "end": Node(0, 7, ("Finished run", "vppres.day.trajectory.Recorder.finish"), "end"),
+        "end": Node(0, 7, ("Finished run", "vppres.day.recorder.Recorder.finish"), "end"),
     },
     (
         Arrow("start", "observe"),
@@ -313,7 +313,7 @@ FULL_HORIZON = Diagram(
         "end": Node(
             0,
             9,
-            ("Finished run, planned and actual", "vppres.day.trajectory.Recorder.finish"),
+            ("Finished run, planned and actual", "vppres.day.recorder.Recorder.finish"),
             "end",
         ),
     },

@@ -30,8 +30,8 @@ from vppres.day.faults import (
 )
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
+from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
 from vppres.scenario.scenario import Scenario
 
 MATERIAL = 0.05

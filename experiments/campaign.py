@@ -30,8 +30,8 @@ from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.metrics import resilience, versions
 from vppres.day.options import RunOptions
+from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver

@@ -29,8 +29,9 @@ from vppres.core.arrays import Names
 from vppres.core.errors import VppresError
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
-from vppres.live.controller import Controller, SetPoints
+from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 
 MEASUREMENTS = 50

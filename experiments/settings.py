@@ -27,6 +27,8 @@ from vppres.core.units import KW_PER_MW
 from vppres.day.options import RunOptions
 from vppres.solve.weighted import WeightedChoices
 
+PATIENCE_S = 600.0
+"""Time limit of a window: it ends at its gap, on slow machines too."""
 SIGNS = {"load_bias": 1, "pv_bias": -1}
 """Sign of the bias with which the plan expects too much need."""
 
@@ -68,7 +70,7 @@ class Setting:
             options,
             method="weighted",
             solver=self.solver,
-            limits=replace(options.limits, gap_rel=self.gap),
+            limits=replace(options.limits, gap_rel=self.gap, time_s=PATIENCE_S),
             weighted=WeightedChoices(unit_kw=self.unit_kw, seed=self.seed),
         )
 

@@ -9,8 +9,9 @@ import pandas as pd
 
 from experiments.results import DayResult
 from vppres.contract.forecast import Forecaster, ForecastErrors
+from vppres.core.plain import json_safe
 from vppres.day.metrics import summarise
-from vppres.day.trajectory import Trajectory, json_safe
+from vppres.day.trajectory import Trajectory
 from vppres.report.plots import served_kw, stored_energy_kwh
 
 # Columns of the steps table that are kept as they are.

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markdown_it import MarkdownIt
 
-from vppres.day.trajectory import json_safe
+from vppres.core.plain import json_safe
 from vppres.io.atomic import atomic_write_text
 from vppres.report.pages import embedded_svg
 

@@ -362,6 +362,23 @@ def test_atomic_text_is_whole_while_others_clean(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
+def test_a_folder_that_takes_nothing_new_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent(self: Path, *_: object, **__: object) -> None:
+        if self.name.endswith(".vppres-part"):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self))
+
+    # As in /proc, which exists, allows everything to root, and has room for no name.
+    monkeypatch.setattr(Path, "mkdir", absent)
+    with pytest.raises(InputError) as caught, atomic_folder(tmp_path / "run"):
+        pass
+    assert str(caught.value) == (
+        f"{tmp_path / 'run'}: cannot be written (the folder takes nothing new). "
+        "Choose another folder, or check its permissions."
+    )
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 def test_sigterm_before_a_command_has_begun() -> None:
     """Outside of a command's own block typer would end with the status of Ctrl-C."""
@@ -369,7 +386,7 @@ def test_sigterm_before_a_command_has_begun() -> None:
         import os, signal, sys
         from vppres.cli import commands
 
-        commands._plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
+        commands.plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
         sys.argv = ["vppres", "scenarios"]
         commands.main()
     """)

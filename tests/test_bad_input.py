@@ -383,8 +383,6 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         [
             "pv.csv, row 1: has a single column. Separate the cells with commas, and write decimal "
             "points.",
-            "pv.csv, row 2: has 3 cells, but the header has 1. "
-            "Give one cell per column; quote a cell that contains a comma.",
         ],
     ),
     "open quote": (

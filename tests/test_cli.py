@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import re
 import subprocess
 import sys
@@ -321,6 +322,25 @@ def test_help_of_every_command_has_an_example(command: str) -> None:
     result = call(command, "--help")
     assert result.exit_code == 0
     assert f"Example: vppres {command}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("command", [["serve"], ["serve", "simulate"]])
+def test_help_names_the_extra_that_serving_needs(command: list[str]) -> None:
+    assert 'pip install "vppres[serve]"' in call(*command, "--help").stdout
+
+
+def test_output_that_nobody_reads_on_ends_without_a_word() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as deaf:
+        done = subprocess.run(
+            [sys.executable, "-m", "vppres", "schema"],
+            stdout=deaf,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 def test_schema_is_printed() -> None:

@@ -100,6 +100,22 @@ def test_valid_scenario(tiny_folder: Path) -> None:
     assert gap.startswith("- --method weighted would leave 0.000672 weighted customer hours")
 
 
+@pytest.mark.parametrize(
+    "options", [["--forecasts", "none.csv"], ["--warnings", "none.csv", "--outages", "none.csv"]]
+)
+def test_a_missing_file_of_an_option_is_not_looked_for_in_a_scenario(
+    tiny_folder: Path, options: list[str]
+) -> None:
+    told = call("backtest", tiny_folder, *options).stderr
+    assert "none.csv: the file is missing. Check the path that was given.\n" in told
+
+
+def test_one_battery_is_no_batteries(tiny_folder: Path) -> None:
+    table = tiny_folder / "batteries.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:2]))
+    assert "2 PV systems, 1 battery, 6 steps" in call("validate", tiny_folder).stdout
+
+
 def test_valid_scenario_as_json(tiny_folder: Path) -> None:
     result = call("validate", tiny_folder, "--json")
     assert result.exit_code == 0

@@ -16,8 +16,9 @@ from vppres.cli import commands
 from vppres.day.daily import daily_figures, spans_days
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
+from vppres.day.recorder import Recorder
 from vppres.day.simulate import run_day
-from vppres.day.trajectory import Recorder, Trajectory
+from vppres.day.trajectory import Trajectory
 from vppres.report.run_folder import DAYS_FILE, write_run
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario

@@ -17,8 +17,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -87,7 +87,7 @@ def test_cuts_leave_every_set_that_is_carried(
     usual, best = master().service(Deadline(TIME_S))
     assert usual.status == Status.OPTIMAL
     assert best is not None
-    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
     large = master()
     root = -large.root[1].value
     assert large.carries(best)
@@ -102,7 +102,7 @@ def test_a_set_without_a_dispatch_leaves_an_answer(monkeypatch: pytest.MonkeyPat
     day = three_feeders()
     data = window(day, slice(11, 13), 0.35)
     usual = WindowSolver(Site.of(day)).solve(data)
-    for name in ("task.LARGE", "task.HUGE", "network.master.SMALL"):
+    for name in ("task.LARGE", "task.HUGE", "network.program.SMALL"):
         monkeypatch.setattr(f"vppres.solve.{name}", 0)
     cheapest = NetworkMaster.cheapest
     refused = []
@@ -137,7 +137,7 @@ def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> Non
         Deadline(TIME_S)
     )
     assert served is not None
-    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
     master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
     columns = master.model.at["Q_batt"]
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))

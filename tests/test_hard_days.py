@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.hard_days import KINDS, hard_day, hard_window
-from experiments.random_feeders import random_window
+from experiments.random_feeders import random_state, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
@@ -131,11 +131,18 @@ def test_a_search_for_modes_knows_how_large_the_objective_is() -> None:
     assert answer.gap <= 1e-4
 
 
-def test_polygons_of_more_sides_close_what_corners_keep_open() -> None:
-    """With 16 sides the outer ones end at 7.178 and the inner ones at 7.156: neither is true."""
+@pytest.mark.parametrize(
+    ("method", "stage"), [("decomposed", "network_terms"), ("monolithic", "full_outer")]
+)
+def test_true_discs_close_what_corners_of_polygons_keep_open(method: str, stage: str) -> None:
+    """With 16 sides the outer ones end at 7.178 and the inner ones at 7.156: neither is true.
+
+    The monolith takes polygons of 64 sides for it, the ladder tangents where they are violated.
+    """
     case = hard_window("surplus", 302)
-    answer = WindowSolver(case.site).solve(case.data)
-    assert sum(stage.startswith("full_outer") for stage in answer.stages) == 2
+    answer = WindowSolver(case.site, method).solve(case.data)
+    searches = [name for name in answer.stages if name.startswith(stage)]
+    assert len(searches) == (2 if method == "monolithic" else 1)
     assert answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(7.1669, abs=1e-4)
     assert check_dispatch(case.day.scenario, case.data, answer.dispatch).worst[1] < 2e-5
@@ -186,3 +193,34 @@ def test_few_customers_over_many_steps_are_searched_by_binaries() -> None:
     assert answer.status == Status.OPTIMAL
     assert answer.stages[0].startswith("binary_service[")
     assert not any(stage.startswith("service[") for stage in answer.stages)
+
+
+@pytest.fixture
+def all_terms_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves every rung below the search of all terms in the network out."""
+    monkeypatch.setattr("vppres.solve.ladder.climb", lambda _: None)
+    monkeypatch.setattr("vppres.solve.ladder.worth_no_binaries", lambda _: False)
+
+
+@pytest.mark.usefixtures("all_terms_alone")
+@pytest.mark.parametrize("seed", [7, 21, 34])
+def test_all_terms_in_the_network_say_what_the_monolith_says(seed: int) -> None:
+    case = random_window(seed, stressed=True)
+    answers = both_methods(Site.of(case.scenario), case.data)
+    assert answers[0].stages[0].startswith("network_terms")
+    assert not any(stage.startswith("full") for stage in answers[0].stages)
+    assert_agree(case.scenario, case.data, answers)
+
+
+@pytest.mark.usefixtures("all_terms_alone")
+@pytest.mark.parametrize("seed", [7, 14, 21])
+def test_all_terms_in_the_network_know_switching_rules(seed: int) -> None:
+    case = random_window(seed, stressed=True)
+    state = random_state(seed, case.scenario)
+    data = replace(case.data, switching=state.window(case.data.n_steps))
+    ladder, monolith = both_methods(Site.of(case.scenario), data)
+    assert not any(stage.startswith("full") for stage in ladder.stages)
+    assert ladder.status == Status.OPTIMAL
+    assert ladder.objective == pytest.approx(monolith.objective, abs=1e-4)
+    assert ladder.bound >= monolith.objective - 1e-6
+    assert monolith.bound >= ladder.objective - 1e-6

@@ -16,8 +16,8 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import Status, WindowSolution
 
 TIME_S = 20.0
@@ -56,7 +56,7 @@ def test_voltages_without_tables_are_those_with_them(
 ) -> None:
     site = Site.of(packaged)
     tables = Reactance(site)
-    monkeypatch.setattr("vppres.solve.network.injections.MOST_TABLED", 0)
+    monkeypatch.setattr("vppres.solve.network.reactance.MOST_TABLED", 0)
     flows = Reactance(site)
     assert flows.tables is None
     rng = np.random.default_rng(4)
@@ -76,10 +76,10 @@ def test_reactive_power_in_two_parts_proves_the_same(
 
     def service() -> tuple[float, float]:
         master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-        return master.root[1].value, sum(len(rows.lower) for rows in master.found)
+        return master.root[1].value, sum(len(rows.lower) for rows in master.network.found)
 
     value, tangents = service()
-    monkeypatch.setattr("vppres.solve.network.master.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
     parted, fewer = service()
     # Discs are met to a tolerance only, so the same bound comes out to within it.
     assert parted == pytest.approx(value, rel=1e-5)
@@ -98,8 +98,8 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
     for name in (
         "task.LARGE",
         "task.HUGE",
-        "network.master.SMALL",
-        "network.injections.MOST_TABLED",
+        "network.program.SMALL",
+        "network.reactance.MOST_TABLED",
     ):
         monkeypatch.setattr(f"vppres.solve.{name}", 0)
     answer = solved(heavy, data)

@@ -272,6 +272,23 @@ def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> Non
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
+def test_an_outage_that_is_believed_is_told_before_a_plan_knows_of_it(
+    browser: Any, tmp_path: Path
+) -> None:
+    onset = {"start": "2026-10-25T02:00:00Z", "resolution": "PT3600S", "probabilities": [1.0]}
+    believed = {"type": "outage_belief", "source": "op", "probability": 0.6, "onset": onset}
+    options = RunOptions(horizon_h=3.0, isolate=False, outages="belief")
+    with opened(Service(site(), options), tmp_path, SetClock(NIGHT)) as runner:
+        decide(runner, NIGHT)
+        runner.store.put_event("storm", believed, NIGHT, "test")
+        with (
+            listening(make_app(runner, Access())) as address,
+            Watcher(browser, address) as watcher,
+        ):
+            watcher.wait_for("#verdict-words", "All 3 customers are on.")
+            assert watcher.text("#verdict-more") == "Outage possible: 60 %, from 02:00 GMT on."
+
+
 def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:
     """The last test: it goes on to the next hour, and ends with a service that is gone."""
     runner, _ = watched

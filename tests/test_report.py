@@ -21,7 +21,8 @@ from tests.support.made_up_runs import (
 )
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
-from vppres.day.trajectory import Trajectory, read_run
+from vppres.day.run_files import read_run
+from vppres.day.trajectory import Trajectory
 from vppres.report.assumptions import data_words, option_words, simplifications
 from vppres.report.events import events_of, sentences_of
 from vppres.report.findings import findings

@@ -30,8 +30,9 @@ from tests.support.live_service import (
 )
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.live.controller import Controller, SetPoints
+from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, check_address, new_token

@@ -135,6 +135,8 @@ def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path
         ):
             answer = http.put("/v1/events/storm", {**STORM, **change})
             assert answer.status == 422 and words in answer.json()["detail"], answer.json()
+        [told] = http.put("/v1/events/storm", {**STORM, "probability": 1.1}).json()["problems"]
+        assert (told["field"], told["value"]) == ("body.outage_belief.probability", "1.1")
         assert http.get("/v1/events").json() == {}
 
 

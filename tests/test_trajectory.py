@@ -21,7 +21,9 @@ from tests.support.made_up_runs import (
     without_devices,
 )
 from vppres.core.errors import InputError
-from vppres.day.trajectory import Recorder, Trajectory, read_run, voltage_figures, write_tables
+from vppres.day.recorder import Recorder, voltage_figures
+from vppres.day.run_files import read_run, write_tables
+from vppres.day.trajectory import Trajectory
 from vppres.io.scenario_writer import write_scenario
 
 CONTRACT = {

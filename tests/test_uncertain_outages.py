@@ -14,8 +14,9 @@ from vppres.core.errors import InputError
 from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
 from vppres.day.outages import believed_outages
+from vppres.day.run_files import read_run
 from vppres.day.simulate import run_day
-from vppres.day.trajectory import Trajectory, read_run
+from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
@@ -286,6 +287,17 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
     later, now = zip(*rationed.str.findall(r"([0-9.]+) GBP").tolist(), strict=True)
     assert (np.array(later, dtype=float) >= np.array(now, dtype=float)).all()
     assert not words.str.contains("neither shadow prices nor the record").any()
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_step_and_its_batteries_tell_the_same_worth(tiny: Scenario, seed: int) -> None:
+    run = explain_day(run_day(random_day(tiny, seed), RunOptions(outages="belief", horizon_h=3.0)))
+    assert run.explanations is not None
+    told = run.explanations[run.explanations["item"].isin(["step", "battery"])]
+    worth = told["words"].str.extract(r"kWh in store is worth (-?[\d.]+) GBP")[0]
+    counts = worth.groupby(told["time"]).agg(["count", "nunique"])
+    assert (counts["count"] > 1).any()
+    assert (counts["nunique"] <= 1).all()
 
 
 def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:

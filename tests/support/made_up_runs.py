@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.usual_battery import USUAL_BATTERY
-from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
+from vppres.day.recorder import Recorder, StepRecord, voltage_figures
+from vppres.day.trajectory import Trajectory
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario

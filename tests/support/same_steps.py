@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.live.controller import SetPoints
+from vppres.live.set_points import SetPoints
 
 FOUND = ("objective", "bound", "gap")
 

@@ -1,4 +1,4 @@
-"""The command line: the only module that prints.
+"""The commands, one function each: what it reads, what it asks of the other rooms, what it prints.
 
 Libraries that are slow to load are imported inside the commands, so that ``vppres --help`` answers
 at once.
@@ -11,9 +11,8 @@ import json
 import math
 import signal
 import sys
-import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -22,7 +21,9 @@ from rich.console import Console
 
 from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import new_options as cli_new
+from vppres.cli import serve_options as cli_serve
 from vppres.cli import sweep_options as cli_sweep
+from vppres.cli.endings import TERMINATED, Terminated, extra, plain_errors
 from vppres.cli.options import (
     Commands,
     DayCommand,
@@ -37,7 +38,6 @@ from vppres.cli.progress import progress_bar, run_with_bar
 from vppres.cli.tables import (
     comparison_table,
     content_of,
-    error_panel,
     figures_table,
     phases_table,
     problem_record,
@@ -47,16 +47,13 @@ from vppres.cli.tables import (
     sweep_table,
     validation_text,
 )
-from vppres.core.errors import InputError, Problem, VppresError
+from vppres.core.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
     from vppres.report.drawing import DrawingProcesses
     from vppres.studies.sweep import SweepRow
 
-# The shell's convention: 128 and the number of the signal.
-INTERRUPTED = 130
-TERMINATED = 143
 RESULTS = Path("results")
 MOST_DRAWN = 4_500
 """Steps of the longest run that gets figures and a report: half a year of hours. A year's page took
@@ -71,10 +68,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Dispatch a virtual power plant through an outage.",
 )
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM came: batch systems and service managers end a command with it."""
 
 
 def main() -> None:
@@ -152,12 +145,11 @@ def run(
     debug: Debug = False,
 ) -> None:
     """Run a scenario's day and write a run folder."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_target
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+        from vppres.io.find import load_scenario
 
-        day = read_scenario(find_scenario(scenario))
+        day = load_scenario(scenario)
         too_long = figures and day.grid.n_steps > MOST_DRAWN
         with _drawing(figures and not too_long) as drawing:
             options = run_options(day, context.obj)
@@ -185,7 +177,7 @@ def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False
 
     The problems are sorted by file and row.
     """
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.find import find_scenario
         from vppres.io.scenario_folder import read_scenario
 
@@ -232,7 +224,7 @@ def report(
     debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_file
         from vppres.report.finished import priced, read_finished, rewrite_report
         from vppres.report.pdf import find_browser
@@ -266,7 +258,7 @@ def compare(
     debug: Debug = False,
 ) -> None:
     """Lay runs of the same day side by side in one HTML file, with differences to the first."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_file
         from vppres.report.pages import write_page
         from vppres.studies.compare import (
@@ -310,16 +302,15 @@ def sweep(
 
     Each run is a run folder; a table (summary.csv) and a page (sweep.html) hold all of them.
     """
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_target
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+        from vppres.io.find import load_scenario
         from vppres.studies.side_by_side import Where
         from vppres.studies.sweep import cases_of, outcome_records, run_cases
         from vppres.studies.sweep_page import write_sweep_page
         from vppres.studies.sweep_parameters import chosen_values, find_parameter
 
-        day = read_scenario(find_scenario(scenario))
+        day = load_scenario(scenario)
         parameter = find_parameter(param, day)
         cases = cases_of(
             parameter, chosen_values(parameter, values, range_), day, run_options(day, context.obj)
@@ -379,7 +370,7 @@ def new(
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.feeders import import_network
         from vppres.feeders.new.options import NewScenarioOptions, first_day, parse_outage
         from vppres.feeders.new.scenario import write_new_scenario
@@ -438,7 +429,7 @@ def recheck(
     debug: Debug = False,
 ) -> None:
     """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_target
         from vppres.report.finished import read_finished
         from vppres.report.rechecked import recheck_run, write_recheck
@@ -460,68 +451,32 @@ def recheck(
 def serve(
     context: typer.Context,
     scenario: ScenarioName,
-    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8420,
-    state: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PLACE",
-            envvar="VPPRES_STATE",
-            help="Where the service keeps its state: a folder, SCENARIO.live if not given, or "
-            "postgresql://USER@HOST/DATABASE.",
-        ),
-    ] = None,
-    rehearse: Annotated[
-        bool,
-        typer.Option(help="Play the scenario's own steps, each when POST /v1/steps asks for it."),
-    ] = False,
-    paced: Annotated[
-        bool,
-        typer.Option(
-            help="Let the clock be set by PUT /v1/clock, as `vppres serve simulate` does."
-        ),
-    ] = False,
-    keep_days: Annotated[
-        float, typer.Option(min=1.0, help="How long readings and plans are kept, in days.")
-    ] = 400.0,
-    add_token: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME:SCOPES",
-            help="Make a token, print it and end; scopes: read, telemetry, events, operator.",
-        ),
-    ] = None,
-    token_days: Annotated[
-        float | None, typer.Option(min=0.0, help="With --add-token: days after which it ends.")
-    ] = None,
-    remove_token: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Remove a token and end.")
-    ] = None,
-    certificate: Annotated[
-        Path | None, typer.Option(help="Certificate for TLS, a PEM file; needs --key.")
-    ] = None,
-    key: Annotated[Path | None, typer.Option(help="Its private key, a PEM file.")] = None,
-    behind_proxy: Annotated[
-        bool, typer.Option(help="A proxy in front does TLS, without which others may not call.")
-    ] = False,
-    name: Annotated[
-        list[str] | None,
-        typer.Option(help="A name under which a proxy calls; may be given several times."),
-    ] = None,
+    host: cli_serve.Host = "127.0.0.1",
+    port: cli_serve.Port = 8420,
+    state: cli_serve.State = None,
+    rehearse: cli_serve.Rehearse = False,
+    paced: cli_serve.Paced = False,
+    keep_days: cli_serve.KeepDays = 400.0,
+    add_token: cli_serve.AddToken = None,
+    token_days: cli_serve.TokenDays = None,
+    remove_token: cli_serve.RemoveToken = None,
+    certificate: cli_serve.Certificate = None,
+    key: cli_serve.Key = None,
+    behind_proxy: cli_serve.BehindProxy = False,
+    name: cli_serve.ProxyName = None,
     debug: Debug = False,
 ) -> None:
-    """Serve a scenario's site over HTTP: a controller that decides day and night.
+    r"""Serve a scenario's site over HTTP: a controller that decides day and night.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
-    with _plain_errors(debug):
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+    with plain_errors(debug):
+        from vppres.io.find import load_scenario
 
-        with _extra("serve"):
+        with extra("serve"):
             from vppres.service import serve as service
             from vppres.service.runner import Service
-        day = read_scenario(find_scenario(scenario))
+        day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
         folder = state or f"{day.name}.live"
         if add_token is not None:
@@ -543,18 +498,11 @@ def serve(
 def export(
     context: typer.Context,
     scenario: ScenarioName,
-    begin: Annotated[str, typer.Option("--from", metavar="TIME", help="Beginning, ISO 8601.")],
-    end: Annotated[str, typer.Option("--to", metavar="TIME", help="End, ISO 8601.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the run.")] = RESULTS / "live",
-    state: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PLACE",
-            envvar="VPPRES_STATE",
-            help="Of the service; SCENARIO.live if not given.",
-        ),
-    ] = None,
-    explain: Annotated[bool, typer.Option(help="Say why, for customers and batteries.")] = False,
+    begin: cli_serve.Begin,
+    end: cli_serve.End,
+    out: cli_serve.RunFolder = RESULTS / "live",
+    state: cli_serve.ReadState = None,
+    explain: cli_serve.Explain = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -562,16 +510,15 @@ def export(
 
     The service may run meanwhile. Times without an offset are those of the clocks at the site.
     """
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_target
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+        from vppres.io.find import load_scenario
 
-        with _extra("serve"):
+        with extra("serve"):
             from vppres.service import export as past
             from vppres.service.runner import Service
         check_target(out)
-        day = read_scenario(find_scenario(scenario))
+        day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj))
         run = past.export(served, state or f"{day.name}.live", begin, end)
         summary = _write(run, out, explain, None)
@@ -589,56 +536,34 @@ def export(
 )
 def simulate(
     context: typer.Context,
-    scenario: Annotated[str, typer.Argument(metavar="SITE", help="The site that is served.")],
-    world: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENARIO", help="What comes; if not given the site's own days, which it knows."
-        ),
-    ] = None,
-    speed: Annotated[
-        float, typer.Option(min=0.0, help="Simulated over real time; 0: as fast as it decides.")
-    ] = 0.0,
-    url: Annotated[
-        str | None,
-        typer.Option(help="A service that was started with --paced; its own if not given."),
-    ] = None,
-    token: Annotated[
-        str | None, typer.Option(envvar="VPPRES_TOKEN", help="Token for that service.")
-    ] = None,
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port of its own service; a free one.")
-    ] = None,
-    state: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="State of its own service; dropped if not given."),
-    ] = None,
-    announced: Annotated[
-        float, typer.Option(min=0.0, help="How long before an outage it is announced, in h.")
-    ] = 24.0,
-    lost: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of readings lost.")] = 0.0,
-    delayed: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of readings up to three steps late.")
-    ] = 0.0,
-    skew: Annotated[float, typer.Option(help="By how much clocks of sources are off, in s.")] = 0.0,
-    repeats: Annotated[bool, typer.Option(help="Send every reading twice.")] = False,
+    scenario: cli_serve.SiteName,
+    world: cli_serve.WorldName = None,
+    speed: cli_serve.Speed = 0.0,
+    url: cli_serve.Url = None,
+    token: cli_serve.AccessToken = None,
+    port: cli_serve.OwnPort = None,
+    state: cli_serve.OwnState = None,
+    announced: cli_serve.AnnouncedBefore = 24.0,
+    lost: cli_serve.LostShare = 0.0,
+    delayed: cli_serve.DelayedShare = 0.0,
+    skew: cli_serve.ClockSkew = 0.0,
+    repeats: cli_serve.Repeats = False,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Play a scenario against a service over HTTP, the plant being the world.
+    r"""Play a scenario against a service over HTTP, the plant being the world.
 
-    Needs the extra: pip install "vppres[serve]".
+    Needs the extra: pip install "vppres\[serve]".
     """
-    with _plain_errors(debug):
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+    with plain_errors(debug):
+        from vppres.io.find import load_scenario
 
-        with _extra("serve"):
+        with extra("serve"):
             from vppres.service import simulate as player
             from vppres.service.runner import Service
-        site = read_scenario(find_scenario(scenario))
-        comes = site if world is None else read_scenario(find_scenario(world))
+        site = load_scenario(scenario)
+        comes = site if world is None else load_scenario(world)
         served = Service(site, run_options(site, context.obj), world is None, world is not None)
         faults = player.TelemetryFaults(lost, delayed, skew, repeats, served.options.seed)
         how = player.Play(speed, announced, world is not None, faults)
@@ -675,7 +600,7 @@ def backtest(
     debug: Debug = False,
 ) -> None:
     """Score forecasts of load and PV power against what came: tables and a page."""
-    with _plain_errors(debug):
+    with plain_errors(debug):
         from vppres.io.atomic import check_target
         from vppres.studies.backtest import Plan, forecasts_in, measured_in
         from vppres.studies.backtest import backtest as run_backtest
@@ -709,7 +634,7 @@ def backtest(
 @app.command(epilog="Example: vppres schema > my-feeder/scenario.schema.json")
 def schema() -> None:
     """Print the JSON Schema of scenario.toml, for editors that complete it."""
-    with _plain_errors(debug=False):
+    with plain_errors(debug=False):
         from vppres.io.editor import schema_text
 
         typer.echo(schema_text(), nl=False)
@@ -718,7 +643,7 @@ def schema() -> None:
 @app.command(epilog="Example: vppres scenarios --json")
 def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with the package."""
-    with _plain_errors(debug=False):
+    with plain_errors(debug=False):
         from vppres.io.find import find_scenario, packaged_scenarios
 
         names = packaged_scenarios()
@@ -750,51 +675,6 @@ def _write(
     if drawing is None:
         return write_run(done, folder, figures=False)
     return write_run(done, folder, draw=drawing.save)
-
-
-@contextmanager
-def _extra(name: str) -> Iterator[None]:
-    """Say which extra brings a package that is missing."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(
-            Problem(
-                name,
-                f"needs the package {error.name}",
-                f'Install the extra: pip install "vppres[{name}]".',
-            )
-        ) from error
-
-
-@contextmanager
-def _plain_errors(debug: bool) -> Iterator[None]:
-    """Turn every exception into a sentence on stderr and an exit status."""
-    try:
-        yield
-    except Terminated:
-        _fail("Terminated; nothing was written.", TERMINATED, debug)
-    except KeyboardInterrupt:
-        _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
-    except VppresError as error:
-        _fail(str(error), error.exit_status, debug)
-    except Exception as error:
-        _fail(
-            f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
-            "traceback.",
-            1,
-            debug,
-        )
-
-
-def _fail(message: str, status: int, debug: bool) -> NoReturn:
-    """End the command; with ``debug`` the traceback takes the place of the bare message."""
-    console = Console(stderr=True)
-    if console.is_terminal and not debug:
-        console.print(error_panel(message))
-    else:
-        typer.echo(traceback.format_exc() if debug else message, err=True)
-    raise typer.Exit(status)
 
 
 def _print_json(record: object) -> None:

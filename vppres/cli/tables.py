@@ -91,8 +91,10 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
         return "\n".join([*map(str, problems), count])
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
-        "{batteries} batteries, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid; {export}; islands in {mode} mode.".format_map(content)
+        "{batteries} {battery_word}, {steps} steps of {step_minutes:g} min, {outage_steps} of "
+        "them without grid; {export}; islands in {mode} mode.".format_map(
+            {**content, "battery_word": "battery" if content["batteries"] == 1 else "batteries"}
+        )
     )
     told = [*content["remarks"], *filter(None, [content["weighted_gap"]])]
     return "\n".join([holds, *(f"- {remark}" for remark in told)])

@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.core.plain import json_safe
 from vppres.core.units import kva_to_a
 from vppres.day.reliability import reliability_figures
 from vppres.day.switching_figures import switching_figures
-from vppres.day.trajectory import OPTIONS, Trajectory, json_safe
+from vppres.day.trajectory import OPTIONS, Trajectory
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
 

@@ -19,7 +19,8 @@ from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, GridSeen, OutageView
-from vppres.day.trajectory import Recorder, StepRecord, Trajectory, voltage_figures
+from vppres.day.recorder import Recorder, StepRecord, voltage_figures
+from vppres.day.trajectory import Trajectory
 from vppres.io.python_door import check_scenario
 from vppres.physics.powerflow import shared_power_flow
 from vppres.plant.collapse import realise

@@ -49,9 +49,15 @@ def _worth(step: Step) -> str:
     if step.cost is None or not len(step.cost.kept_energy):
         offer = one_more(step, "energy")
         return f"{_capital(offer)}." if offer else ""
+    # Under a belief the plan has said what it is worth, and each battery's sentence tells that.
+    believed = step.later_worth_gbp
+    stored = (
+        f"{money(float(step.cost.kept_energy.max()))} GBP"
+        if believed is None
+        else f"{money(believed)} GBP later"
+    )
     worth = (
-        f"A kWh in store is worth {money(float(step.cost.kept_energy.max()))} GBP, "
-        f"imported it costs {money(step.price_gbp_per_kwh)} GBP."
+        f"A kWh in store is worth {stored}, imported it costs {money(step.price_gbp_per_kwh)} GBP."
     )
     room = 0.0 if step.service is None else float(step.service.energy_ceiling.max(initial=0.0))
     if room <= WORTH:

@@ -15,7 +15,7 @@ from vppres.forecasts.given import TOTALS, GivenQuantiles
 from vppres.io import schema
 from vppres.io.messages import did_you_mean, few
 from vppres.io.series import TIME, read_times, read_values
-from vppres.io.tables import Table, read_table
+from vppres.io.tables import CHECK_PATH, Table, read_table
 
 ISSUED = "issued_at"
 SERIES = "series"
@@ -46,7 +46,7 @@ def read_quantiles(
     InputError
         With every problem of the file.
     """
-    table, problems = read_table(Path(path))
+    table, problems = read_table(Path(path), CHECK_PATH)
     if table is None:
         raise InputError(problems)
     levels = {

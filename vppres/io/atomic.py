@@ -32,6 +32,7 @@ if sys.platform != "win32":
 RUN_MARK = "summary.json"
 _PART = ".vppres-part"  # being written, or an older run that was replaced
 _OLD = ".vppres-old"  # an older run on its way out, where names cannot be exchanged
+_TRIES = 100  # each is lost only to a run that cleans up in the same instant
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Of Linux: renameat2(2), with paths relative to the working folder.
 _AT_FDCWD = -100
@@ -257,7 +258,7 @@ def _locked_folder(target: Path) -> tuple[Path, int]:
 
 def _locked(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
     """Something new aside, and the open descriptor that holds its lock."""
-    while True:
+    for _ in range(_TRIES):
         aside = _sibling(target, _PART)
         try:
             descriptor = make(aside)
@@ -269,6 +270,8 @@ def _locked(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
         if _lock(descriptor) and aside.exists():
             return aside, descriptor
         os.close(descriptor)
+    # Some folders take nothing although permissions allow it: those of a kernel, as /proc.
+    raise OSError(errno.EACCES, "the folder takes nothing new", str(target.parent))
 
 
 def _lock(descriptor: int) -> bool:

@@ -11,7 +11,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.io import schema
 from vppres.io.messages import few, shown
 from vppres.io.series import time_of
-from vppres.io.tables import Table, read_rows, read_table
+from vppres.io.tables import CHECK_PATH, Table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.outage_warnings import OutageWarning
 
@@ -26,7 +26,7 @@ def read_outage_log(file: str | Path) -> list[Interval]:
     InputError
         With every problem of the file.
     """
-    table, problems = read_table(Path(file))
+    table, problems = read_table(Path(file), CHECK_PATH)
     rows, found = read_rows(table, schema.OutageRow)
     problems += found
     outages: dict[int, Interval] = {}
@@ -51,7 +51,7 @@ def read_warning_file(file: str | Path) -> list[OutageWarning]:
     InputError
         With every problem of the file.
     """
-    table, problems = read_table(Path(file))
+    table, problems = read_table(Path(file), CHECK_PATH)
     messages, found = read_warnings(table)
     if problems + found:
         raise InputError(problems + found)

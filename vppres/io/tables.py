@@ -60,6 +60,11 @@ class Table:
         return [str(name) for name in self.frame.columns]
 
 
+NAME_ANOTHER = "Add it, or name another file under [files] in scenario.toml."
+CHECK_PATH = "Check the path that was given."
+"""Cures of a missing file: of a scenario's, and of one that an option names."""
+
+
 def no_table(file: str, model: type[BaseModel]) -> Table:
     """The table of assets that the scenario does not have: a header without rows."""
     required = [
@@ -70,16 +75,12 @@ def no_table(file: str, model: type[BaseModel]) -> Table:
     return Table(file, pd.DataFrame(columns=required))
 
 
-def read_table(path: Path) -> tuple[Table | None, list[Problem]]:
+def read_table(
+    path: Path, cure_if_missing: str = NAME_ANOTHER
+) -> tuple[Table | None, list[Problem]]:
     """A table, or the problems that keep the file from being one."""
     if not path.is_file():
-        return None, [
-            Problem(
-                path.name,
-                "the file is missing",
-                "Add it, or name another file under [files] in scenario.toml.",
-            )
-        ]
+        return None, [Problem(path.name, "the file is missing", cure_if_missing)]
     table, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if table is not None:
         problems = [
@@ -196,7 +197,9 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
         ]
     if not rows:
         return None, [Problem(path.name, "is empty", "Write a header row with column names.")]
-    problems = _check_header(path.name, rows[0]) + _check_ragged(path.name, rows, lines)
+    problems = _check_header(path.name, rows[0])
+    if not _has_semicolons(rows[0]):
+        problems += _check_ragged(path.name, rows, lines)
     if problems:
         return None, problems
     return Table(
@@ -204,8 +207,13 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
     ), []
 
 
+def _has_semicolons(header: list[str]) -> bool:
+    """Whether semicolons separate the cells; commas are then inside of numbers."""
+    return len(header) == 1 and ";" in header[0]
+
+
 def _check_header(file: str, header: list[str]) -> list[Problem]:
-    if len(header) == 1 and ";" in header[0]:
+    if _has_semicolons(header):
         return [
             Problem(
                 file,

@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.terminal import Terminal
 from vppres.control.guard.guard import GuardedController
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
-from vppres.core.notebook import facts_html
 from vppres.day.assembly import make_controller
-from vppres.day.forecasting import forecasts_of
 from vppres.day.options import RunOptions
-from vppres.day.outages import KNOWN, LOOKAHEAD_H, Beside, OutageView
-from vppres.day.simulate import Day
-from vppres.day.trajectory import Feeder, StepRecord
-from vppres.feeders.actuate import Feeding
+from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
-from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.memory import Memory
 from vppres.live.past import Past
+from vppres.live.present import Present, Rows
+from vppres.live.set_points import SetPoints
 from vppres.live.state import Standing, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
-from vppres.plant.plant import BatteryState
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -41,87 +33,6 @@ from vppres.solve.isolated import SUPPORTED
 
 ENDLESS = 2**40
 """Steps that a controller may be fed with in its life."""
-
-
-@dataclass(frozen=True, eq=False)
-class SetPoints:
-    """The decision for one step, as tables by identifier.
-
-    Parameters
-    ----------
-    time : pandas.Timestamp
-        Beginning of the step.
-    customers : DataFrame
-        ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``.
-    batteries : DataFrame
-        ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), and ``soc_end``, the
-        state of charge that is expected after the step.
-    pv : DataFrame
-        ``bus``, ``available_kw``, ``p_kw`` to be fed, ``curtailed_kw`` and ``q_kvar`` (injection
-        positive).
-    buses : DataFrame
-        ``v_ac_pu``, the voltage that an AC power flow of the set-points gives.
-    import_kw : float
-        Power from the grid in that power flow, losses included.
-    solve : mapping
-        How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
-        ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
-        none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
-        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
-    feeding : Feeding
-        What holds the voltage: the grid, a battery, or nobody.
-    foreseen : Foreseen
-        What the plan that it is taken from foresees for the steps after it.
-    """
-
-    time: pd.Timestamp
-    customers: pd.DataFrame
-    batteries: pd.DataFrame
-    pv: pd.DataFrame
-    buses: pd.DataFrame
-    import_kw: float
-    solve: Mapping[str, Any]
-    feeding: Feeding
-    foreseen: Foreseen
-
-    def apply_to(self, net: Any, feeder: Feeder) -> None:
-        """Write the set-points into a pandapower net.
-
-        What the scenario took over (loads, generators, storages) is switched off. Customers become
-        loads with their measured demand (0 if they are off), PV systems static generators and
-        batteries storages, named by their identifiers and marked in a column ``vppres``. In an
-        outage the grid is opened; where batteries hold the island, a source at the bus of the
-        largest holds its voltage and gives nothing.
-
-        Parameters
-        ----------
-        net : pandapowerNet
-            The net that the feeder was imported from; branches opened for the import are open.
-        feeder : ImportedFeeder
-            What :func:`vppres.feeders.sources.import_network` made of it.
-        """
-        from vppres.feeders.actuate import Powers, put_into_net
-
-        on = self.customers["served"]
-        drawn = self.customers.assign(
-            p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
-        )
-        put_into_net(net, feeder.bus_of, Powers(drawn, self.pv, self.batteries, self.feeding))
-
-    def _repr_html_(self) -> str:
-        """Heading and tables for a notebook."""
-        on = self.customers["served"]
-        head = facts_html(
-            f"Set-points of {self.time:%Y-%m-%d %H:%M}",
-            {
-                "customers on": f"{int(on.sum())} of {len(on)}",
-                "import (kW)": f"{self.import_kw:.1f}",
-                "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s",
-                "fallback": self.solve["fallback_reason"] or "none",
-            },
-        )
-        tables = (self.customers, self.batteries, self.pv)
-        return head + "".join(table.to_html(float_format="{:.3f}".format) for table in tables)
 
 
 class Controller:
@@ -266,9 +177,13 @@ class Controller:
 
         Those of its window; with beliefs of outages also those that stored energy may be for.
         """
-        row = step_at(self.scenario.grid, time)
-        steps = self._ahead(row, self._window(row))
+        steps = self._rows(step_at(self.scenario.grid, time)).ahead
         return self.times[steps.start : steps.stop]
+
+    def _rows(self, row: int) -> Rows:
+        """Rows of the scenario that the decision on one of them looks at."""
+        window = self._window(row)
+        return Rows(window, self._ahead(row, window))
 
     def _window(self, row: int) -> range:
         """Rows of the scenario that a decision looks at, cut where it ends."""
@@ -440,75 +355,20 @@ class Controller:
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
         """What was decided for the window as it is believed to be, and what to remember of it."""
         t = seen.t + self._forgotten
-        switching, cold_load = past.held_until(t)
-        window = self._window(seen.t)
-        ends = window.stop == self.scenario.grid.n_steps
-        beyond = seen.window(self._ahead(seen.t, window))
-        beside = Beside(self.scenario.price_gbp_per_kwh[: seen.t], beyond.announced_kw)
-        ahead = replace(beyond.scenario, history=past.history)
-        own = forecasts_of(ahead, self.options, ForecastErrors())
-        forecasts = GivenFirst.of(own, ahead, seen)
-        forecast = forecasts.at(0, range(len(window)))
-        seen = seen.window(window)
-        grid_seen = past.grid_seen.after(
-            seen.scenario.grid.start, float(seen.scenario.grid_limit_kw[0])
-        )
-        b = self.scenario.batteries
-        soc = seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max)
-        measured = Observation(
-            t,
-            replace(
-                forecast,
-                load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
-                pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
-            ),
-            soc,
-            seen.eta_charge,
-            seen.eta_discharge,
-            past.operating_point,
-            switching,
-            battery_kw=seen.battery_kw,
-            online=seen.online,
-            import_kw=seen.import_kw,
-            served=past.served,
-            terminal=Terminal.of(self.options.soc_end, forecast, ends=ends),
-            keep_stored=self.options.keep_stored,
-        )
-        view = OutageView.create(self.scenario, self._record)
-        measured = view.told(measured, grid_seen, ahead, 0, forecasts, beside)
-        decision = _without(self._decider.decide(measured), seen.connected)
+        present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
+        told = present.observation(OutageView.create(self.scenario, self._record))
+        decision = _without(self._decider.decide(told), seen.connected)
+        day = present.day(self._taken_for_true(told))
+        record = day.settle(0, decision)
+        points = SetPoints.of(day.scenario, record, Foreseen.of(decision, day.scenario))
+        return points, present.after(day, record)
+
+    def _taken_for_true(self, told: Observation) -> Observation:
+        """What a guard made of the observation that it was told last."""
         guard = self._decider
-        known = (
-            guard.known.observation
-            if isinstance(guard, GuardedController) and guard.known
-            else measured
-        )
-        scenario = seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
-        day = Day(scenario, self.options)
-        day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, b.t_ref_c)
-        day.switching = switching
-        day.ac.go_on_from(past.voltages)
-        day.plant.cold_load = cold_load
-        record = day.settle(seen.t, decision)
-        return (
-            _set_points(scenario, record, Foreseen.of(decision, scenario)),
-            Past(
-                t,
-                day.operating_point,
-                day.switching,
-                day.plant.cold_load,
-                record.customers["served"],
-                past.with_measured(
-                    scenario.grid.times[seen.t],
-                    np.where(
-                        np.isnan(seen.load_kw) | ~seen.connected, np.nan, scenario.load_kw[seen.t]
-                    ),
-                    np.where(np.isnan(seen.pv_kw), np.nan, scenario.pv_kw[seen.t]),
-                ),
-                day.ac.found,
-                grid_seen,
-            ),
-        )
+        if isinstance(guard, GuardedController) and guard.known:
+            return guard.known.observation
+        return told
 
 
 def _without(decision: Decision, connected: Flags) -> Decision:
@@ -517,74 +377,3 @@ def _without(decision: Decision, connected: Flags) -> Decision:
         return decision
     served = decision.dispatch.served & connected
     return replace(decision, dispatch=replace(decision.dispatch, served=served))
-
-
-def _first_row(rows: Floats, row: Floats) -> Floats:
-    return np.vstack([row, rows[1:]])
-
-
-def _set_points(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> SetPoints:
-    """The tables of a step."""
-    c = scenario.customers
-    pv = scenario.pv
-    b = scenario.batteries
-    customers = step.customers
-    batteries = step.batteries
-    powers = step.pv
-    solve = {
-        name: step.steps[name]
-        for name in (
-            "status",
-            "gap",
-            "objective",
-            "bound",
-            "solve_s",
-            "corrected",
-            "fallback",
-            "fallback_reason",
-            "estimated",
-        )
-    }
-    if "stored_value_gbp_per_kwh" in step.steps:
-        solve["stored_value_gbp_per_kwh"] = step.steps["stored_value_gbp_per_kwh"]
-    return SetPoints(
-        time=scenario.grid.times[step.t],
-        customers=_table(
-            c.id,
-            bus=c.bus,
-            tier=c.tier,
-            load_kw=customers["p_load_kw"],
-            load_kvar=customers["q_load_kvar"],
-            served=customers["served"],
-        ),
-        batteries=_table(
-            b.id,
-            bus=b.bus,
-            p_kw=batteries["charge_kw"] - batteries["discharge_kw"],
-            q_kvar=batteries["q_kvar"],
-            soc_end=batteries["soc_end"],
-        ),
-        pv=_table(
-            pv.id,
-            bus=pv.buses(c),
-            available_kw=powers["available_kw"],
-            p_kw=powers["self_kw"] + powers["export_kw"],
-            curtailed_kw=powers["curtailed_kw"],
-            q_kvar=powers["q_kvar"],
-        ),
-        buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
-        import_kw=float(step.steps["p_grid_kw"]),
-        solve={**solve, "reason": step.steps["correction_reason"]},
-        feeding=Feeding.of(
-            scenario,
-            bool(scenario.outage[step.t]),
-            str(step.steps["mode"]),
-            np.asarray(step.buses["v_ac_pu"], dtype=float),
-        ),
-        foreseen=foreseen,
-    )
-
-
-def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:
-    """Columns by identifier."""
-    return pd.DataFrame(columns, index=pd.Index(names, name=index))

@@ -11,7 +11,8 @@ from typing import Any
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_figures
-from vppres.day.trajectory import Trajectory, read_run
+from vppres.day.run_files import read_run
+from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import remove_leftovers, scratch_folder
 from vppres.report.pages import write_page
 from vppres.report.pdf import write_pdf

@@ -13,7 +13,8 @@ from markupsafe import Markup
 from vppres.core.errors import ReportError, StorageError, VppresError
 from vppres.day.daily import daily_figures, spans_days
 from vppres.day.metrics import summarise
-from vppres.day.trajectory import Trajectory, write_tables
+from vppres.day.run_files import write_tables
+from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
 from vppres.report.clock import Clock

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
@@ -45,6 +45,7 @@ def answer_errors(app: FastAPI) -> None:
                 str(details["msg"]).removeprefix("Value error, "),
                 "The fields are described in /openapi.json.",
                 field=".".join(str(part) for part in details["loc"])[:200],
+                value=_sent(details),
             )
             for details in error.errors()[:MOST_PROBLEMS]
         ]
@@ -70,6 +71,13 @@ def answer_errors(app: FastAPI) -> None:
     async def unforeseen(_: Request, error: Exception) -> Response:
         # What it was stands in the log of the service, and nowhere else.
         return problem_answer(500, "The service has a mistake. Its log says which.")
+
+
+def _sent(details: Mapping[str, Any]) -> str | float | None:
+    """The value that a mistake is about; none where there is none, or a whole table."""
+    value = details.get("input")
+    alone = isinstance(value, str | int | float) and details["type"] != "json_invalid"
+    return value if alone else None
 
 
 def problem_answer(status: int, detail: str, problems: Sequence[Problem] = ()) -> Response:

@@ -24,7 +24,7 @@ from vppres.core.arrays import Floats
 from vppres.day.forecasting import PAPER
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN
-from vppres.day.trajectory import Recorder
+from vppres.day.recorder import Recorder
 from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
 from vppres.live.measurement import Measurement

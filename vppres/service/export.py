@@ -18,7 +18,8 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
-from vppres.day.trajectory import Recorder, StepRecord, Trajectory
+from vppres.day.recorder import Recorder, StepRecord
+from vppres.day.trajectory import Trajectory
 from vppres.live.door import moment_of
 from vppres.live.profile import Profile
 from vppres.model.site import Site

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.live.controller import SetPoints
 from vppres.live.measurement import Measurement
+from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known

@@ -15,8 +15,8 @@ from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.day.options import RunOptions
+from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.day.trajectory import StepRecord
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import GRID

@@ -40,6 +40,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
+from vppres.solve.network.terms import all_terms_in_network
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -174,6 +175,8 @@ class WindowSolver:
             climb(task)
             if worth_no_binaries(task):
                 without_binaries(task)
+            if worth_the_whole(task):
+                all_terms_in_network(task)
         if worth_the_whole(task):
             with_binaries(task)
         return task.solution()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,25 +16,23 @@ from vppres.core.errors import InputError, Problem
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
-from vppres.forecasts.references import Climatology, WeeklyNaive
-from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.forecasts.seasonal import Seasonal
 from vppres.io.find import is_scenario, load_scenario
 from vppres.io.history import read_history
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC, is_zone
+from vppres.studies.issue_scores import (
+    ENERGY_H,
+    FORECAST,
+    QUANTITIES,
+    REFERENCES,
+    SHARES,
+    scores_of_issue,
+)
 
-QUANTITIES = ("load", "pv", "net")
-SHARES = (0.5, 0.8, 0.9)
-"""What central intervals are to hold."""
-ENERGY_H = (6, 12, 24)
 RECENT_DAYS = 30
-FORECAST = "forecast"
-REFERENCES: dict[str, Forecaster] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
 LEAD_RANGES = ((0, 6), (6, 24), (24, 48))
 """Leads in h that tables hold together: after the first, up to the last."""
-DAYLIGHT = 0.02
-"""Share of the largest power from which on an hour counts as day: at night PV is known."""
 LEARNING_DAYS = 78
 """Days of history that the first forecast has before it, where there is enough."""
 FEWEST_DAYS = 14
@@ -313,7 +311,7 @@ def backtest(
     bases = []
     for done, issued_at in enumerate(issues, start=1):
         found = {words: one.forecast(issued_at, steps) for words, one in fitted.items()}
-        collected.append(_scored(history, found, history.row_of(issued_at)))
+        collected.append(scores_of_issue(history, found, history.row_of(issued_at)))
         bases.append(str(found[FORECAST].basis))
         if progress is not None:
             progress(done, len(issues))
@@ -366,74 +364,6 @@ def forecasts_in(file: str | Path, history: History) -> Forecaster:
         for words, values in (("customer", history.load_kw), ("system", history.pv_kw))
     )
     return read_quantiles(file, load_ids, pv_ids)
-
-
-def _scored(history: History, found: dict[str, LoadAndPV], row: int) -> dict[tuple[str, str], Any]:
-    """All scores of one issue."""
-    own = found[FORECAST]
-    steps = own.load_kw.shape[1]
-    load = history.load_kw[row : row + steps]
-    pv = history.pv_kw[row : row + steps]
-    came = {"load": load.sum(axis=1), "pv": pv.sum(axis=1)}
-    came["net"] = came["load"] - came["pv"]
-    totals = {words: _totals(one) for words, one in found.items()}
-    counted = dict.fromkeys(QUANTITIES, np.ones(steps, dtype=bool))
-    counted["pv"] = _daylight(found["climatology"].pv_kw, history.pv_kw[:row])
-    scores: dict[tuple[str, str], Any] = {}
-    for quantity in QUANTITIES:
-        paths = totals[FORECAST][quantity]
-        true = came[quantity]
-        own_crps = crps(paths, true)
-        scores["crps", quantity] = own_crps
-        for words in REFERENCES:
-            scores[words, quantity] = _where(
-                ~np.isnan(own_crps), crps(totals[words][quantity], true)
-            )
-        there = counted[quantity] & ~np.isnan(own_crps)
-        scores["pit", quantity] = _where(there, pit(paths, true))
-        for share in SHARES:
-            ends = interval(paths, share)
-            scores[f"held {share}", quantity] = _where(there, holds(ends, true))
-            scores[f"width {share}", quantity] = _where(there, ends[1] - ends[0])
-        for hours, share in _energies(history.dt_h, steps):
-            n = round(hours / history.dt_h)
-            energy = true[:n].sum()
-            held = holds(interval(paths[:, :n].sum(axis=1), share), energy)
-            known = bool(counted[quantity][:n].any()) and not np.isnan(own_crps[:n]).any()
-            scores[f"energy {hours} {share}", quantity] = float(held) if known else np.nan
-        scores["paths", quantity] = [
-            energy_score(totals[words][quantity], true) for words in (FORECAST, "climatology")
-        ]
-    scores["each", "load"] = crps(own.load_kw, load).sum(axis=1)
-    scores["each", "pv"] = crps(own.pv_kw, pv).sum(axis=1)
-    return scores
-
-
-def _totals(forecast: LoadAndPV) -> dict[str, Floats]:
-    """Paths of the feeder's totals, (M, W)."""
-    return {
-        "load": forecast.load_kw.sum(axis=2),
-        "pv": forecast.pv_kw.sum(axis=2),
-        "net": forecast.net_kw,
-    }
-
-
-def _daylight(past_days: Floats, before: Floats) -> Flags:
-    """Whether there was sun at the time of a step on any of the last days, (W,)."""
-    if not past_days.size:
-        return np.zeros(past_days.shape[1], dtype=bool)
-    total = np.nansum(past_days, axis=2).max(axis=0)
-    return np.asarray(total > DAYLIGHT * np.nansum(before, axis=1).max())
-
-
-def _energies(dt_h: float, steps: int) -> Iterable[tuple[int, float]]:
-    """Hours and shares of the energies that a forecast is long enough for."""
-    return [(hours, share) for hours in ENERGY_H if hours <= steps * dt_h for share in SHARES]
-
-
-def _where(there: Flags, values: Any) -> Floats:
-    """Numbers, NaN elsewhere."""
-    return np.where(there, np.asarray(values, dtype=float), np.nan)
 
 
 def _mean(values: Floats) -> Floats:

@@ -17,7 +17,8 @@ from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
 from vppres.report.key_figures import number
 from vppres.report.pages import embedded, page
 from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, draw_grid
-from vppres.studies.backtest import ENERGY_H, SHARES, Backtest
+from vppres.studies.backtest import Backtest
+from vppres.studies.issue_scores import ENERGY_H, SHARES
 from vppres.studies.warning_scores import WarningScores
 
 Scores = TypeVar("Scores")

@@ -107,7 +107,7 @@ function next(view, at) {
   const ahead = view.overview.plan?.ahead;
   const dark = ahead?.grid_limit_kw.indexOf(0) ?? -1;
   if (dark >= 0) events.push({ start: ahead.times[dark], end: ahead.times.find((_, t) => t > dark && ahead.grid_limit_kw[t] !== 0) });
-  if (!events.length) return possible(view, at) || "No outage is announced.";
+  if (!events.length) return possible(view, at) || expected(view, at) || "No outage is announced.";
   const [first] = events.sort((a, b) => new Date(a.start) - new Date(b.start));
   return `Outage announced from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
 }
@@ -119,6 +119,14 @@ function possible(view, at) {
   const most = Math.max(...likely), t = likely.indexOf(most);
   const time = new Date(new Date(start).getTime() + t * view.site.step_s * 1000);
   return most < 0.005 ? "" : `Outage possible: ${percent(most)} at ${at(time)}.`;
+}
+
+// What is believed of an outage that the present plan does not know of yet.
+function expected(view, at) {
+  const [first] = Object.values(view.overview.events)
+    .filter((event) => event.type === "outage_belief" && event.probability !== 0 && new Date(event.onset?.start) > view.now)
+    .sort((a, b) => new Date(a.onset.start) - new Date(b.onset.start));
+  return first ? `${belief(first, at)}.` : "";
 }
 
 // Where stored energy goes, as planned.

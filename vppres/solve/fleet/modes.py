@@ -17,7 +17,7 @@ from vppres.model.forms import WindowModel
 from vppres.model.numerics import objective_scale
 from vppres.solve.deadline import Stopwatch
 from vppres.solve.network.feeders import SEARCH, SHARED, Effort, Feeders
-from vppres.solve.network.injections import Rows
+from vppres.solve.network.rows import Rows
 from vppres.solve.programs import (
     DIRECT,
     SUMS_KEPT,

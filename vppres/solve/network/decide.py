@@ -16,9 +16,9 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster, applies
-from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.network.sets import TOLERANCE
 from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
@@ -102,11 +102,8 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if not applies(task.site, task.data):
         return None
-    data = task.data
-    rules = None
-    if data.switching is not None:
-        rules = task.cache.problem(RuleModel, n_steps=data.n_steps, steps=data.switching.steps)
-    return NetworkMaster(task.site, task.cache.table(Reactance), data, task.deadline, rules)
+    reactance = task.cache.table(Reactance)
+    return NetworkMaster(task.site, reactance, task.data, task.deadline, rows_of_rules(task))
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.injections import Rows
+from vppres.solve.network.rows import Rows
 from vppres.solve.programs import NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
 
 SHARED = -1

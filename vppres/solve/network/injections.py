@@ -16,106 +16,15 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
 from vppres.model.data import Physics, WindowData
-from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.model.formulas import lossless_flows
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site
+from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.rows import Rows
 
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows ``lower <= matrix @ x <= upper``."""
-
-    matrix: sp.csr_array
-    lower: Floats
-    upper: Floats
-
-    @classmethod
-    def of(
-        cls,
-        columns: Wholes,
-        values: Floats,
-        lower: Floats | float,
-        upper: Floats | float,
-        size: int,
-    ) -> Rows:
-        """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
-        count, width = columns.shape
-        matrix = sp.csr_array(
-            (
-                np.broadcast_to(values, columns.shape).astype(float).ravel(),
-                (np.repeat(np.arange(count), width), columns.ravel()),
-            ),
-            shape=(count, size),
-        )
-        return cls(
-            matrix,
-            np.broadcast_to(lower, count).astype(float),
-            np.broadcast_to(upper, count).astype(float),
-        )
-
-    def part(self, flags: Flags) -> Rows:
-        """Some of the rows."""
-        return Rows(self.matrix[flags], self.lower[flags], self.upper[flags])
-
-    @classmethod
-    def joined(cls, parts: list[Rows]) -> Rows:
-        """All rows of several."""
-        return cls(
-            sp.csr_array(sp.vstack([part.matrix for part in parts])),
-            np.concatenate([part.lower for part in parts]),
-            np.concatenate([part.upper for part in parts]),
-        )
-
-
-MOST_TABLED = 200
-"""Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
-flows, and a row of the tables is made where it is asked for."""
-
-
-class Reactance:
-    """How the squared voltages of a site depend on what is injected at its buses."""
-
-    def __init__(self, site: Site) -> None:
-        net = site.network
-        self.network = net
-        self.tables: tuple[Floats, Floats, Floats] | None = None
-        if net.n_buses <= MOST_TABLED:
-            fed = net.downstream.toarray()
-            per_kw = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
-            per_kvar = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
-            self.tables = per_kw, per_kvar, fed
-        self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
-        self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
-        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
-
-    def row(self, bus: int) -> tuple[Floats, Floats]:
-        """Squared voltage of a bus per kW and kvar injected at every bus, (N,) each."""
-        if self.tables is not None:
-            per_kw, per_kvar, _ = self.tables
-            return per_kw[bus], per_kvar[bus]
-        net = self.network
-        path = self._paths[:, [bus]].toarray()[:, 0]
-        r, x = (2.0 * path * each for each in (net.r_pu2_per_kw, net.x_pu2_per_kvar))
-        return np.asarray(r @ self._paths), np.asarray(x @ self._paths)
-
-    @cached_property
-    def _paths(self) -> sp.csc_array:
-        """Lines on the way to each bus, (L, N)."""
-        return sp.csc_array(self.network.downstream)
-
-    def raised(self, u_pu2: Floats | float, p_kw: Floats, q_kvar: Floats) -> Floats:
-        """Squared voltages with what injections (W, N) add to them, (W, N)."""
-        if self.tables is not None:
-            per_kw, per_kvar, _ = self.tables
-            return np.asarray(u_pu2 + p_kw @ per_kw + q_kvar @ per_kvar)
-        net = self.network
-        flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
-        return np.asarray(u_pu2 - self.along(voltage_drop_pu2(net, *flows)))
-
-    def along(self, rise_pu2: Floats) -> Floats:
-        """Sum of what lines (W, L) add on the way to each bus, (W, N)."""
-        fed = self._paths if self.tables is None else self.tables[2]
-        return np.asarray(rise_pu2 @ fed)
+SOLVER_KVA = 5e-7
+"""By how much a disc may be exceeded in any case: a solver meets its tangents no better, and of an
+inverter of 1 W would be asked for ever."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +173,28 @@ class Injections:
             lower[self.at[name]] = low
             upper[self.at[name]] = high
         return lower, upper
+
+    @property
+    def price(self) -> tuple[Wholes, Floats]:
+        """Columns of import and export and what they cost for a step, in GBP/kW.
+
+        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
+        """
+        columns = np.hstack([self.at["P_grid"], self.at["P_out"]])
+        prices = [self.data.price_gbp_per_kwh]
+        if self.data.export is not None:
+            prices.append(-self.data.export.price_gbp_per_kwh)
+        values = (np.column_stack(prices) * self.site.dt_h).ravel()
+        if self.data.stored_value is not None:
+            kept = self.at["kept"].ravel()
+            return np.append(columns.ravel(), kept), np.append(
+                values, -self.data.stored_value.gbp_as_cost
+            )
+        if self.data.terminal is None:
+            return columns.ravel(), values
+        missing = self.at["missing"].ravel()
+        each = np.full(len(missing), self.data.terminal.price_gbp_per_kwh)
+        return np.append(columns.ravel(), missing), np.append(values, each)
 
     @cached_property
     def parts(self) -> sp.csc_array:
@@ -551,7 +482,7 @@ class Injections:
         ]
         for p, q, radius, pieces in inverters:
             size = np.hypot(p, x[q])
-            out = size > radius * (1.0 + tolerance)
+            out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
             if out.any():
                 cos = p[out] / size[out]
                 sin = x[q][out] / size[out]

@@ -1,8 +1,4 @@
-"""Service, cost and dispatch in the network, for windows in which it forbids the fleet's optimum.
-
-The problem has no lines and buses; limits of voltages and tangents of discs are added where a
-solution violates them, so every solution on the way is one of a relaxation.
-"""
+"""Service and cost in the network, for windows in which it forbids the fleet's optimum."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from types import MappingProxyType
 
 import highspy
 import numpy as np
-import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
@@ -20,9 +15,11 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
-from vppres.solve.network.injections import Injections, Reactance, Rows
-from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.program import DISC, SMALL, NetworkProgram
+from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.sets import TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
@@ -34,43 +31,12 @@ from vppres.solve.programs import (
 )
 from vppres.solve.result import Outcome, Status
 
-VOLTAGE_PU2 = 1e-6
-"""By how much a squared voltage may miss its limit in a relaxation: 5e-7 pu, the tolerance to which
-a linear solver meets its rows."""
-
-DISC = 2e-3
-"""Share of its radius by which a disc may be exceeded in a relaxation: a bound need not be sharp
-where few discs bind, and sharper ones take several times as many rounds."""
-
-EXACT_DISC = 5e-6
-"""The same in a dispatch, whose discs are checked."""
-
 VERIFIED_DISC = 1e-4
 """The same of the best set of a large window's search, which has to have a dispatch: ten times as
 many rounds lead to the discs themselves, and a set that misses so little of them has one."""
 
-SETTLED = 1e-3
-"""By how much a relaxation of a large window must still change for its limits to be looked for on:
-most of the rounds add a handful of tangents that change nothing."""
-
-INSIDE = (3e-4, 0.0)
-"""Shares by which a dispatch's tangents are tried to lie within the discs: with the first few
-solutions leave them, the second is for sets that need all of the inverters."""
-
-LARGE_INSIDE = (DISC, *INSIDE)
-"""The same in large windows: the further inside, the fewer tangents."""
-
-SMALL = 2000
-"""Binaries up to which the search has the network in it: beyond it, it does not end in minutes."""
-
 ROUNDS = 3
 """Sets that are tried before it begins: most windows are closed by then, at a tenth of its time."""
-
-WASTED_KW = 1e-3
-"""PV power of a dispatch, summed over its steps, that may be lost before it gets a price."""
-
-BOTH_WAYS_KW = 1e-4
-"""Import and export of the same step above which a dispatch is made anew, one way in each step."""
 
 PATIENCE_NODES = 500
 """Nodes without a better set or bound after which the search ends early: some 10 to 20 s on 33
@@ -100,9 +66,6 @@ SEARCH = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
 on how many of equal weight are served in a step. Of four windows that stayed open, all are proven
 in 1.5 to 5.3 s so."""
 
-SUN_OVER_PRICE = 10.0
-"""By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
-
 
 def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: weights and the price of switching on a grid.
@@ -131,8 +94,8 @@ class NetworkMaster:
         The window.
     deadline : Deadline
         When everything must be done but for what gets a deadline of its own.
-    rules : RuleModel, optional
-        The rules of a window that has some.
+    rules : Rows, optional
+        Rows of its switching rules.
     """
 
     def __init__(
@@ -141,72 +104,26 @@ class NetworkMaster:
         reactance: Reactance,
         data: WindowData,
         deadline: Deadline,
-        rules: RuleModel | None = None,
+        rules: Rows | None = None,
     ) -> None:
         self.deadline = deadline
         self.site = site
         self.data = data
-        ruled = None if rules is None else rules.rows(data)
-        self.model = Injections(site, reactance, data, ruled)
+        self.network = NetworkProgram(site, reactance, data, rules)
+        self.model = self.network.model
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
         self.pair = 0.0
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
-        self.found: list[Rows] = []
-        self.unfinished: Floats | None = None
-        self.is_large = self.units.size > SMALL
-        lower, upper = self.model.bounds()
-        rows = self.model.rows()
-        program = Program(
-            np.zeros(self.model.size),
-            lower,
-            upper,
-            rows.matrix.tocsc(),
-            rows.lower,
-            rows.upper,
-            np.arange(0),
-        )
-        self.program = self._in_parts(program) if self.is_large else program
-
-    def _in_parts(self, program: Program) -> Program:
-        """The program with reactive power given and taken apart.
-
-        A simplex method begins with columns at their limits. As one column, the reactive power of
-        an inverter that need not have any begins at all of it, and its disc is violated for
-        nothing: that takes three times as many tangents.
-        """
-        parts = self.model.parts
-        signed = len(program.cost) + np.arange(parts.shape[1] - len(program.cost))
-        taken = parts[:, signed].tocoo().row
-        lower = np.append(program.x_lower, np.zeros(len(taken)))
-        lower[taken] = 0.0
-        return replace(
-            program,
-            cost=np.append(program.cost, np.zeros(len(taken))),
-            x_lower=lower,
-            x_upper=np.append(program.x_upper, -program.x_lower[taken]),
-            rows=sp.csc_array(program.rows @ parts),
-        )
-
-    def _limits(self, found: list[Rows]) -> Rows:
-        """Rows on the model's columns as rows on the program's."""
-        rows = Rows.joined(found)
-        if not self.is_large:
-            return rows
-        return replace(rows, matrix=sp.csr_array(rows.matrix @ self.model.parts))
-
-    def _columns(self, answer: ProgramSolution) -> Floats:
-        """The model's columns of a solution."""
-        return np.asarray(self.model.parts @ answer.x) if self.is_large else answer.x
 
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
-        solver = self._loaded(self._with_cost(*self.lack))
-        if self.is_large:
-            self._start(solver)
+        solver = self.network.loaded(self.network.with_cost(*self.lack))
+        if self.network.is_large:
+            self.network.start(solver)
         return solver, self._until_carried(solver, self.deadline)
 
     @property
@@ -229,7 +146,7 @@ class NetworkMaster:
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
-        linear, held = self._by_feeders(deadline) if self.is_large else (root, None)
+        linear, held = self._by_feeders(deadline) if self.network.is_large else (root, None)
         most = self._cut(linear, cuts)
         known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
         known.improve(*self._carried(linear))
@@ -266,14 +183,11 @@ class NetworkMaster:
         rounds = 0
         while not known.closed() and not patience.passed:
             rounds = rounds + 1
-            ruled = self.data.switching is not None
-            whole = ruled or (len(x) <= SMALL and rounds > ROUNDS)
             enough = known.most
-            if whole:
+            if self.data.switching is not None or rounds > ROUNDS:
                 found = self._searched(binding, known.bound, patience)
             else:
-                nodes = TRIED_NODES if len(x) <= SMALL else None
-                found = cuts.most(linear.x[x], enough + 1.0, patience.end, most_nodes=nodes)
+                found = cuts.most(linear.x[x], enough + 1.0, patience.end, most_nodes=TRIED_NODES)
             known.take(found)
             if known.closed():
                 return
@@ -303,7 +217,7 @@ class NetworkMaster:
         searched: set[int] = set()
         end = deadline.part(FEEDERS_SHARE)
         while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
-            program = _limited(self._with_cost(*self.lack), self.found)
+            program = limited(self.network.with_cost(*self.lack), self.network.found)
             feeders = Feeders(program, linear, of_column, x)
             cuts = []
             for number in feeders.fractional:
@@ -317,8 +231,8 @@ class NetworkMaster:
             if not cuts:
                 break
             rows = Rows.joined(cuts)
-            self.found.append(rows)
-            _add(solver, rows)
+            self.network.found.append(rows)
+            add(solver, rows)
             tighter = self._until_carried(solver, deadline)
             if tighter.status != Status.OPTIMAL:
                 break
@@ -411,7 +325,7 @@ class NetworkMaster:
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
         if linear.status == Status.NUMERICAL and again is not None:
-            self._start(solver)
+            self.network.start(solver)
             linear = self._until_carried(solver, again, over, worth=worth)
         return linear
 
@@ -422,7 +336,7 @@ class NetworkMaster:
     def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
         x = self.model.at["x"].ravel()
-        program = _limited(self._with_cost(*self.lack), self.found)
+        program = limited(self.network.with_cost(*self.lack), self.network.found)
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
@@ -454,8 +368,8 @@ class NetworkMaster:
     def _searched(self, binding: Flags, at_most: float, patience: Patience) -> ProgramSolution:
         """Search with binaries and some of the limits in the network, until so many units."""
         x = self.model.at["x"]
-        rows = [Rows.joined(self.found).part(binding)] if binding.any() else []
-        program = _limited(self._with_cost(*self.lack), rows)
+        rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
+        program = limited(self.network.with_cost(*self.lack), rows)
         counted = with_sums(replace(program, integer=x.ravel()), self._alike())
         solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH)
         found = ProgramSolution.of_search(solver, patience)
@@ -473,13 +387,13 @@ class NetworkMaster:
 
         The others, most of them, make every node of a search slower and seldom bind in one.
         """
-        found = sum(len(rows.lower) for rows in self.found)
+        found = sum(len(rows.lower) for rows in self.network.found)
         return np.asarray(linear.row_dual[len(linear.row_dual) - found :] != 0.0)
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
         watch = Stopwatch()
-        found = self._until_carried(self._loaded(self._enough(units_min)), self.deadline)
+        found = self._until_carried(self.network.loaded(self._enough(units_min)), self.deadline)
         return found.outcome(watch.spent_s)
 
     def cost_level(
@@ -496,17 +410,20 @@ class NetworkMaster:
         bound = -np.inf
         size = -1
         program = replace(self._enough(units_min), integer=x.ravel())
-        while known_gbp - bound > gap_gbp and not deadline.passed and len(self.found) > size:
-            size = len(self.found)
-            limited = _limited(program, self.found)
-            solver = limited.loaded(0.5 * gap_gbp, COST_NODES)
+        while (
+            known_gbp - bound > gap_gbp and not deadline.passed and len(self.network.found) > size
+        ):
+            size = len(self.network.found)
+            solver = limited(program, self.network.found).loaded(0.5 * gap_gbp, COST_NODES)
             found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:
                 break
             served = np.round(found.x[x])
-            carried = self._until_carried(self._loaded(self._of_set(served)), self.deadline)
+            carried = self._until_carried(
+                self.network.loaded(self.network.of_set(served)), self.deadline
+            )
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
                 best = served > 0.5
@@ -519,240 +436,39 @@ class NetworkMaster:
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""
         columns, lack = self.lack
-        size = len(self.program.cost)
+        size = len(self.network.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - TOLERANCE, np.inf, size)
-        return self._with_cost(*self.price).with_rows(enough.matrix.tocsc(), enough.lower)
-
-    def _of_set(self, served: Floats | Flags) -> Program:
-        """Least cost of a set."""
-        x = self.model.at["x"]
-        program = self._with_cost(*self.price)
-        program.x_lower[x] = served
-        program.x_upper[x] = served
-        return program
+        return self.network.with_cost(*self.model.price).with_rows(
+            enough.matrix.tocsc(), enough.lower
+        )
 
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
-        Tangents are put well within the discs first, which ends sooner, or else at them. With the
-        set its rules are met, and what it draws is known.
+        With the set its rules are met, and what it draws is known.
         """
-        watch = Stopwatch()
-        self.unfinished = None
-        if self.data.switching is not None:
-            data = replace(self.data.for_service(served), switching=None)
-            plain = NetworkMaster(self.site, self.model.reactance, data, self.deadline)
-            return plain.cheapest(served, deadline)
-        program = self._of_set(served)
-        sun = self.model.at["P_exp"]
-        if self.is_large:
-            program.cost[sun] -= self._worth_of_sun
-        answer, inside = self._within_discs(program, deadline)
-        if not self.is_large and answer.status == Status.OPTIMAL and self._wastes(answer, served):
-            program.cost[sun] -= self._worth_of_sun
-            keeping = self._within_discs(program, deadline)
-            answer, inside = keeping if keeping[0].status == Status.OPTIMAL else (answer, inside)
-        if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
-            answer = self._one_way(program, answer, deadline, inside)
-        done = answer.status == Status.OPTIMAL
-        columns = self._columns(answer) if done else self._clipped()
-        dispatch = None if columns is None else self.model.dispatch(columns, served)
-        return answer.outcome(watch.spent_s), dispatch
+        data = self.data
+        network = self.network
+        if data.switching is not None:
+            data = replace(data.for_service(served), switching=None)
+            network = NetworkProgram(self.site, self.model.reactance, data)
+        return CheapestDispatch(self.site, data, network, self._basis).of(served, deadline)
 
-    def _within_discs(self, program: Program, deadline: Deadline) -> tuple[ProgramSolution, float]:
-        """The optimum of a set's program within the discs, and by which share it lies inside."""
-        known = self.found
-        begin = None
-        for inside in LARGE_INSIDE if self.is_large else INSIDE:
-            self.found = list(known)
-            solver = self._loaded(program)
-            if self.is_large:
-                begin = self._begun(solver, begin, deadline)
-            answer = self._until_carried(solver, deadline, EXACT_DISC, inside)
-            stricter = len(self.found) > len(known)
-            self.found = known  # tangents within the discs hold for no other problem
-            if answer.status == Status.OPTIMAL or not stricter:
-                break
-        return answer, inside
-
-    def _wastes(self, answer: ProgramSolution, served: Flags) -> bool:
-        """Whether a solution loses PV power that its inverters could pass on.
-
-        Where that has no price, any dispatch of a set is the cheapest.
-        """
-        own_kw = self.model.usual.own_kw * served[:, self.site.owner]
-        room_kw = np.minimum(self.data.pv_kw, self.site.pv.s_max_kva) - own_kw
-        return bool((room_kw - answer.x[self.model.at["P_exp"]]).sum() > WASTED_KW)
-
-    def _clipped(self) -> Floats | None:
-        """Of a large window whose time ran out, the last solution made to meet the discs."""
-        last = self.unfinished if self.is_large else None
-        return None if last is None else self.model.clipped(last, VOLTAGE_PU2)
-
-    def _start(self, solver: highspy.Highs) -> None:
-        """Let a solver begin with idle batteries, all PV power and everyone served.
-
-        From there the energies need no steps; from nothing they take a third of them all.
-        """
-        columns, rows = self.model.start()
-        kinds = highspy.HighsBasisStatus
-        of_columns = np.full(solver.getNumCol(), kinds.kLower, dtype=object)
-        of_columns[self.model.at["x"]] = kinds.kUpper
-        of_columns[columns] = kinds.kBasic
-        of_rows = np.full(solver.getNumRow(), kinds.kBasic, dtype=object)
-        of_rows[rows] = kinds.kUpper
-        of_rows[rows[np.isfinite(self.program.lower[rows])]] = kinds.kLower
-        basis = highspy.HighsBasis()
-        basis.col_status = of_columns.tolist()
-        basis.row_status = of_rows.tolist()
-        basis.valid = True
-        solver.setBasis(basis)
-
-    @property
-    def _worth_of_sun(self) -> float:
-        """What a kW of PV power is worth in a dispatch, in GBP: more than any saving by losing it.
-
-        Without it, any dispatch would be the cheapest where nothing has a price.
-        """
-        return float(
-            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.price[1]).max(initial=0.0))
-        )
-
-    def _begun(
-        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
-    ) -> highspy.HighsBasis:
-        """Let a solver of a set's cost begin at a basis, or find the one without tangents.
-
-        Where nothing costs anything, that of the service is near. Where import has its price, it
-        is far, and the way back takes longer than one from the start.
-        """
-        if begin is not None:
-            solver.setBasis(begin)
-            return begin
-        prices = self.price[1] * self.program.x_upper[self.price[0]]
-        basis = None if prices.any() else self.root[0].getBasis()
-        if basis is None or not basis.valid:
-            self._start(solver)
-        else:
-            added = solver.getNumRow() - len(basis.row_status)
-            basic = highspy.HighsBasisStatus.kBasic
-            basis.row_status = [*basis.row_status, *[basic] * added]
-            solver.setBasis(basis)
-        ProgramSolution.of(solver, deadline)
-        found: highspy.HighsBasis = solver.getBasis()
+    def _basis(self) -> highspy.HighsBasis:
+        """Basis of the most service."""
+        found: highspy.HighsBasis = self.root[0].getBasis()
         return found
-
-    def _both_ways(self, answer: ProgramSolution) -> Flags:
-        """Steps in which a solution imports and exports, (W,)."""
-        return np.minimum(*self.model.exchange_kw(answer.x)) > BOTH_WAYS_KW
-
-    def _one_way(
-        self, program: Program, answer: ProgramSolution, deadline: Deadline, inside: float
-    ) -> ProgramSolution:
-        """The cheapest dispatch that imports or exports, as a solution does on balance."""
-        at = self.model.at
-        imported, exported = self.model.exchange_kw(answer.x)
-        one_way = replace(program, x_upper=program.x_upper.copy())
-        one_way.x_upper[at["P_out"][imported >= exported]] = 0.0
-        one_way.x_upper[at["P_grid"][imported < exported]] = 0.0
-        known = self.found
-        self.found = list(known)
-        found = self._until_carried(self._loaded(one_way), deadline, EXACT_DISC, inside)
-        self.found = known
-        return found
-
-    @property
-    def price(self) -> tuple[Wholes, Floats]:
-        """Columns of import and export and what they cost for a step, in GBP/kW.
-
-        Behind them what is missing at the end, in GBP/kWh, or what is kept is worth.
-        """
-        columns = np.hstack([self.model.at["P_grid"], self.model.at["P_out"]])
-        prices = [self.data.price_gbp_per_kwh]
-        if self.data.export is not None:
-            prices.append(-self.data.export.price_gbp_per_kwh)
-        values = (np.column_stack(prices) * self.site.dt_h).ravel()
-        if self.data.stored_value is not None:
-            kept = self.model.at["kept"].ravel()
-            return np.append(columns.ravel(), kept), np.append(
-                values, -self.data.stored_value.gbp_as_cost
-            )
-        if self.data.terminal is None:
-            return columns.ravel(), values
-        missing = self.model.at["missing"].ravel()
-        each = np.full(len(missing), self.data.terminal.price_gbp_per_kwh)
-        return np.append(columns.ravel(), missing), np.append(values, each)
-
-    def _with_cost(self, columns: Wholes, values: Floats) -> Program:
-        """The program with an objective; its bounds may be changed."""
-        cost = np.zeros(len(self.program.cost))
-        cost[columns] = values
-        return replace(
-            self.program,
-            cost=cost,
-            x_lower=self.program.x_lower.copy(),
-            x_upper=self.program.x_upper.copy(),
-        )
-
-    def _loaded(self, program: Program) -> highspy.Highs:
-        """A solver with the program and the limits that were violated so far."""
-        return _limited(program, self.found).loaded()
 
     def _until_carried(
         self,
         solver: highspy.Highs,
         deadline: Deadline,
         over: float = DISC,
-        inside: float = 0.0,
         worth: float = -np.inf,
     ) -> ProgramSolution:
-        """Solve, add the limits that are violated, and again until none is.
+        """Solve with the limits that are violated, or until so few units are served in full."""
 
-        Or until no more than so many units are served in full, or a large relaxation has settled. A
-        solver that meets limits only within a tolerance may violate the same ones for ever: then
-        time ends it.
-        """
-        settled = SETTLED if self.is_large and over >= DISC else 0.0
-        before = np.inf
-        while True:
-            answer = ProgramSolution.of(solver, deadline)
-            if answer.status != Status.OPTIMAL or self.units @ self._in_full(answer) <= worth:
-                return answer
-            if abs(answer.value - before) < settled:
-                return answer
-            before = answer.value
-            x = self._columns(answer)
-            found = [
-                *self.model.voltage_rows(x, VOLTAGE_PU2),
-                *self.model.disc_rows(x, over, inside),
-            ]
-            if not found:
-                return answer
-            if deadline.passed:
-                self.unfinished = x
-                return replace(answer, status=Status.NO_ANSWER)
-            rows = self._limits(found)
-            self.found.append(rows)
-            _add(solver, rows)
+        def is_enough(found: ProgramSolution) -> bool:
+            return bool(self.units @ self._in_full(found) <= worth)
 
-
-def _limited(program: Program, rows: list[Rows]) -> Program:
-    """A program with limits in it."""
-    if not rows:
-        return program
-    limits = Rows.joined(rows)
-    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
-
-
-def _add(solver: highspy.Highs, rows: Rows) -> None:
-    """Add rows to a solver that keeps its basis."""
-    m = rows.matrix
-    solver.addRows(
-        m.shape[0],
-        rows.lower,
-        rows.upper,
-        m.nnz,
-        m.indptr[:-1].astype(np.int32),
-        m.indices.astype(np.int32),
-        m.data,
-    )
+        return self.network.until_carried(solver, deadline, over, enough=is_enough)

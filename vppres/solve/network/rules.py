@@ -11,8 +11,9 @@ from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp
 from vppres.model.site import Site
-from vppres.solve.network.injections import Rows
+from vppres.solve.network.rows import Rows
 from vppres.solve.programs import compiled
+from vppres.solve.task import WindowTask
 
 
 class RuleModel:
@@ -45,3 +46,12 @@ class RuleModel:
         return Rows(
             sp.csr_array(program.rows[:, np.concatenate(places)]), program.lower, program.upper
         )
+
+
+def rows_of_rules(task: WindowTask) -> Rows | None:
+    """Rows of a window's switching rules, None where it has none."""
+    data = task.data
+    if data.switching is None:
+        return None
+    rules = task.cache.problem(RuleModel, n_steps=data.n_steps, steps=data.switching.steps)
+    return rules.rows(data)

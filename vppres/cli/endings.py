@@ -1,0 +1,69 @@
+"""How a command ends that does not succeed: a sentence on stderr and an exit status."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+import typer
+from rich.console import Console
+
+from vppres.cli.tables import error_panel
+from vppres.core.errors import InputError, Problem, VppresError
+
+# The shell's convention: 128 and the number of the signal.
+INTERRUPTED = 130
+TERMINATED = 143
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: batch systems and service managers end a command with it."""
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Say which extra brings a package that is missing."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            Problem(
+                name,
+                f"needs the package {error.name}",
+                f'Install the extra: pip install "vppres[{name}]".',
+            )
+        ) from error
+
+
+@contextmanager
+def plain_errors(debug: bool) -> Iterator[None]:
+    """Turn every exception into a sentence on stderr and an exit status."""
+    try:
+        yield
+    except Terminated:
+        _fail("Terminated; nothing was written.", TERMINATED, debug)
+    except KeyboardInterrupt:
+        _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
+    except VppresError as error:
+        _fail(str(error), error.exit_status, debug)
+    except BrokenPipeError:
+        raise  # whoever read the output has seen enough, as `head` has: typer ends without a word
+    except Exception as error:
+        _fail(
+            f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
+            "traceback.",
+            1,
+            debug,
+        )
+
+
+def _fail(message: str, status: int, debug: bool) -> NoReturn:
+    """End the command; with ``debug`` the traceback takes the place of the bare message."""
+    console = Console(stderr=True)
+    if console.is_terminal and not debug:
+        console.print(error_panel(message))
+    else:
+        typer.echo(traceback.format_exc() if debug else message, err=True)
+    raise typer.Exit(status)

@@ -1,0 +1,206 @@
+"""The step that is decided now: what may be known of it, and what its set-points lead to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.contract.switching import SwitchingState
+from vppres.contract.terminal import Terminal
+from vppres.core.arrays import Floats
+from vppres.day.forecasting import Forecasts, forecasts_of
+from vppres.day.options import RunOptions
+from vppres.day.outages import Beside, GridSeen, OutageView
+from vppres.day.recorder import StepRecord
+from vppres.day.simulate import Day
+from vppres.live.foretold import GivenFirst
+from vppres.live.measurement import Seen
+from vppres.live.past import Past
+from vppres.physics.cold_load import ColdLoad
+from vppres.plant.plant import BatteryState
+from vppres.scenario.history import History
+from vppres.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Steps that a decision looks at, the present one first.
+
+    Parameters
+    ----------
+    window : range
+        Those that are forecast.
+    ahead : range
+        Those that it may rest on in any way, the window included.
+    """
+
+    window: range
+    ahead: range
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """One step between what was measured and what its set-points should lead to.
+
+    Parameters
+    ----------
+    t : int
+        The step, counted from the controller's first.
+    seen : Seen
+        The steps of its window, itself the first.
+    ahead : Scenario
+        All steps that it may rest on, with the history that a forecaster learns from.
+    beside : Beside
+        What is known of outages beside them.
+    ends : bool
+        Whether what is known ends with the window.
+    past : Past
+        What the step before led to.
+    switching : SwitchingState or None
+        Duties at its beginning; None without rules.
+    cold_load : ColdLoad
+        Who takes more than usual at its beginning.
+    grid_seen : GridSeen
+        Outages up to it, itself included.
+    options : RunOptions
+        Of the controller.
+    """
+
+    t: int
+    seen: Seen
+    ahead: Scenario
+    beside: Beside
+    ends: bool
+    past: Past
+    switching: SwitchingState | None
+    cold_load: ColdLoad
+    grid_seen: GridSeen
+    options: RunOptions
+
+    @classmethod
+    def of(
+        cls, t: int, everything: Seen, known: Scenario, rows: Rows, past: Past, options: RunOptions
+    ) -> Present:
+        """The step of a measurement.
+
+        Parameters
+        ----------
+        t : int
+            The step, counted from the controller's first.
+        everything : Seen
+            The measurement, laid over all steps that are known.
+        known : Scenario
+            Those steps without it.
+        rows : Rows
+            Which of them the decision looks at.
+        past : Past
+            What the step before led to.
+        options : RunOptions
+            Of the controller.
+        """
+        beyond = everything.window(rows.ahead)
+        seen = everything.window(rows.window)
+        switching, cold_load = past.held_until(t)
+        now = seen.scenario
+        return cls(
+            t=t,
+            seen=seen,
+            ahead=replace(beyond.scenario, history=past.history),
+            beside=Beside(known.price_gbp_per_kwh[: everything.t], beyond.announced_kw),
+            ends=rows.window.stop == known.grid.n_steps,
+            past=past,
+            switching=switching,
+            cold_load=cold_load,
+            grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
+            options=options,
+        )
+
+    def observation(self, view: OutageView) -> Observation:
+        """What the controller is told, of outages by way of ``view``."""
+        forecasts = GivenFirst.of(
+            forecasts_of(self.ahead, self.options, ForecastErrors()), self.ahead, self.seen
+        )
+        measured = self._measured(forecasts)
+        return view.told(measured, self.grid_seen, self.ahead, 0, forecasts, self.beside)
+
+    def _measured(self, forecasts: Forecasts) -> Observation:
+        """What was measured, and the forecast of the window."""
+        seen = self.seen
+        forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))
+        b = seen.scenario.batteries
+        return Observation(
+            self.t,
+            _beginning_with(seen, forecast),
+            seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max),
+            seen.eta_charge,
+            seen.eta_discharge,
+            self.past.operating_point,
+            self.switching,
+            battery_kw=seen.battery_kw,
+            online=seen.online,
+            import_kw=seen.import_kw,
+            served=self.past.served,
+            terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
+            keep_stored=self.options.keep_stored,
+        )
+
+    def day(self, known: Observation) -> Day:
+        """A day that stands at the step, what the controller took for true being true.
+
+        Its first step carries out the decision. It owns the step's cold load and advances it.
+        """
+        scenario = self.seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
+        day = Day(scenario, self.options)
+        t_ref_c = scenario.batteries.t_ref_c
+        day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
+        day.switching = self.switching
+        day.ac.go_on_from(self.past.voltages)
+        day.plant.cold_load = self.cold_load
+        return day
+
+    def after(self, day: Day, record: StepRecord) -> Past:
+        """What the next step goes on from.
+
+        Parameters
+        ----------
+        day : Day
+            What :meth:`day` made, one step on.
+        record : StepRecord
+            That step.
+        """
+        return Past(
+            t=self.t,
+            operating_point=day.operating_point,
+            switching=day.switching,
+            cold_load=day.plant.cold_load,
+            served=record.customers["served"],
+            history=self._learned(day.scenario),
+            voltages=day.ac.found,
+            grid_seen=self.grid_seen,
+        )
+
+    def _learned(self, believed: Scenario) -> History | None:
+        """The history with what was read; what was not, or of whom nothing can be read, is NaN."""
+        seen = self.seen
+        unread_load = np.isnan(seen.load_kw) | ~seen.connected
+        return self.past.with_measured(
+            believed.grid.times[0],
+            np.where(unread_load, np.nan, believed.load_kw[0]),
+            np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
+        )
+
+
+def _beginning_with(seen: Seen, forecast: Forecast) -> Forecast:
+    """A forecast whose first step is what was measured; who is cut off takes nothing."""
+    return replace(
+        forecast,
+        load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
+        pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
+    )
+
+
+def _first_row(rows: Floats, row: Floats) -> Floats:
+    return np.vstack([row, rows[1:]])

@@ -1,0 +1,190 @@
+"""The decision for one step, as tables by identifier."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.notebook import facts_html
+from vppres.day.recorder import StepRecord
+from vppres.day.trajectory import Feeder
+from vppres.feeders.actuate import Feeding
+from vppres.live.foreseen import Foreseen
+from vppres.scenario.scenario import Scenario
+
+SOLVE_FIGURES = (
+    "status",
+    "gap",
+    "objective",
+    "bound",
+    "solve_s",
+    "corrected",
+    "fallback",
+    "fallback_reason",
+    "estimated",
+)
+"""What set-points say of how they were found, of every step's record."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """The decision for one step, as tables by identifier.
+
+    Parameters
+    ----------
+    time : pandas.Timestamp
+        Beginning of the step.
+    customers : DataFrame
+        ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``.
+    batteries : DataFrame
+        ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), and ``soc_end``, the
+        state of charge that is expected after the step.
+    pv : DataFrame
+        ``bus``, ``available_kw``, ``p_kw`` to be fed, ``curtailed_kw`` and ``q_kvar`` (injection
+        positive).
+    buses : DataFrame
+        ``v_ac_pu``, the voltage that an AC power flow of the set-points gives.
+    import_kw : float
+        Power from the grid in that power flow, losses included.
+    solve : mapping
+        How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
+        ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
+        none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
+        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
+    feeding : Feeding
+        What holds the voltage: the grid, a battery, or nobody.
+    foreseen : Foreseen
+        What the plan that it is taken from foresees for the steps after it.
+    """
+
+    time: pd.Timestamp
+    customers: pd.DataFrame
+    batteries: pd.DataFrame
+    pv: pd.DataFrame
+    buses: pd.DataFrame
+    import_kw: float
+    solve: Mapping[str, Any]
+    feeding: Feeding
+    foreseen: Foreseen
+
+    @classmethod
+    def of(cls, scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> SetPoints:
+        """The set-points of a step that was decided.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            The site, with what is taken for true of the step.
+        step : StepRecord
+            What the decision should lead to.
+        foreseen : Foreseen
+            The rest of its plan.
+        """
+        return cls(
+            time=scenario.grid.times[step.t],
+            customers=_customers(scenario, step.customers),
+            batteries=_batteries(scenario, step.batteries),
+            pv=_pv(scenario, step.pv),
+            buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
+            import_kw=float(step.steps["p_grid_kw"]),
+            solve=_solve(step.steps),
+            feeding=Feeding.of(
+                scenario,
+                bool(scenario.outage[step.t]),
+                str(step.steps["mode"]),
+                np.asarray(step.buses["v_ac_pu"], dtype=float),
+            ),
+            foreseen=foreseen,
+        )
+
+    def apply_to(self, net: Any, feeder: Feeder) -> None:
+        """Write the set-points into a pandapower net.
+
+        What the scenario took over (loads, generators, storages) is switched off. Customers become
+        loads with their measured demand (0 if they are off), PV systems static generators and
+        batteries storages, named by their identifiers and marked in a column ``vppres``. In an
+        outage the grid is opened; where batteries hold the island, a source at the bus of the
+        largest holds its voltage and gives nothing.
+
+        Parameters
+        ----------
+        net : pandapowerNet
+            The net that the feeder was imported from; branches opened for the import are open.
+        feeder : ImportedFeeder
+            What :func:`vppres.feeders.sources.import_network` made of it.
+        """
+        from vppres.feeders.actuate import Powers, put_into_net
+
+        on = self.customers["served"]
+        drawn = self.customers.assign(
+            p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
+        )
+        put_into_net(net, feeder.bus_of, Powers(drawn, self.pv, self.batteries, self.feeding))
+
+    def _repr_html_(self) -> str:
+        """Heading and tables for a notebook."""
+        on = self.customers["served"]
+        head = facts_html(
+            f"Set-points of {self.time:%Y-%m-%d %H:%M}",
+            {
+                "customers on": f"{int(on.sum())} of {len(on)}",
+                "import (kW)": f"{self.import_kw:.1f}",
+                "solve": f"{self.solve['status']}, {self.solve['solve_s']:.2f} s",
+                "fallback": self.solve["fallback_reason"] or "none",
+            },
+        )
+        tables = (self.customers, self.batteries, self.pv)
+        return head + "".join(table.to_html(float_format="{:.3f}".format) for table in tables)
+
+
+def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Demand and service by customer."""
+    customers = scenario.customers
+    return _table(
+        customers.id,
+        bus=customers.bus,
+        tier=customers.tier,
+        load_kw=columns["p_load_kw"],
+        load_kvar=columns["q_load_kvar"],
+        served=columns["served"],
+    )
+
+
+def _batteries(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Powers by battery, charging positive."""
+    return _table(
+        scenario.batteries.id,
+        bus=scenario.batteries.bus,
+        p_kw=columns["charge_kw"] - columns["discharge_kw"],
+        q_kvar=columns["q_kvar"],
+        soc_end=columns["soc_end"],
+    )
+
+
+def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Powers by PV system."""
+    return _table(
+        scenario.pv.id,
+        bus=scenario.pv.buses(scenario.customers),
+        available_kw=columns["available_kw"],
+        p_kw=columns["self_kw"] + columns["export_kw"],
+        curtailed_kw=columns["curtailed_kw"],
+        q_kvar=columns["q_kvar"],
+    )
+
+
+def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """How the decision was found."""
+    solve = {name: figures[name] for name in SOLVE_FIGURES}
+    if "stored_value_gbp_per_kwh" in figures:
+        solve["stored_value_gbp_per_kwh"] = figures["stored_value_gbp_per_kwh"]
+    return {**solve, "reason": figures["correction_reason"]}
+
+
+def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:
+    """Columns by identifier."""
+    return pd.DataFrame(columns, index=pd.Index(names, name=index))

@@ -1,0 +1,88 @@
+"""Rows of a program that are made as they are needed, and how it gets them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.solve.programs import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows ``lower <= matrix @ x <= upper``."""
+
+    matrix: sp.csr_array
+    lower: Floats
+    upper: Floats
+
+    @classmethod
+    def of(
+        cls,
+        columns: Wholes,
+        values: Floats,
+        lower: Floats | float,
+        upper: Floats | float,
+        size: int,
+    ) -> Rows:
+        """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
+        count, width = columns.shape
+        matrix = sp.csr_array(
+            (
+                np.broadcast_to(values, columns.shape).astype(float).ravel(),
+                (np.repeat(np.arange(count), width), columns.ravel()),
+            ),
+            shape=(count, size),
+        )
+        return cls(
+            matrix,
+            np.broadcast_to(lower, count).astype(float),
+            np.broadcast_to(upper, count).astype(float),
+        )
+
+    def part(self, flags: Flags) -> Rows:
+        """Some of the rows."""
+        return Rows(self.matrix[flags], self.lower[flags], self.upper[flags])
+
+    def wider(self, size: int) -> Rows:
+        """The same rows of a program with more columns behind."""
+        m = self.matrix
+        shape = (m.shape[0], size)
+        return Rows(
+            sp.csr_array((m.data, m.indices, m.indptr), shape=shape), self.lower, self.upper
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Rows]) -> Rows:
+        """All rows of several."""
+        return cls(
+            sp.csr_array(sp.vstack([part.matrix for part in parts])),
+            np.concatenate([part.lower for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+        )
+
+
+def limited(program: Program, rows: list[Rows]) -> Program:
+    """A program with limits in it."""
+    if not rows:
+        return program
+    limits = Rows.joined(rows)
+    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
+
+
+def add(solver: highspy.Highs, rows: Rows) -> None:
+    """Add rows to a solver that keeps its basis."""
+    m = rows.matrix
+    solver.addRows(
+        m.shape[0],
+        rows.lower,
+        rows.upper,
+        m.nnz,
+        m.indptr[:-1].astype(np.int32),
+        m.indices.astype(np.int32),
+        m.data,
+    )

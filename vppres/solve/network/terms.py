@@ -1,0 +1,264 @@
+"""All terms at once in the network: the whole problem with its binaries, without lines and buses.
+
+Voltage limits and tangents of discs are added where a solution violates them, so that a search has
+a few hundred of them in place of every line, bus and side of a polygon, and meets the true discs.
+``docs/method.md``, *All terms in the network*.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats, Wholes
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.solve.certificate import Candidate
+from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.dispatch import with_tie_breakers
+from vppres.solve.network.cheapest import EXACT_DISC
+from vppres.solve.network.injections import Injections
+from vppres.solve.network.program import VOLTAGE_PU2
+from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.rows import Rows, add, limited
+from vppres.solve.network.rules import rows_of_rules
+from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
+from vppres.solve.result import Outcome, Status
+from vppres.solve.task import WindowTask
+
+DISC = 1e-4
+"""Share of its radius by which a disc may be exceeded in a search."""
+
+MOST_BINARIES = 2000
+"""Binaries up to which the search is tried: beyond it, it does not end in minutes."""
+
+SET_GAP = 0.5
+"""Part of the window's gap that the search may leave open."""
+
+AGAIN = 0.999
+"""Share of a gap below which another search to the smaller gap can tell anything new."""
+
+Turns = tuple[Wholes, Floats, Wholes, Floats]
+"""Pairs of columns of which one is zero, each with its largest value."""
+
+
+def all_terms_in_network(task: WindowTask) -> None:
+    """Search the whole problem until bound and dispatch meet, each time with the limits found.
+
+    Where the dispatch of a set is worth less than its search says, it has violated some limit, and
+    the next search knows that.
+    """
+    if task.data.load_kw.size > MOST_BINARIES:
+        return
+    known = task.certificate
+    gap = task.gap_to_best
+    terms = NetworkTerms(
+        task.site, task.cache.table(Reactance), task.data, rows_of_rules(task), gap
+    )
+    while task.goes_on:
+        limits = terms.limits
+        gap = task.gap_to_best
+        outcome, whole = terms.search(gap, task.deadline)
+        known.note("network_terms", outcome)
+        if whole is None:
+            known.prove(outcome)
+            return
+        known.bound_by(outcome.bound)
+        known.keep(_carried(task, terms, whole))
+        nothing_new = terms.limits == limits and task.gap_to_best >= AGAIN * gap
+        if outcome.status != Status.OPTIMAL or nothing_new:
+            return
+
+
+def _carried(task: WindowTask, terms: NetworkTerms, whole: Floats) -> Candidate | None:
+    """The best dispatch of a set and its modes, with the tie-breakers if they find one."""
+    outcome, dispatch = terms.dispatch(whole, task.answer_by())
+    task.certificate.note("network_dispatch", outcome)
+    if dispatch is None:
+        return None
+    data = task.data.for_service(dispatch.served)
+    found = Candidate.of(task.site, data, dispatch, np.inf, in_network=True)
+    return with_tie_breakers(task, found) or found
+
+
+class NetworkTerms:
+    """The whole problem of one window as columns and rows, and the limits found so far.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    reactance : Reactance
+        How voltages depend on injections.
+    data : WindowData
+        The window.
+    rules : Rows or None
+        Rows of its switching rules.
+    unit : float
+        What the objective is counted in: about the gap that is asked for.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        reactance: Reactance,
+        data: WindowData,
+        rules: Rows | None,
+        unit: float,
+    ) -> None:
+        self.site = site
+        self.data = data
+        self.model = Injections(site, reactance, data, rules)
+        self.unit = unit
+        self.lost = site.weights.lambda_curt * site.dt_h * float(data.pv_kw.sum())
+        self.found: list[Rows] = []
+        lower, upper = self.model.bounds()
+        rows = self.model.rows()
+        plain = Program(
+            self._cost() / unit,
+            lower,
+            upper,
+            rows.matrix.tocsc(),
+            rows.lower,
+            rows.upper,
+            np.arange(0),
+        )
+        self.program = _with_turns(plain, self._turns())
+        turns = np.arange(self.model.size, len(self.program.cost))
+        by_rules = [self.model.at[name].ravel() for name in ("on", "off", "cold")]
+        self.chosen = np.concatenate([self.model.at["x"].ravel(), turns])
+        self.whole = np.concatenate([self.chosen, *by_rules])
+
+    def _cost(self) -> Floats:
+        """What a unit of each column takes from F, in weighted customer hours; lost sun apart."""
+        site = self.site
+        at = self.model.at
+        dt = site.dt_h
+        cost = np.zeros(self.model.size)
+        cost[at["x"]] = -site.customers.weight * dt
+        sun = site.weights.lambda_curt * dt
+        cost[at["P_exp"]] = -sun
+        for name, demand in self.model.demands.items():
+            np.add.at(cost, at[name][:, site.owner], -sun * demand.own_kw)
+        columns, gbp = self.model.price
+        cost[columns] += site.weights.lambda_grid * gbp
+        if self.data.switching is not None:
+            cost[at["off"]] = self.data.switching.price_of_pair
+        if self.data.keeps_service:
+            cost[at["kept"]] -= 1.0
+        return cost
+
+    def _turns(self) -> list[Turns]:
+        """Pairs of columns of which one is zero, each with its largest value.
+
+        A battery charges or discharges; a step imports or exports.
+        """
+        at = self.model.at
+        power = self.model.active_kw.ravel()
+        batteries = at["P_ch"].ravel(), power, at["P_dch"].ravel(), power
+        if not self.data.exporting:
+            return [batteries]
+        most_in = self.data.grid_p_max_kw(self.site)
+        most_out = self.data.export_max_kw(self.site)
+        return [batteries, (at["P_grid"][:, 0], most_in, at["P_out"][:, 0], most_out)]
+
+    @property
+    def limits(self) -> int:
+        """How many limits of the network are known."""
+        return sum(len(rows.lower) for rows in self.found)
+
+    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, Floats | None]:
+        """The best value of F with the limits found, those of shares included, and its binaries.
+
+        The linear problem comes first: most limits that ever bind have a violation there.
+        """
+        watch = Stopwatch()
+        linear = self._until_carried(self.program, DISC, deadline)
+        if linear.status != Status.OPTIMAL:
+            return linear.outcome(watch.spent_s), None
+        program = limited(replace(self.program, integer=self.whole), self.found)
+        solver = program.loaded(SET_GAP * gap / self.unit, more=PROOF)
+        found = ProgramSolution.of(solver, deadline)
+        outcome = Outcome(
+            found.status,
+            self._worth(found.value),
+            self._worth(found.bound if np.isfinite(found.bound) else linear.value),
+            watch.spent_s,
+            DIRECT,
+        )
+        return outcome, np.round(found.x[self.chosen]) if found.status.has_answer else None
+
+    def _worth(self, value: float) -> float:
+        """F of a value of the program."""
+        return -value * self.unit - self.lost
+
+    def dispatch(self, chosen: Floats, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+        """The best dispatch of a set and its turns within the discs.
+
+        With the set its rules are met, and what it draws is known.
+        """
+        watch = Stopwatch()
+        x = self.model.at["x"]
+        served = chosen[: x.size].reshape(x.shape) > 0.5
+        if self.data.switching is not None:
+            data = replace(self.data.for_service(served), switching=None)
+            plain = NetworkTerms(self.site, self.model.reactance, data, None, self.unit)
+            return plain.dispatch(chosen, deadline)
+        held = replace(
+            self.program, x_lower=self.program.x_lower.copy(), x_upper=self.program.x_upper.copy()
+        )
+        held.x_lower[self.chosen] = chosen
+        held.x_upper[self.chosen] = chosen
+        found = self._until_carried(held, EXACT_DISC, deadline)
+        outcome = Outcome(found.status, self._worth(found.value), np.inf, watch.spent_s, DIRECT)
+        done = found.status == Status.OPTIMAL
+        columns = found.x[: self.model.size]
+        return outcome, self.model.dispatch(columns, served) if done else None
+
+    def _until_carried(self, program: Program, disc: float, deadline: Deadline) -> ProgramSolution:
+        """Solve without binaries, add the limits that are violated, and again until none is."""
+        solver = limited(program, self.found).loaded()
+        while True:
+            answer = ProgramSolution.of(solver, deadline)
+            if answer.status != Status.OPTIMAL:
+                return answer
+            columns = answer.x[: self.model.size]
+            violated = [
+                *self.model.voltage_rows(columns, VOLTAGE_PU2),
+                *self.model.disc_rows(columns, disc),
+            ]
+            if not violated:
+                return answer
+            if deadline.passed:
+                return replace(answer, status=Status.NO_ANSWER)
+            rows = Rows.joined(violated).wider(len(program.cost))
+            self.found.append(rows)
+            add(solver, rows)
+
+
+def _with_turns(program: Program, pairs: list[Turns]) -> Program:
+    """The program with a binary for each pair of columns, one of which is zero."""
+    for first, most_first, second, most_second in pairs:
+        size = len(program.cost)
+        count = len(first)
+        turn = size + np.arange(count)
+        one = np.ones(count)
+        # first <= most turn, second <= most (1 - turn)
+        columns = np.vstack([np.column_stack([first, turn]), np.column_stack([second, turn])])
+        values = np.vstack(
+            [np.column_stack([one, -most_first]), np.column_stack([one, most_second])]
+        )
+        upper = np.append(np.zeros(count), most_second)
+        rows = Rows.of(columns, values, -np.inf, upper, size + count)
+        wider = sp.csc_array((len(program.lower), count))
+        program = replace(
+            program,
+            cost=np.append(program.cost, np.zeros(count)),
+            x_lower=np.append(program.x_lower, np.zeros(count)),
+            x_upper=np.append(program.x_upper, one),
+            rows=sp.csc_array(sp.hstack([program.rows, wider])),
+        ).with_range(rows.matrix.tocsc(), rows.lower, rows.upper)
+    return program
