@@ -213,7 +213,7 @@ def test_all_terms_in_the_network_say_what_the_monolith_says(seed: int) -> None:
 
 
 @pytest.mark.usefixtures("all_terms_alone")
-@pytest.mark.parametrize("seed", [7, 14, 21])
+@pytest.mark.parametrize("seed", [0, 7, 14])
 def test_all_terms_in_the_network_know_switching_rules(seed: int) -> None:
     case = random_window(seed, stressed=True)
     state = random_state(seed, case.scenario)

@@ -41,8 +41,9 @@ SET_GAP = 0.5
 AGAIN = 0.999
 """Share of a gap below which another search to the smaller gap can tell anything new."""
 
+# Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
+# the documentation's builder take the tuple for a signature.)
 Turns = tuple[Wholes, Floats, Wholes, Floats]
-"""Pairs of columns of which one is zero, each with its largest value."""
 
 
 def all_terms_in_network(task: WindowTask) -> None:
