@@ -162,3 +162,10 @@ def test_kept_as_long_as_the_problem_and_for_its_interface() -> None:
     del problem, x
     gc.collect()
     assert len(compiled._KEPT) == before
+
+
+@pytest.mark.parametrize("curtailing", [False, True])
+def test_tie_breakers_are_compiled_without_further_variables(curtailing: bool) -> None:
+    problem = TieBreakerModel(Site.of(tiny_scenario()), STEPS, curtailing).problem
+    known = Compiled(filled(problem, seed=1), CLARABEL_INTERFACE)
+    assert len(known.numbers().cost) == sum(v.size for v in problem.variables())

@@ -19,8 +19,8 @@ from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.counts import Counts, _Found
 from vppres.solve.fleet.masters import demand_of
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import find_solver, run, run_conic
 from vppres.solve.task import WindowTask

@@ -586,8 +586,9 @@ def test_tie_breakers_without_curtailment_leave_an_interval_for_reactive_power(
 ) -> None:
     model = tie_breakers(site, data, paper, curtailing=False)
     left = np.sqrt([[105**2 - 100**2, 60**2 - 20**2], [105**2 - 30**2, 60**2 - 50**2]])
-    limit = model.constraints["pv_reactive_limit"]
-    assert missed(limit) == pytest.approx(np.abs(VALUES["Q_pv"]) - left)
+    for name, sign in (("pv_reactive_min", -1.0), ("pv_reactive_max", 1.0)):
+        limit = model.constraints[name]
+        assert missed(limit) == pytest.approx(sign * np.array(VALUES["Q_pv"]) - left), name
     assert {"pv_export", "pv_inverter_capacity"}.isdisjoint(model.constraints)
 
 

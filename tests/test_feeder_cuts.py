@@ -17,8 +17,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 

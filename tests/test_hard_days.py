@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.hard_days import KINDS, hard_day, hard_window
-from experiments.random_feeders import random_window
+from experiments.random_feeders import random_state, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
@@ -195,15 +195,32 @@ def test_few_customers_over_many_steps_are_searched_by_binaries() -> None:
     assert not any(stage.startswith("service[") for stage in answer.stages)
 
 
-@pytest.mark.parametrize("seed", [7, 21, 34])
-def test_all_terms_in_the_network_say_what_the_monolith_says(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With every rung below left out: the search alone finds and proves the monolith's optimum."""
+@pytest.fixture
+def all_terms_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves every rung below the search of all terms in the network out."""
     monkeypatch.setattr("vppres.solve.ladder.climb", lambda _: None)
     monkeypatch.setattr("vppres.solve.ladder.worth_no_binaries", lambda _: False)
+
+
+@pytest.mark.usefixtures("all_terms_alone")
+@pytest.mark.parametrize("seed", [7, 21, 34])
+def test_all_terms_in_the_network_say_what_the_monolith_says(seed: int) -> None:
     case = random_window(seed, stressed=True)
     answers = both_methods(Site.of(case.scenario), case.data)
     assert answers[0].stages[0].startswith("network_terms")
     assert not any(stage.startswith("full") for stage in answers[0].stages)
     assert_agree(case.scenario, case.data, answers)
+
+
+@pytest.mark.usefixtures("all_terms_alone")
+@pytest.mark.parametrize("seed", [0, 7, 14])
+def test_all_terms_in_the_network_know_switching_rules(seed: int) -> None:
+    case = random_window(seed, stressed=True)
+    state = random_state(seed, case.scenario)
+    data = replace(case.data, switching=state.window(case.data.n_steps))
+    ladder, monolith = both_methods(Site.of(case.scenario), data)
+    assert not any(stage.startswith("full") for stage in ladder.stages)
+    assert ladder.status == Status.OPTIMAL
+    assert ladder.objective == pytest.approx(monolith.objective, abs=1e-4)
+    assert ladder.bound >= monolith.objective - 1e-6
+    assert monolith.bound >= ladder.objective - 1e-6

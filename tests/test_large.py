@@ -16,8 +16,8 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import Status, WindowSolution
 
 TIME_S = 20.0
@@ -56,7 +56,7 @@ def test_voltages_without_tables_are_those_with_them(
 ) -> None:
     site = Site.of(packaged)
     tables = Reactance(site)
-    monkeypatch.setattr("vppres.solve.network.injections.MOST_TABLED", 0)
+    monkeypatch.setattr("vppres.solve.network.reactance.MOST_TABLED", 0)
     flows = Reactance(site)
     assert flows.tables is None
     rng = np.random.default_rng(4)
@@ -99,7 +99,7 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
         "task.LARGE",
         "task.HUGE",
         "network.program.SMALL",
-        "network.injections.MOST_TABLED",
+        "network.reactance.MOST_TABLED",
     ):
         monkeypatch.setattr(f"vppres.solve.{name}", 0)
     answer = solved(heavy, data)

@@ -29,8 +29,9 @@ from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import (
     PROOF,

@@ -26,8 +26,8 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import Status
 
 BASE_KV = 10.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -34,6 +35,21 @@ def f4_flows(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     return cp.sum_squares(cp.multiply(root_r, v.P_flow)) + cp.sum_squares(
         cp.multiply(root_r, v.Q_flow)
     )
+
+
+def weighted_squares(weight: Floats, x: cp.Variable) -> cp.Expression:
+    """``sum(weight * x**2)`` of variables (..., n) with weights (n,), for quadratic objectives.
+
+    cvxpy hands squares of variables on as they are. Of whatever else is squared, weighted variables
+    too, it makes variables and equations first, which solvers of cones alone need anyway.
+
+    Examples
+    --------
+    >>> x = cp.Variable((2, 2), value=np.array([[1.0, 2.0], [3.0, 4.0]]))
+    >>> float(weighted_squares(np.array([1.0, 10.0]), x).value)
+    210.0
+    """
+    return cp.sum(cp.multiply(np.broadcast_to(weight, x.shape), cp.square(x)))
 
 
 def f5_reactive(site: Site, v: Variables, p: Parameters) -> cp.Expression:

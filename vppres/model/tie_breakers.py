@@ -253,7 +253,11 @@ class TieBreakerModel:
             named |= families.battery_inverter(*args, rating)
         if self.curtailing:
             return named | {"pv_export": self.v.P_exp >= 0}
-        data_leave = {"pv_reactive_limit": cp.abs(self.v.Q_pv) <= self.held.Q_pv_max}
+        # Not as one limit of the absolute value, of which cvxpy makes variables.
+        data_leave = {
+            "pv_reactive_min": self.v.Q_pv >= -self.held.Q_pv_max,
+            "pv_reactive_max": self.v.Q_pv <= self.held.Q_pv_max,
+        }
         return without(named, ["pv_inverter_capacity"]) | data_leave
 
     def _energy(self) -> Named:
@@ -278,16 +282,28 @@ class TieBreakerModel:
 
         Moves away from the previous plan come on top, in the same unit.
         """
-        args = (self.site, self.v, self.p)
         w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * self.site.network.base_kv**2 * heaviest)
-        total = scale * w.lambda_l * terms.f4_flows(*args) + scale * w.lambda_q * terms.f5_reactive(
-            *args
-        )
+        total = scale * w.lambda_l * self._f4 + scale * w.lambda_q * self._f5
         if self.near is not None:
             total = total + self.near.moved(self.P_batt)
         return cp.Minimize(total)
+
+    @property
+    def _f4(self) -> cp.Expression:
+        """Proxy of the ohmic losses, for a solver that takes squares."""
+        r_ohm = self.site.network.r_ohm
+        active = terms.weighted_squares(r_ohm, self.v.P_flow)
+        reactive = terms.weighted_squares(r_ohm, self.v.Q_flow)
+        return active + reactive
+
+    @property
+    def _f5(self) -> cp.Expression:
+        """Squared utilisation of the inverters by reactive power, likewise."""
+        of_pv = terms.weighted_squares(self.site.pv.s_max_kva**-2.0, self.v.Q_pv)
+        of_batteries = terms.weighted_squares(self.site.batteries.s_max_kva**-2.0, self.v.Q_batt)
+        return of_pv + of_batteries
 
     def fill(
         self,

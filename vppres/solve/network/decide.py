@@ -16,8 +16,8 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.master import NetworkMaster, applies
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.network.sets import TOLERANCE
 from vppres.solve.result import Outcome

@@ -17,8 +17,8 @@ from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
-from vppres.solve.network.injections import Reactance
 from vppres.solve.network.program import DISC, SMALL, NetworkProgram
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.sets import TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import (

@@ -17,7 +17,8 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.injections import Injections
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Status

@@ -20,8 +20,9 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import with_tie_breakers
 from vppres.solve.network.cheapest import EXACT_DISC
-from vppres.solve.network.injections import Injections, Reactance
+from vppres.solve.network.injections import Injections
 from vppres.solve.network.program import VOLTAGE_PU2
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
@@ -40,8 +41,9 @@ SET_GAP = 0.5
 AGAIN = 0.999
 """Share of a gap below which another search to the smaller gap can tell anything new."""
 
+# Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
+# the documentation's builder take the tuple for a signature.)
 Turns = tuple[Wholes, Floats, Wholes, Floats]
-"""Pairs of columns of which one is zero, each with its largest value."""
 
 
 def all_terms_in_network(task: WindowTask) -> None:

@@ -1,0 +1,62 @@
+"""How the squared voltages of a site depend on injections: lossless flows are sums of them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Floats
+from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.model.site import Site
+
+MOST_TABLED = 200
+"""Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
+flows, and a row of the tables is made where it is asked for."""
+
+
+class Reactance:
+    """How the squared voltages of a site depend on what is injected at its buses."""
+
+    def __init__(self, site: Site) -> None:
+        net = site.network
+        self.network = net
+        self.tables: tuple[Floats, Floats, Floats] | None = None
+        if net.n_buses <= MOST_TABLED:
+            fed = net.downstream.toarray()
+            per_kw = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
+            per_kvar = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
+            self.tables = per_kw, per_kvar, fed
+        self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
+        self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
+        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
+
+    def row(self, bus: int) -> tuple[Floats, Floats]:
+        """Squared voltage of a bus per kW and kvar injected at every bus, (N,) each."""
+        if self.tables is not None:
+            per_kw, per_kvar, _ = self.tables
+            return per_kw[bus], per_kvar[bus]
+        net = self.network
+        path = self._paths[:, [bus]].toarray()[:, 0]
+        r, x = (2.0 * path * each for each in (net.r_pu2_per_kw, net.x_pu2_per_kvar))
+        return np.asarray(r @ self._paths), np.asarray(x @ self._paths)
+
+    @cached_property
+    def _paths(self) -> sp.csc_array:
+        """Lines on the way to each bus, (L, N)."""
+        return sp.csc_array(self.network.downstream)
+
+    def raised(self, u_pu2: Floats | float, p_kw: Floats, q_kvar: Floats) -> Floats:
+        """Squared voltages with what injections (W, N) add to them, (W, N)."""
+        if self.tables is not None:
+            per_kw, per_kvar, _ = self.tables
+            return np.asarray(u_pu2 + p_kw @ per_kw + q_kvar @ per_kvar)
+        net = self.network
+        flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
+        return np.asarray(u_pu2 - self.along(voltage_drop_pu2(net, *flows)))
+
+    def along(self, rise_pu2: Floats) -> Floats:
+        """Sum of what lines (W, L) add on the way to each bus, (W, N)."""
+        fed = self._paths if self.tables is None else self.tables[2]
+        return np.asarray(rise_pu2 @ fed)
