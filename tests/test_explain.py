@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 import vppres
 from tests.support.made_up_runs import batteries, small_run
 from tests.support.tiny_day import tiny_scenario
+from vppres.day.faults import BatteryTrip, FaultPlan
 from vppres.day.metrics import reason_figures
 from vppres.day.options import RunOptions
 from vppres.day.phases import phases
@@ -26,7 +27,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.report.finished import read_finished, rewrite_report
 from vppres.report.run_folder import write_run
-from vppres.scenario.assets import Customers, PVSystems
+from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -580,3 +581,17 @@ def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:
     # The bar is 60 ms a step on a quiet core; the median stands a busy machine.
     assert float(np.median(solver_s)) < 0.3
     assert [step.phase for step in steps_of(heatwave)][12] == "island"
+
+
+def test_a_battery_that_is_out_is_worth_nothing_and_helps_nobody() -> None:
+    day = tiny_scenario()
+    options = RunOptions(horizon_h=1.0, mode="paper")
+    tripped = run_day(day, options, faults=FaultPlan(trips=(BatteryTrip(0, 0, 6, silent=False),)))
+    alone = {f.name: getattr(day.batteries, f.name)[1:] for f in fields(Batteries)}
+    without = run_day(replace(day, batteries=Batteries(**alone)), options)
+    found = explain_day(tripped).shadow_prices.set_index(["time", "constraint", "item"])
+    expected = explain_day(without).shadow_prices.set_index(["time", "constraint", "item"])
+    out = found.index.get_level_values("item") == "big"
+    assert not np.nan_to_num(found.loc[out, ["weighted_h", "gbp"]]).any()
+    pd.testing.assert_frame_equal(found[~out], expected, rtol=1e-5, atol=1e-7)
+    assert (found[~out].xs("stored_energy", level="constraint")["weighted_h"] > 1e-4).any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -9,6 +10,22 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.core.arrays import Flags
+
+OUT = "battery {} is out"
+"""How a record's ``estimated`` names a battery that was left out of a decision."""
+
+
+def batteries_out(estimated: str, names: Iterable[object]) -> Flags:
+    """Which batteries a decision left out, by what its record says, shape (B,).
+
+    Examples
+    --------
+    >>> batteries_out("soc b01 is late; battery b02 is out", ["b01", "b02"]).tolist()
+    [False, True]
+    """
+    said = set(estimated.split("; "))
+    return np.array([OUT.format(name) in said for name in names], dtype=bool)
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from vppres.core.arrays import Flags
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
@@ -19,6 +22,19 @@ WORTH_GBP = 1e-3
 
 CURTAILED_SLACK_KWH = 1e-3
 WHOLE = 1e-6
+
+OF_BATTERIES = (
+    "stored_energy",
+    "kept_energy",
+    "energy_floor",
+    "energy_ceiling",
+    "battery_charging",
+    "battery_discharging",
+    "battery_inverter",
+)
+"""Shadow prices with one value for each battery."""
+
+Price = Callable[[Held, PricedTerms], PricedWindow | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,34 +79,47 @@ def day_prices(recorded: Recorded) -> list[StepPrices]:
 def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:
     """Shadow prices of one step."""
     window = recorded.seen(t)
+    left_out = recorded.left_out(t)
+
+    def price(held: Held, terms: PricedTerms) -> PricedWindow | None:
+        answer = price_window(model, window, held, terms)
+        return answer if answer is None else _of_the_others(answer, left_out)
+
     held = recorded.held(t, window.n_steps)
     limited = bool(np.isfinite(window.grid_limit_kw).any())
     if recorded.served[t].all() and not limited:
         everyone = np.ones_like(held.service_min)
-        cost = price_window(model, window, replace(held, service_min=everyone), _cost_alone(0.0))
+        cost = price(replace(held, service_min=everyone), _cost_alone(0.0))
         if cost is not None:
             return StepPrices(window, None, cost)
-    service = _service_level(recorded, model, window, held)
+    service = _service_level(price, recorded.site.weights.lambda_curt, held)
     connected = bool((window.grid_limit_kw > 0).any())
     if service is None or not connected or np.any(_worth(service) > WORTH):
         return StepPrices(window, service, None)
     share = _whole(service.served_share)
     fixed = replace(held, service_min=share, service_max=share)
-    return StepPrices(
-        window, service, price_window(model, window, fixed, _cost_alone(service.curtailed_kwh))
-    )
+    return StepPrices(window, service, price(fixed, _cost_alone(service.curtailed_kwh)))
 
 
-def _service_level(
-    recorded: Recorded, model: ShadowPriceModel, window: WindowData, held: Held
-) -> PricedWindow | None:
+def _of_the_others(answer: PricedWindow, left_out: Flags) -> PricedWindow:
+    """The answer in which one more unit of a battery that was left out, shape (B,), is nothing."""
+    if not left_out.any():
+        return answer
+    prices = answer.prices
+    others: dict[str, Any] = {
+        name: np.where(left_out, 0.0, getattr(prices, name)) for name in OF_BATTERIES
+    }
+    return replace(answer, prices=replace(prices, **others))
+
+
+def _service_level(price: Price, lambda_curt: float, held: Held) -> PricedWindow | None:
     """Service and curtailment as weighted; if the model cannot carry what was served, without it.
 
     What the plant did may lie just outside the model: a plan that was followed in spite of forecast
     errors, or voltages that were allowed to leave the limits.
     """
-    priced = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
-    answer = price_window(model, window, held, priced)
+    terms = PricedTerms(1.0, 0.0, lambda_curt)
+    answer = price(held, terms)
     if answer is not None:
         return answer
     free = Held(
@@ -99,7 +128,7 @@ def _service_level(
         np.zeros_like(held.mode_min),
         np.ones_like(held.mode_max),
     )
-    return price_window(model, window, free, priced)
+    return price(free, terms)
 
 
 def _cost_alone(curtailed_kwh: float) -> PricedTerms:

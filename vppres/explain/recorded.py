@@ -9,6 +9,7 @@ from itertools import accumulate
 import numpy as np
 import pandas as pd
 
+from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre, OperatingPoint
@@ -117,8 +118,14 @@ class Recorded:
             return "value"
         return "target" if self.soc_asked is not None or self.keeps_stored else ""
 
+    def left_out(self, t: int) -> Flags:
+        """Batteries that could not be used in a step, shape (B,)."""
+        return batteries_out(self.note(t, "estimated"), self.site.batteries.id)
+
     def seen(self, t: int) -> WindowData:
         """The window that the controller saw at step ``t``, from the recorded state.
+
+        A battery that was left out counts as empty.
 
         A correction saw its own step alone. The full horizon planned with the forecast of the first
         step; of that, the window has as many steps as ``horizon_h`` asks for.
@@ -139,7 +146,7 @@ class Recorded:
             f.pv_kw,
             f.price_gbp_per_kwh,
             f.grid_limit_kw,
-            self.soc_start[t],
+            np.where(self.left_out(t), self.site.batteries.soc_min, self.soc_start[t]),
             self._eta_charge[t],
             self._eta_discharge[t],
             np.tile(offset, (len(steps), 1)),
@@ -150,7 +157,10 @@ class Recorded:
         )
 
     def held(self, t: int, n_steps: int) -> Held:
-        """Who was served stays served in the step; batteries that moved keep their mode."""
+        """Who was served stays served in the step; batteries that moved keep their mode.
+
+        Those that were left out do not charge, and as they count as empty do not discharge.
+        """
         lowest = np.zeros((n_steps, len(self.site.customers)))
         lowest[0] = self.served[t]
         power = self.battery_kw[t]
@@ -158,7 +168,7 @@ class Recorded:
             lowest,
             np.ones(lowest.shape),
             (power > MOVE_KW).astype(float),
-            (power >= -MOVE_KW).astype(float),
+            ((power >= -MOVE_KW) & ~self.left_out(t)).astype(float),
         )
 
     @cached_property

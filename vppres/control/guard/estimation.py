@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vppres.contract.decision import Decision
+from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import Commanded, Readings, feeder_off
 from vppres.control.guard.reckoning import SocReckoning
@@ -91,7 +91,7 @@ class Estimator:
                 pv_kw=np.vstack([now.pv_kw, forecast.pv_kw[1:]]),
             )
         out = self.site.batteries.id[~online]
-        words = [*self._soc_words(), *series_words, *(f"battery {name} is out" for name in out)]
+        words = [*self._soc_words(), *series_words, *map(OUT.format, out)]
         self._last = replace(seen, forecast=forecast, soc=self._soc.soc)
         return Known(self._last, online, "; ".join(words))
 
