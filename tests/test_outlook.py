@@ -217,7 +217,7 @@ def test_presets_say_where_they_come_from() -> None:
         ({"onset_latest": 1}, "onset_likely.*is missing"),
         ({"probability": 1.2}, "must lie between 0 and 1"),
         ({"duration_p50_h": 0.0}, "must be above 0"),
-        ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "comes before duration_p50_h"),
+        ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "is below duration_p50_h"),
     ],
 )
 def test_contradictions_are_refused(told: dict[str, float], message: str) -> None:

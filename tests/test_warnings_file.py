@@ -108,7 +108,7 @@ def test_folders_without_keep_their_digest(tiny: Scenario, tiny_folder: Path) ->
         ),
         (
             "2022-07-19T05:00Z,,2022-07-19T12:00Z,,0.5,9,5,",
-            "warnings.csv, row 2, duration_p50_h = 5.0: comes before duration_p10_h. "
+            "warnings.csv, row 2, duration_p50_h = 5.0: is below duration_p10_h. "
             "Put them in their order.",
         ),
         (

@@ -147,11 +147,11 @@ class OutageWarning:
         found = self._wrong_numbers()
         onsets = ("onset_earliest", "onset_likely", "onset_latest")
         durations = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
-        for names in (onsets, durations):
+        for names, wrong in ((onsets, "comes before"), (durations, "is below")):
             given = [(name, getattr(self, name)) for name in names if _known(getattr(self, name))]
             for (low, less), (high, more) in pairwise(given):
                 if more < less:
-                    found.append((high, f"comes before {low}", "Put them in their order."))
+                    found.append((high, f"{wrong} {low}", "Put them in their order."))
             middle = names[1]
             if given and middle not in dict(given):
                 found.append((middle, "is missing", f"Give it, or leave out {given[0][0]} too."))

@@ -126,14 +126,12 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     first = profile.step_at(start.tz_convert("UTC"))
     step = pd.Timedelta(minutes=service.scenario.grid.step_minutes)
     n_steps = -((first - end) // step)
-    if not 0 < n_steps <= MOST_STEPS:
-        raise InputError(
-            Problem(
-                "export",
-                f"is a time of {n_steps} steps",
-                f"Give one of 1 to {MOST_STEPS}, the end behind the beginning.",
-            )
-        )
+    if n_steps <= 0:
+        cure = f"Give an end after {written(first)}, the beginning of its first step."
+        raise InputError(Problem("export", "does not end after it begins", cure, value=written(end)))
+    if n_steps > MOST_STEPS:
+        cure = f"Give {MOST_STEPS} steps at most, and export the others apart."
+        raise InputError(Problem("export", "is too long", cure, value=f"{n_steps} steps"))
     return replace(profile.steps(first, n_steps), warnings=())
 
 
