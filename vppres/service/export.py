@@ -128,7 +128,9 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     n_steps = -((first - end) // step)
     if n_steps <= 0:
         cure = f"Give an end after {written(first)}, the beginning of its first step."
-        raise InputError(Problem("export", "does not end after it begins", cure, value=written(end)))
+        raise InputError(
+            Problem("export", "does not end after it begins", cure, value=written(end))
+        )
     if n_steps > MOST_STEPS:
         cure = f"Give {MOST_STEPS} steps at most, and export the others apart."
         raise InputError(Problem("export", "is too long", cure, value=f"{n_steps} steps"))
