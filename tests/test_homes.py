@@ -10,6 +10,8 @@ import pytest
 
 from data.homes.build import HELD_OUT, homes
 from experiments.homes import FORECASTERS, Run, day_of, write_report
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.io.python_door import check_scenario
 
 
@@ -47,3 +49,8 @@ def test_the_report_holds_the_differences(tmp_path: Path) -> None:
     assert "0.0100 [0.0100, 0.0100]" in text
     assert "2.00 [2.00, 2.00]" in text
     assert (tmp_path / "homes.svg").is_file()
+
+
+def test_a_zero_below_zero_in_a_dispatch_of_known_modes_is_no_fault() -> None:
+    run = run_day(day_of(3), RunOptions(horizon_h=6.0))
+    assert run.steps["fallback"].tolist() == ["none"] * len(run.steps)

@@ -269,7 +269,8 @@ def with_modes(
     for variable in model.problem.variables():
         if variable.name() in first:
             columns = first[variable.name()] + np.arange(variable.size)
-            variable.value = found.x[columns].reshape(variable.shape, order="F")
+            value = found.x[columns].reshape(variable.shape, order="F")
+            variable.project_and_assign(value)  # a solver's zero may lie below zero
     return Attempt(outcome, model.dispatch(served))
 
 
