@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import NumericalError
 from vppres.model.forms import Form, WindowModel
+from vppres.model.objective import MOST_SQUARES, weighted_squares
 from vppres.model.site import Site
 from vppres.model.tie_breakers import TieBreakerModel
 from vppres.solve import compiled
@@ -169,3 +170,14 @@ def test_tie_breakers_are_compiled_without_further_variables(curtailing: bool) -
     problem = TieBreakerModel(Site.of(tiny_scenario()), STEPS, curtailing).problem
     known = Compiled(filled(problem, seed=1), CLARABEL_INTERFACE)
     assert len(known.numbers().cost) == sum(v.size for v in problem.variables())
+
+
+def test_very_many_squares_are_the_same_sum_with_variables_of_their_own() -> None:
+    weight = np.array([1.0, 0.5, 2.0])
+    few, many = cp.Variable((4, 3)), cp.Variable((MOST_SQUARES, 3))
+    for x, own in ((few, 0), (many, many.size)):
+        x.value = np.linspace(-1.0, 1.0, x.size).reshape(x.shape)
+        found = weighted_squares(weight, x)
+        assert found.value == pytest.approx(float(np.sum(weight * x.value**2)))
+        known = Compiled(cp.Problem(cp.Minimize(found), [x >= 1.0]), CLARABEL_INTERFACE)
+        assert len(known.numbers().cost) == x.size + own
