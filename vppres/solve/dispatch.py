@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
@@ -25,6 +26,7 @@ from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Candidate
+from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
 from vppres.solve.programs import ProgramSolution, compiled
@@ -266,11 +268,7 @@ def with_modes(
     outcome = found.outcome(watch.spent_s)
     if found.status != Status.OPTIMAL:
         return Attempt(outcome, None)
-    for variable in model.problem.variables():
-        if variable.name() in first:
-            columns = first[variable.name()] + np.arange(variable.size)
-            value = found.x[columns].reshape(variable.shape, order="F")
-            variable.project_and_assign(value)  # a solver's zero may lie below zero
+    compiled_for(model.problem, cp.HIGHS).put(found.x)
     return Attempt(outcome, model.dispatch(served))
 
 

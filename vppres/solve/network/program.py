@@ -112,12 +112,14 @@ class NetworkProgram:
         """Rows on the model's columns as rows on the program's."""
         rows = Rows.joined(found)
         if not self.is_large:
-            return rows
+            return rows.wider(len(self.program.cost))
         return replace(rows, matrix=sp.csr_array(rows.matrix @ self.model.parts))
 
     def columns(self, answer: ProgramSolution) -> Floats:
         """The model's columns of a solution."""
-        return np.asarray(self.model.parts @ answer.x) if self.is_large else answer.x
+        if self.is_large:
+            return np.asarray(self.model.parts @ answer.x)
+        return answer.x[: self.model.size]
 
     def with_cost(self, columns: Wholes, values: Floats) -> Program:
         """The program with an objective; its bounds may be changed."""

@@ -20,10 +20,9 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import with_tie_breakers
 from vppres.solve.network.cheapest import EXACT_DISC
-from vppres.solve.network.injections import Injections
-from vppres.solve.network.program import VOLTAGE_PU2
+from vppres.solve.network.program import SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import Rows, add, limited
+from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
@@ -31,9 +30,6 @@ from vppres.solve.task import WindowTask
 
 DISC = 1e-4
 """Share of its radius by which a disc may be exceeded in a search."""
-
-MOST_BINARIES = 2000
-"""Binaries up to which the search is tried: beyond it, it does not end in minutes."""
 
 SET_GAP = 0.5
 """Part of the window's gap that the search may leave open."""
@@ -52,7 +48,7 @@ def all_terms_in_network(task: WindowTask) -> None:
     Where the dispatch of a set is worth less than its search says, it has violated some limit, and
     the next search knows that.
     """
-    if task.data.load_kw.size > MOST_BINARIES:
+    if task.data.load_kw.size > SMALL:
         return
     known = task.certificate
     gap = task.gap_to_best
@@ -85,8 +81,8 @@ def _carried(task: WindowTask, terms: NetworkTerms, whole: Floats) -> Candidate 
     return with_tie_breakers(task, found) or found
 
 
-class NetworkTerms:
-    """The whole problem of one window as columns and rows, and the limits found so far.
+class NetworkTerms(NetworkProgram):
+    """The program of a small window with all terms as its cost, and a binary for each turn.
 
     Parameters
     ----------
@@ -110,24 +106,12 @@ class NetworkTerms:
         rules: Rows | None,
         unit: float,
     ) -> None:
+        super().__init__(site, reactance, data, rules)
         self.site = site
         self.data = data
-        self.model = Injections(site, reactance, data, rules)
         self.unit = unit
         self.lost = site.weights.lambda_curt * site.dt_h * float(data.pv_kw.sum())
-        self.found: list[Rows] = []
-        lower, upper = self.model.bounds()
-        rows = self.model.rows()
-        plain = Program(
-            self._cost() / unit,
-            lower,
-            upper,
-            rows.matrix.tocsc(),
-            rows.lower,
-            rows.upper,
-            np.arange(0),
-        )
-        self.program = _with_turns(plain, self._turns())
+        self.program = _with_turns(replace(self.program, cost=self._cost() / unit), self._turns())
         turns = np.arange(self.model.size, len(self.program.cost))
         by_rules = [self.model.at[name].ravel() for name in ("on", "off", "cold")]
         self.chosen = np.concatenate([self.model.at["x"].ravel(), turns])
@@ -177,7 +161,7 @@ class NetworkTerms:
         The linear problem comes first: most limits that ever bind have a violation there.
         """
         watch = Stopwatch()
-        linear = self._until_carried(self.program, DISC, deadline)
+        linear = self.until_carried(self.loaded(self.program), deadline, DISC)
         if linear.status != Status.OPTIMAL:
             return linear.outcome(watch.spent_s), None
         program = limited(replace(self.program, integer=self.whole), self.found)
@@ -213,31 +197,10 @@ class NetworkTerms:
         )
         held.x_lower[self.chosen] = chosen
         held.x_upper[self.chosen] = chosen
-        found = self._until_carried(held, EXACT_DISC, deadline)
+        found = self.until_carried(self.loaded(held), deadline, EXACT_DISC)
         outcome = Outcome(found.status, self._worth(found.value), np.inf, watch.spent_s, DIRECT)
         done = found.status == Status.OPTIMAL
-        columns = found.x[: self.model.size]
-        return outcome, self.model.dispatch(columns, served) if done else None
-
-    def _until_carried(self, program: Program, disc: float, deadline: Deadline) -> ProgramSolution:
-        """Solve without binaries, add the limits that are violated, and again until none is."""
-        solver = limited(program, self.found).loaded()
-        while True:
-            answer = ProgramSolution.of(solver, deadline)
-            if answer.status != Status.OPTIMAL:
-                return answer
-            columns = answer.x[: self.model.size]
-            violated = [
-                *self.model.voltage_rows(columns, VOLTAGE_PU2),
-                *self.model.disc_rows(columns, disc),
-            ]
-            if not violated:
-                return answer
-            if deadline.passed:
-                return replace(answer, status=Status.NO_ANSWER)
-            rows = Rows.joined(violated).wider(len(program.cost))
-            self.found.append(rows)
-            add(solver, rows)
+        return outcome, self.model.dispatch(self.columns(found), served) if done else None
 
 
 def _with_turns(program: Program, pairs: list[Turns]) -> Program:
