@@ -297,12 +297,16 @@ def main(
     seeds: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Only the first N seeds of a unit.")
     ] = None,
+    report_days: Annotated[
+        bool, typer.Option("--report-days", help="No other days than make reproduce has.")
+    ] = False,
     quick: Annotated[
         bool, typer.Option("--quick", help="The named setting alone, on few days.")
     ] = False,
 ) -> None:
     """The paper's rows over the settings of a weighted solve."""
-    config = _narrowed(study_config(quick), unit_kw, seeds)
+    whole = read_config(NAME) if report_days else study_config(quick)
+    config = _narrowed(whole, unit_kw, seeds)
     found = [named(config)] if quick else settings(config)
     days = jobs_of(config)
     wanted = [*days, *(setting.of(day) for setting in found for day in days)]
