@@ -157,18 +157,27 @@ def open_text(config: Config) -> str:
 
 
 def settings(config: Config) -> list[Setting]:
-    """The study's units and seeds, the named setting first, and the sharp gaps."""
+    """The study's solvers, units and seeds, the named setting first."""
     study = config["study"]
     first = named(config)
     found = [
         replace(first, solver=solver, unit_kw=unit, seed=seed)
         for solver, unit, seed in product(study["solvers"], study["units_kw"], study["seeds"])
     ]
-    sharp = [
-        replace(first, unit_kw=unit, gap=gap)
-        for unit, gap in product(study["units_kw"], study["sharp_gaps"])
-    ]
-    return list(dict.fromkeys([first, *found, *sharp]))
+    return list(dict.fromkeys([first, *found]))
+
+
+def sharp_settings(config: Config) -> list[Setting]:
+    """The named gap and smaller ones, in each unit."""
+    study = config["study"]
+    first = named(config)
+    gaps = [first.gap, *study["sharp_gaps"]]
+    return [replace(first, unit_kw=unit, gap=gap) for unit, gap in product(study["units_kw"], gaps)]
+
+
+def sharp_days(config: Config) -> list[Job]:
+    """Ideal days whose windows end at small gaps too."""
+    return [ideal.mpc(h) for h in config["study"]["sharp_horizons_h"]]
 
 
 def study_config(quick: bool = False) -> Config:
@@ -239,8 +248,28 @@ def effort_text(config: Config, results: Results, found: Sequence[Setting]) -> s
     )
 
 
-def write_study(config: Config, results: Results, found: Sequence[Setting], folder: Path) -> Path:
-    """Write table and figure of the study; the Markdown's path."""
+def sharp_text(config: Config, results: Results) -> str:
+    """What smaller gaps change: key figures by horizon, term by term, by unit and by gap."""
+    days = sharp_days(config)
+    head = ("", *(f"H = {day.options.horizon_h:g}" for day in days), "Windows at their limit")
+    lines = [["term by term", *(_key_figures(results[day]) for day in days), ""]]
+    for setting in sharp_settings(config):
+        found = [results[setting.of(day)] for day in days]
+        late = sum(list(day.steps["status"]).count("time_limit") for day in found)
+        lines.append([str(setting), *map(_key_figures, found), str(late)])
+    return "R, cost and import of ideal days.\n\n" + markdown_table(head, lines)
+
+
+def _key_figures(day: DayResult) -> str:
+    """Resilience, cost and import of a day."""
+    cost = day.summary["cost_gbp"]
+    return f"{day.resilience:.4f}; GBP {cost:,.0f}; {day.summary['import_kwh']:,.0f} kWh"
+
+
+def write_study(
+    config: Config, results: Results, found: Sequence[Setting], sharp: str, folder: Path
+) -> Path:
+    """Write tables and figure of the study; the Markdown's path."""
     lines = table(config, results, found)
     text = "\n\n".join(
         [
@@ -248,6 +277,7 @@ def write_study(config: Config, results: Results, found: Sequence[Setting], fold
             open_text(config),
             f"![{TITLE}]({NAME}.svg)",
             markdown_table(HEAD, lines),
+            sharp,
         ]
     )
     record = {"settings": [str(setting) for setting in found], "rows": lines}
@@ -260,18 +290,40 @@ def main(
     jobs: Jobs = -1,
     results: Folder = STUDIES,
     scheduler: Scheduler = None,
+    unit_kw: Annotated[
+        list[float] | None,
+        typer.Option(help="Only this unit of power; may be given several times."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Only the first N seeds of a unit.")
+    ] = None,
+    report_days: Annotated[
+        bool, typer.Option("--report-days", help="No other days than make reproduce has.")
+    ] = False,
     quick: Annotated[
         bool, typer.Option("--quick", help="The named setting alone, on few days.")
     ] = False,
 ) -> None:
     """The paper's rows over the settings of a weighted solve."""
-    config = study_config(quick)
+    whole = read_config(NAME) if report_days else study_config(quick)
+    config = _narrowed(whole, unit_kw, seeds)
     found = [named(config)] if quick else settings(config)
     days = jobs_of(config)
     wanted = [*days, *(setting.of(day) for setting in found for day in days)]
+    if not quick:
+        exact = sharp_days(config)
+        wanted += [*exact, *(one.of(day) for one in sharp_settings(config) for day in exact)]
     with plain_errors("Days that were finished"):
         known, _ = run_jobs(wanted, results / "days", jobs, scheduler)
-    show_report(write_study(config, known, found, results), WIDTH)
+    sharp = "" if quick else sharp_text(config, known)
+    show_report(write_study(config, known, found, sharp, results), WIDTH)
+
+
+def _narrowed(config: Config, units_kw: Sequence[float] | None, seeds: int | None) -> Config:
+    """The configuration with fewer units and seeds."""
+    study = config["study"]
+    fewer = {"units_kw": units_kw or study["units_kw"], "seeds": study["seeds"][:seeds]}
+    return {**config, "study": {**study, **fewer}}
 
 
 # Figure.

@@ -80,8 +80,28 @@ def test_the_report_takes_one_setting_and_few_days() -> None:
 def test_the_study_has_the_named_setting_first_and_each_once() -> None:
     found = precision.settings(precision.study_config())
     assert found[0] == precision.named(CONFIG)
-    assert len(found) == len(set(found)) == 12
-    assert sum(setting.gap < 1e-4 for setting in found) == 2
+    assert len(found) == len(set(found)) == 10
+    assert {setting.gap for setting in found} == {1e-4}
+
+
+def test_smaller_gaps_are_seen_beside_the_named_one_in_each_unit() -> None:
+    config = precision.study_config()
+    found = [(one.unit_kw, one.gap) for one in precision.sharp_settings(config)]
+    assert found == [(1.0, 1e-4), (1.0, 1e-6), (1000.0, 1e-4), (1000.0, 1e-6)]
+    days = precision.sharp_days(config)
+    plain = DayResult({"resilience": 0.9, "cost_gbp": 1.0, "import_kwh": 2000.0}, {}, {})
+    late = replace(plain, steps={"status": ["optimal", "time_limit"]})
+    results = {day: plain for day in days}
+    results |= {one.of(day): late for one in precision.sharp_settings(config) for day in days}
+    text = precision.sharp_text(config, results)
+    assert "| term by term | 0.9000; GBP 1; 2,000 kWh |" in text
+    assert text.count(f"| {len(days)} |") == len(found)
+
+
+def test_a_study_of_fewer_settings() -> None:
+    config = precision._narrowed(precision.study_config(), [1000.0], 2)
+    found = precision.settings(config)
+    assert [(one.unit_kw, one.seed) for one in found] == [(1.0, 0), (1000.0, 0), (1000.0, 1)]
 
 
 def test_the_range_is_that_of_numbers() -> None:

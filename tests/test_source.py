@@ -155,3 +155,12 @@ def test_mode_is_the_scenarios_unless_it_is_given() -> None:
         run = run_day(scenario, options)
         assert run.options["mode"] == mode
         assert set(run.steps["mode"]) == {mode}
+
+
+def test_tiers_that_are_not_named_from_the_most_important_one_are_told() -> None:
+    tiny = tiny_scenario()
+    assert remarks(tiny) == []
+    backwards = replace(tiny, tiers=tuple(reversed(tiny.tiers)))
+    (words,) = remarks(backwards)
+    assert words.endswith("if that is not meant.")
+    assert "more than any of tier" in words

@@ -236,6 +236,5 @@ def test_missing_files_are_all_named(tmp_path):
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
     assert str(caught.value) == (
-        f"{tmp_path}: has no options.json. Give a folder written by a run.\n"
-        f"{tmp_path}: has no pv.parquet. Give a folder written by a run."
+        f"{tmp_path}: has no options.json, no pv.parquet. Give a folder written by a run."
     )

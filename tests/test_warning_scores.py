@@ -96,6 +96,14 @@ def test_an_outage_far_from_the_announced_time_is_unannounced() -> None:
     assert len(scores.unannounced) == 1
 
 
+def test_an_outage_first_announced_while_it_lasts_scores_nothing_and_is_told() -> None:
+    scores = scored([message(-1, 1.0)], (0, 3))
+    assert scores.pairs == ()
+    assert len(scores.unannounced) == 1
+    assert scores.late == 1
+    assert scored([message(4, 0.0)]).late == 0  # an all-clear of nothing
+
+
 def test_an_all_clear_is_believed_and_may_be_wrong() -> None:
     assert said_and_came(scored([message(9, 0.6), message(4, 0.0)])) == [(0.0, False)]
     assert said_and_came(scored([message(9, 0.6), message(4, 0.0)], (0, 2))) == [(0.0, True)]

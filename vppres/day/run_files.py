@@ -34,13 +34,10 @@ def read_run(folder: Path) -> Trajectory:
         If the folder is not a whole run folder, with every missing file, or its scenario is wrong.
     """
     files = [folder / OPTIONS_FILE, *(_table_file(folder, name) for name in TABLES)]
-    problems = [
-        Problem(str(folder), f"has no {file.name}", "Give a folder written by a run.")
-        for file in files
-        if not file.is_file()
-    ]
-    if problems:
-        raise InputError(problems)
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        message = f"has no {', no '.join(missing)}"
+        raise InputError([Problem(str(folder), message, "Give a folder written by a run.")])
     record = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
     explained = [name for name in EXPLAINING_TABLES if _table_file(folder, name).is_file()]
     tables = {name: pd.read_parquet(_table_file(folder, name)) for name in (*TABLES, *explained)}

@@ -221,16 +221,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     _check_order(door, measured, earliest)
     load = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
     pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
-    price = door.series("price_gbp_per_kwh", measured.price_gbp_per_kwh, scenario.price_gbp_per_kwh)
-    limit = door.series("grid_limit_kw", measured.grid_limit_kw, scenario.grid_limit_kw)
-    export_kw = door.series(
-        "export_limit_kw",
-        measured.export_limit_kw,
-        np.broadcast_to(scenario.export_limit_kw, limit.shape),
-    )
-    earned = door.series(
-        "export_price_gbp_per_kwh", measured.export_price_gbp_per_kwh, scenario.export_price
-    )
+    of_grid = _grid_series(door, scenario, measured)
     none = np.full(len(b), np.nan)
     soc = door.values("soc", measured.soc, b.id, none)
     eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
@@ -239,10 +230,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     online = door.flags("online", measured.online, b.id)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
-    announced = None
-    if measured.announced_limit_kw is not None:
-        unknown = np.full(scenario.grid.n_steps, np.nan)
-        announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+    announced = _announced(door, scenario, measured)
     foretold = measured.foretold or {}
     _check_batteries(door, scenario, soc, battery_kw)
     if not guard:
@@ -254,10 +242,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         scenario,
         load_kw=np.where(np.isnan(load), scenario.load_kw, load) * connected,
         pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
-        price_gbp_per_kwh=price,
-        grid_limit_kw=limit,
-        export_limit_kw=export_kw,
-        export_price_gbp_per_kwh=earned,
+        **of_grid,
     )
     # A missing efficiency is the nominal one: no estimate is any better.
     return Seen(
@@ -276,6 +261,28 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         _among(c.id, foretold.get("load_kw", ())),
         _among(pv.id, foretold.get("pv_kw", ())),
     )
+
+
+def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
+    """Prices and limits of the grid as measured, (T,) each; the scenario's where not told."""
+    price = scenario.price_gbp_per_kwh
+    limit = scenario.grid_limit_kw
+    export_limit = np.broadcast_to(scenario.export_limit_kw, limit.shape)
+    own = {
+        "price_gbp_per_kwh": (measured.price_gbp_per_kwh, price),
+        "grid_limit_kw": (measured.grid_limit_kw, limit),
+        "export_limit_kw": (measured.export_limit_kw, export_limit),
+        "export_price_gbp_per_kwh": (measured.export_price_gbp_per_kwh, scenario.export_price),
+    }
+    return {name: door.series(name, told, known) for name, (told, known) in own.items()}
+
+
+def _announced(door: Door, scenario: Scenario, measured: Measurement) -> Floats | None:
+    """Limits of import that are announced, NaN where none is; None if nobody says any."""
+    if measured.announced_limit_kw is None:
+        return None
+    unknown = np.full(scenario.grid.n_steps, np.nan)
+    return door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
 
 
 def _among(ids: Names, named: Sequence[str]) -> Flags:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,8 +71,26 @@ def dear_export(scenario: Scenario) -> str:
     )
 
 
+def rising_weights(scenario: Scenario) -> str:
+    """Which tier outweighs one that is named before it; empty where none does."""
+    customers = scenario.customers
+    heaviest = {
+        tier: float(customers.weight[customers.tier == tier].max())
+        for tier in scenario.tiers
+        if (customers.tier == tier).any()
+    }
+    for (before, less), (after, more) in pairwise(heaviest.items()):
+        if more > less:
+            return (
+                f"A customer of tier {after!r} weighs {more:g}, more than any of tier {before!r} "
+                f"({less:g}), though tiers are named from the most important one: check [tiers] "
+                "and the column weight, if that is not meant."
+            )
+    return ""
+
+
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
-    """What to know: source and how exact it is, dark islands, dear export, notes of the import.
+    """What to know: source and how exact it is, dark islands, dear export, tiers, import.
 
     Examples
     --------
@@ -80,5 +99,5 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     []
     """
     first = [str(scenario.source)] if scenario.source else []
-    said = [text for text in (darkness(scenario, mode), dear_export(scenario)) if text]
-    return [*first, *said, *scenario.source.notes]
+    said = [darkness(scenario, mode), dear_export(scenario), rising_weights(scenario)]
+    return [*first, *filter(None, said), *scenario.source.notes]

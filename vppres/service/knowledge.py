@@ -224,56 +224,35 @@ def known_at(
     scenario = controller.scenario
     readings = _Readings.at(time, scenario, store)
     window = Window.of(controller, time)
-    estimated: list[str] = []
-    foretold: dict[str, list[str]] = {}
-
-    def expected(quantity: str, ids: Names) -> pd.DataFrame | None:
-        if not len(ids):
-            return None
-        forecast = store.forecast(quantity, time + window.length)
-        lost = readings.lost(quantity)
-        table, cautious = window.expected(quantity, ids, forecast, lost)
-        foretold[quantity] = list((forecast or {"assets": {}})["assets"])
-        estimated.extend(
-            f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
-        )
-        read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
-        names = [str(name) for name in ids]
-        table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
-        return pd.DataFrame(table, window.times, names)
-
-    batteries = [str(name) for name in scenario.batteries.id]
     events = list(store.events().values())
     grid = _grid(controller, window, readings, events)
+    powers = _Powers(window, readings, store)
     means = _means(store, time, window.length)
-    power = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
+    batteries = [str(name) for name in scenario.batteries.id]
+    moved = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
     soc = readings.now("soc")
-    out = readings.silent | {name for name in batteries if name not in soc}
-    # Who did not do what it was told is taken back when it says how it is.
-    out |= {
-        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
-    }
+    out = _left_out(batteries, readings, store)
     off = {name for name, value in readings.now("online").items() if value == 0.0}
     lost = lost_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
     measurement = Measurement(
         time,
         soc={name: value for name, value in soc.items() if name not in out},
-        load_kw=expected("load_kw", scenario.customers.id),
-        pv_kw=expected("pv_kw", scenario.pv.id),
+        load_kw=powers.ahead("load_kw", scenario.customers.id),
+        pv_kw=powers.ahead("pv_kw", scenario.pv.id),
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
-        battery_kw=power or None,
+        battery_kw=moved or None,
         online={name: name not in out | off for name in batteries},
         import_kw=means.get((GRID, "import_kw")),
         connected=dict.fromkeys(lost, False),
         announced_limit_kw=None
         if announced is None
         else pd.Series(announced, window.times).dropna(),
-        foretold=foretold,
+        foretold=powers.foretold,
     )
     known_soc = {name: value for name, value in soc.items() if np.isfinite(value)}
-    return Known(measurement, readings.heard, grid, estimated, known_soc, lost)
+    return Known(measurement, readings.heard, grid, powers.estimated, known_soc, lost)
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
@@ -342,6 +321,60 @@ class _Readings:
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
         return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Powers:
+    """Loads and PV power of a window: what is read now, and what is expected of later steps.
+
+    Parameters
+    ----------
+    window : Window
+        The window.
+    readings : _Readings
+        Of its first step.
+    store : Store
+        With the forecasts that were sent.
+    estimated : list of str
+        What stands in for readings that are lost, filled as tables are asked for.
+    foretold : dict of str to list of str
+        Assets of each quantity that a forecast was sent for, filled likewise.
+    """
+
+    window: Window
+    readings: _Readings
+    store: Store
+    estimated: list[str] = field(default_factory=list)
+    foretold: dict[str, list[str]] = field(default_factory=dict)
+
+    def ahead(self, quantity: str, ids: Names) -> pd.DataFrame | None:
+        """A quantity of the assets, a row for each step; None where there are no assets."""
+        if not len(ids):
+            return None
+        window = self.window
+        forecast = self.store.forecast(quantity, window.times[0] + window.length)
+        lost = self.readings.lost(quantity)
+        table, cautious = window.expected(quantity, ids, forecast, lost)
+        self.foretold[quantity] = list((forecast or {"assets": {}})["assets"])
+        self.estimated.extend(
+            f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
+        )
+        read = {k: v for k, v in self.readings.now(quantity).items() if k not in cautious}
+        names = [str(name) for name in ids]
+        table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
+        return pd.DataFrame(table, window.times, names)
+
+
+def _left_out(batteries: Iterable[str], readings: _Readings, store: Store) -> set[str]:
+    """Batteries that are silent, or did not do what they were told.
+
+    The latter are taken back when they say how they are.
+    """
+    soc = readings.now("soc")
+    refusing = {
+        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
+    }
+    return readings.silent | refusing | {name for name in batteries if name not in soc}
 
 
 def _grid(controller: Controller, window: Window, readings: _Readings, events: list[Event]) -> Grid:

@@ -140,6 +140,11 @@ def _warned_findings(warned: WarningScores) -> list[str]:
         f"Outage warnings: of {_counted(len(warned.pairs), 'announced outage')} {warned.n_came} "
         f"came, and {_counted(len(warned.unannounced), 'outage')} came unannounced."
     ]
+    if warned.late:
+        sentences.append(
+            f"Outages announced only when they had begun or could no longer begin: {warned.late}. "
+            "Such warnings score nothing."
+        )
     if warned.brier > warned.brier_of_share:
         sentences.append(
             f"Their probabilities are off by more (Brier score {warned.brier:.3f}) than the share "

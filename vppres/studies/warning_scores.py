@@ -59,11 +59,14 @@ class WarningScores:
     pairs : tuple of WarnedOutage
         One for each announced outage, with the last message before it began or could have begun.
     unannounced : tuple of SeenOutage
-        Outages that no message spoke of.
+        Outages that no message spoke of before they began.
+    late : int
+        Outages first announced when they had begun or could no longer begin; they score nothing.
     """
 
     pairs: tuple[WarnedOutage, ...]
     unannounced: tuple[SeenOutage, ...]
+    late: int = 0
 
     @classmethod
     def of(
@@ -86,13 +89,16 @@ class WarningScores:
             named.setdefault(warning.outage, []).append(completed(warning))
         left = sorted(outages, key=lambda one: one.start)
         pairs = []
+        late = 0
         for messages in (one for group in named.values() for one in _of_one(group, left, step)):
             came = _came_of(messages, left, step)
             last = _last_before(messages, came)
             if last is not None:
                 pairs.append(WarnedOutage(last, came))
+            elif not all(message.all_clear for message in messages):
+                late += 1
             left = [one for one in left if one is not came]
-        return cls(tuple(pairs), tuple(left))
+        return cls(tuple(pairs), tuple(left), late)
 
     @classmethod
     def of_files(cls, warnings: str | Path, outages: str | Path) -> WarningScores:
@@ -143,6 +149,7 @@ class WarningScores:
             "announced": len(self.pairs),
             "came": self.n_came,
             "unannounced": len(self.unannounced),
+            "late": self.late,
             "brier": _or_none(self.brier),
             "brier_of_share": _or_none(self.brier_of_share),
             "reliability": self.reliability.to_dict("records"),
