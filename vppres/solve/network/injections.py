@@ -57,6 +57,16 @@ class Demand:
         )
 
 
+def rotated(cos: Floats, sin: Floats, angle: float) -> tuple[Floats, Floats]:
+    """Points of the unit circle turned by an angle in radians.
+
+    >>> x, y = rotated(np.ones(1), np.zeros(1), np.pi / 2)
+    >>> x.round(9).tolist(), y.tolist()
+    ([0.0], [1.0])
+    """
+    return cos * np.cos(angle) - sin * np.sin(angle), sin * np.cos(angle) + cos * np.sin(angle)
+
+
 class Injections:
     """A window's variables as columns, and its constraints as rows.
 
@@ -490,11 +500,14 @@ class Injections:
             out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
             if not out.any():
                 continue
-            angle = np.arctan2(x[q][out], p[out])
+            cos = p[out] / size[out]
+            sin = x[q][out] / size[out]
+            points = [(cos, sin)]
+            if out.sum() <= few:
+                points += [rotated(cos, sin, -turn), rotated(cos, sin, turn)]
             columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
             limit = (1.0 - inside) * np.broadcast_to(radius, p.shape)[out]
-            for beside in (0.0, -turn, turn) if out.sum() <= few else (0.0,):
-                cos, sin = np.cos(angle + beside), np.sin(angle + beside)
+            for cos, sin in points:
                 values = np.column_stack(
                     [*(cos * np.broadcast_to(f, p.shape)[out] for _, f in pieces), sin]
                 )
