@@ -19,6 +19,7 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.sets import ServiceCuts
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -91,8 +92,13 @@ def test_cuts_leave_every_set_that_is_carried(
     large = master()
     root = -large.root[1].value
     assert large.carries(best)
-    linear, _ = large._by_feeders(Deadline(TIME_S))
-    assert usual.value - 1e-2 <= -linear.value <= root - taken + 1e-6
+    cuts = ServiceCuts(large.units)
+    assert large._cut(large.root[1], cuts) == pytest.approx(root)
+    large._by_feeders(cuts, Deadline(TIME_S))
+    assert usual.value - 1e-2 <= cuts.first <= root - taken + 1e-5
+    x = best.ravel().astype(float)
+    for gain, most in zip(cuts.gains, cuts.most_units, strict=True):
+        assert large.units @ x <= most + gain @ x + 1e-5
     outcome, served = master().service(Deadline(TIME_S))
     assert served is not None
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
@@ -166,3 +172,28 @@ def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> Non
         np.sum([z[places].sum(axis=1) for places in given], axis=0) for z in (x, clipped)
     )
     np.testing.assert_allclose(after, before, atol=1e-6)
+
+
+def test_sets_of_so_many_units_by_hand() -> None:
+    """Four customers of 3, 2, 2 and 1 units; whoever is off costs the first bound of 8 units 0.4.
+
+    The search of the feeder of the first two takes 1.5 units, and their absence is no loss before
+    that. None has 7 units, since one absence more than the two of 6 units would be needed.
+    """
+    cuts = ServiceCuts(np.array([3.0, 2.0, 2.0, 1.0]))
+    cuts.add(np.full(4, -0.4), 8.0 - 4 * 0.4)
+    assert cuts.first == pytest.approx(8.0, abs=1e-5)
+    cuts.lower(np.array([1.5, 1.5, 0.0, 0.0]), 1.5)
+    assert cuts.first == pytest.approx(6.5, abs=1e-5)
+    shares = np.ones(4)
+    free = np.full(4, np.nan)
+    end = Deadline(TIME_S)
+    assert cuts.with_units(7.0, shares, free, end).status == Status.INFEASIBLE
+    six = cuts.with_units(6.0, shares, free, end)
+    assert six.status.has_answer
+    # One of 2 units is off: the third would leave 8 - 1.5 - 0.4 = 6.1 units, the second 6.5.
+    assert cuts.units @ np.round(six.x) == 6.0
+    held = np.array([np.nan, 1.0, 1.0, np.nan])
+    assert cuts.with_units(6.0, shares, held, end).status == Status.INFEASIBLE
+    five = cuts.with_units(5.0, shares, held, end)
+    np.testing.assert_array_equal(np.round(five.x), [0.0, 1.0, 1.0, 1.0])

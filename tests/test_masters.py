@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -23,18 +24,20 @@ from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import least_reactive
+from vppres.solve.dispatch import keep_dispatch, least_reactive, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.decide import at_hand, network_master, worth_asking_tie_breakers
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import (
     PROOF,
+    SMALL_PROOF,
     SUMS_KEPT,
     Program,
     ProgramSolution,
@@ -42,12 +45,14 @@ from vppres.solve.programs import (
     stacked,
     with_sums,
 )
-from vppres.solve.result import Status
+from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import find_solver
+from vppres.solve.task import WindowTask
 
 SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
 """Window 54 has weights without a grid, to which counts do not apply."""
 TIME_S = 20.0
+SPEC = find_solver("highs"), 16
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +91,7 @@ def test_search_ends_at_what_is_proven(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_options_of_counts_change_no_optimum(seed: int) -> None:
     plain = ProgramSolution.of(knapsack(seed).loaded(), Deadline(TIME_S))
-    lean = ProgramSolution.of(knapsack(seed).loaded(more=PROOF), Deadline(TIME_S))
+    lean = ProgramSolution.of(knapsack(seed).loaded(more=SMALL_PROOF), Deadline(TIME_S))
     assert lean.status == plain.status == Status.OPTIMAL
     assert (lean.value, lean.bound) == pytest.approx((plain.value, plain.bound), abs=1e-9)
 
@@ -188,6 +193,38 @@ def test_outages_by_themselves_prove_what_all_do(
     monkeypatch.setattr("vppres.solve.fleet.counts.runs", lambda _: [])
     assert service()[:2] == pytest.approx((value, bound))
     assert blocks == 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_outages_by_themselves_cost_what_all_do(packaged: Scenario, seed: int) -> None:
+    """Prices of what joins outages give a bound below every set's cost, and a set near it."""
+    rng = np.random.default_rng(seed)
+    limit_kw = np.full(10, np.inf)
+    limit_kw[[1, 2, 6, 7]] = 0.0
+    day = day_window(packaged, int(rng.integers(8, 13)), 10, float(rng.uniform(0.3, 0.6)))
+    price = rng.uniform(0.05, 0.4, 10) if seed < 4 else rng.uniform(-0.2, 0.4, 10)
+    data = replace(day, grid_limit_kw=limit_kw, price_gbp_per_kwh=price)
+    cache, free = ModelCache(Site.of(packaged)), np.isfinite(limit_kw)
+    gap_gbp = 0.5
+
+    def counts() -> tuple[Counts, float]:
+        made = Counts(demand_of(cache, data, lumped=True), data, Deadline(TIME_S))
+        outcome, _ = made.service(0.5)
+        return made, outcome.value - 0.5
+
+    apart, units = counts()
+    assert apart._serves_apart(free)
+    outcome, served = apart.cost(units, True, np.inf, gap_gbp)
+    whole, units = counts()
+    whole.blocks = []
+    exact, _ = whole.cost(units, True, np.inf, 1e-3)
+    assert served is not None
+    assert outcome.bound <= exact.value + 1e-2
+    assert exact.bound - 1e-2 <= outcome.value <= outcome.bound + gap_gbp
+    assert outcome.status == exact.status == Status.OPTIMAL
+    known, none = counts()[0].cost(units, True, exact.value, gap_gbp)
+    assert none is None
+    assert known.bound >= exact.value - gap_gbp
 
 
 def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
@@ -376,6 +413,25 @@ def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
         told.append(bool(kept_all))
         assert kept_all == (not rules.broken(served).any())
     assert any(told) or seed != 136
+
+
+def test_a_dispatch_that_is_plainly_carried_is_carried(packaged: Scenario) -> None:
+    told = []
+    for heavier, first in product((1.0, 1.4, 1.8), (2, 11, 18)):
+        day = replace(packaged, load_kw=packaged.load_kw * heavier)
+        data = day_window(day, first, 3, 0.5)
+        task = WindowTask.begin(data, ModelCache(Site.of(day)), SolveLimits(), *SPEC)
+        keep_dispatch(task, np.ones(data.load_kw.shape, dtype=bool))
+        if task.certificate.best is None:
+            continue
+        told.append(at_hand(task, task.certificate.best))
+        master = network_master(task)
+        assert master is not None
+        assert not told[-1] or worth_asking_tie_breakers(master, task.certificate.best)
+        carried = with_tie_breakers(task, task.certificate.best)
+        assert carried is not None or not told[-1]
+    assert any(told)
+    assert not all(told)
 
 
 def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(

@@ -16,6 +16,7 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
+from vppres.solve.network.at_hand import plainly_carried
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
@@ -50,12 +51,13 @@ UNITS_TOLERANCE = 1e-9
 def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     """Put the best dispatch into the network, at a higher cost or with others where it must be.
 
-    A small window asks the tie-breakers first, and most need no master then.
+    A small window asks the tie-breakers first, and most need no master then. Nor does a large one
+    whose dispatch is plainly carried.
     """
     best = task.certificate.best
     if best is None or best.in_network:
         return
-    if master is None and task.is_large:
+    if master is None and task.is_large and not at_hand(task, best):
         master = network_master(task)
     found = None
     if master is None or worth_asking_tie_breakers(master, best):
@@ -64,6 +66,12 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
     task.certificate.keep(task.certificate.before)
+
+
+def at_hand(task: WindowTask, best: Candidate) -> bool:
+    """Whether the network plainly carries the best dispatch."""
+    reactance = task.cache.table(Reactance)
+    return plainly_carried(task.site, reactance, task.data, best.dispatch)
 
 
 def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:

@@ -115,11 +115,14 @@ class Found:
         Their values in its answer, NaN without one.
     cut : Rows or None
         What it proves of the columns of the program.
+    raised : float
+        By how much the cut lies above what the feeder costs at least without binaries, 0 without.
     """
 
     binaries: Wholes
     served: Floats
     cut: Rows | None
+    raised: float = 0.0
 
 
 class Feeders:
@@ -179,7 +182,7 @@ class Feeders:
             return Found(places, served, None)
         size = len(self.cost)
         cut = Rows.of(columns[None, :], self.cost[columns], bound - effort.room, np.inf, size)
-        return Found(places, served, cut)
+        return Found(places, served, cut, bound - effort.room - least)
 
     def _least(self, columns: Wholes, rows: Wholes) -> float:
         """What a feeder costs at least without binaries, by weak duality."""

@@ -19,8 +19,8 @@ from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import Rows, add, limited
-from vppres.solve.network.sets import TOLERANCE, Known, ServiceCuts
+from vppres.solve.network.rows import Rows, limited
+from vppres.solve.network.sets import HALF_UNIT, TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     PROOF,
@@ -45,15 +45,15 @@ buses, where the longest wait for an improvement that came was 12 s."""
 TRIED_NODES = 100
 """Nodes of a search for the next set to try where the search with the network follows soon."""
 
-HALF_UNIT = 0.5
-"""What a sum of weights may miss a whole number by and still be the number itself."""
-
 COST_NODES = 100
 """Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
 the proof that there is nothing cheaper never ends where it does not end soon."""
 
 COST_ASKED = 100
 """How often its root may ask whether to go on: 3 to 4 s where that takes longer than all nodes."""
+
+TRIES = 12
+"""Sets of so many units that are tried in a large window before fewer units are."""
 
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
@@ -146,15 +146,13 @@ class NetworkMaster:
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
-        linear, held = self._by_feeders(deadline) if self.network.is_large else (root, None)
-        most = self._cut(linear, cuts)
-        known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)))
-        known.improve(*self._carried(linear))
-        patience = Patience(deadline, PATIENCE_NODES)
-        if held is None:
-            self._close(solver, linear, known, cuts, patience)
+        most = self._cut(root, cuts)
+        known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)), self._shares(root))
+        known.improve(*self._carried(root))
+        if self.network.is_large:
+            self._close_large(known, cuts, deadline, verify)
         else:
-            self._close_large(solver, linear, known, cuts, patience, held, verify)
+            self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -203,89 +201,118 @@ class NetworkMaster:
             priced = self._priced(linear)
             binding = priced | np.pad(binding, (0, len(priced) - len(binding)))
 
-    def _by_feeders(self, deadline: Deadline) -> tuple[ProgramSolution, Floats]:
-        """The linear problem with cuts of its feeders, and what their searches say of customers.
+    def _by_feeders(self, cuts: ServiceCuts, deadline: Deadline) -> Floats:
+        """Lower the first bound by feeders' own searches; returns whom they serve with a grid.
 
-        Where a share of a feeder's customers is a fraction, the feeder is searched with binaries,
-        once: a second search at the prices with its cut takes next to nothing more.
+        (W * C,), NaN for who is left open. Where a share of a feeder's customers is a fraction,
+        the feeder is searched with binaries, once: a second search at the prices of a linear
+        problem with its cut takes next to nothing more.
         """
-        solver, linear = self.root
         x = self.model.at["x"].ravel()
         held = np.full(len(x), np.nan)
+        raised = np.zeros(len(x))
+        total = 0.0
         open_ = np.repeat(self.data.grid_limit_kw > 0.0, len(self.site.customers))
         of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
-        searched: set[int] = set()
+        program = limited(self.network.with_cost(*self.lack), self.network.found)
+        feeders = Feeders(program, self.root[1], of_column, x)
         end = deadline.part(FEEDERS_SHARE)
-        while self._carried(linear)[1] < np.floor(TOLERANCE - linear.bound):
-            program = limited(self.network.with_cost(*self.lack), self.network.found)
-            feeders = Feeders(program, linear, of_column, x)
-            cuts = []
-            for number in feeders.fractional:
-                if number in searched or end.passed:
-                    continue
-                found = feeders.search(number, end)
-                searched.add(number)
-                places = found.binaries[open_[found.binaries]]
-                held[places] = found.served[open_[found.binaries]]
-                cuts += [] if found.cut is None else [found.cut]
-            if not cuts:
+        for number in feeders.fractional:
+            if end.passed:
                 break
-            rows = Rows.joined(cuts)
-            self.network.found.append(rows)
-            add(solver, rows)
-            tighter = self._until_carried(solver, deadline)
-            if tighter.status != Status.OPTIMAL:
-                break
-            linear = tighter
-        return linear, held
+            found = feeders.search(number, end)
+            places = found.binaries[open_[found.binaries]]
+            held[places] = found.served[open_[found.binaries]]
+            raised[found.binaries] = found.raised
+            total += found.raised
+        cuts.lower(raised, total)
+        return held
 
     def _close_large(
-        self,
-        solver: highspy.Highs,
-        linear: ProgramSolution,
-        known: Known,
-        cuts: ServiceCuts,
-        patience: Patience,
-        held: Floats,
-        verify: bool,
+        self, known: Known, cuts: ServiceCuts, deadline: Deadline, verify: bool
     ) -> None:
-        """Try sets as :meth:`_close` does, first those with what feeders' searches have said.
+        """Try sets of as many units as none exceeds, and of fewer where there are none.
 
         The best set is put to the discs themselves at the end: one that exceeds many of them by
         the little that a bound admits has no dispatch. From then on each better one is.
         """
-        over = DISC
-        while True:
-            while not known.closed() and not patience.passed:
-                enough = known.most
-                found = cuts.most(
-                    self._shares(linear), enough + 1.0, patience.end, held, known.bound
-                )
-                free = bool(np.isnan(held).all())
-                if not free and not known.follow(found, self.units):
-                    held = np.full(len(held), np.nan)
-                    continue
-                if free:
-                    known.take(found)
-                    if known.closed():
-                        break
-                linear = self._tried(solver, known.tried, DISC, enough, patience.end)
-                if over < DISC and self.units @ self._in_full(linear) > enough:
-                    linear = self._tried(solver, known.tried, over, enough, patience.end)
-                if linear.status != Status.OPTIMAL:
+        held = np.full(len(self.units), np.nan)
+        if not known.closed():
+            held = self._by_feeders(cuts, deadline)
+            known.bound = max(known.most, float(np.floor(cuts.first + TOLERANCE)))
+        self._reach(known, cuts, held, deadline, DISC)
+        if known.best is None or not verify:
+            return
+        carried = self._tried(self.root[0], known.best, VERIFIED_DISC, -np.inf, self.deadline)
+        if carried.status != Status.OPTIMAL:
+            return
+        self._cut(carried, cuts)
+        before = known.most
+        known.best, known.most = self._carried(carried)
+        if known.most < before:
+            self._reach(known, cuts, held, deadline, VERIFIED_DISC)
+
+    def _reach(
+        self, known: Known, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
+    ) -> None:
+        """Try sets of as many units as the bound, which falls where none has them.
+
+        Where that cannot be told, sets of fewer units are tried, and the bound stays.
+        """
+        if known.closed():
+            return
+        known.tried = np.where(np.isnan(held), 1.0, held)
+        goal = known.bound
+        if not self._learns(known, cuts, deadline, DISC):
+            return
+        while goal > known.most and not deadline.passed:
+            none_has = self._none_has(goal, known, cuts, held, deadline, over)
+            if none_has and goal == known.bound:
+                known.exclude()
+            goal -= 1.0
+
+    def _none_has(
+        self,
+        units: float,
+        known: Known,
+        cuts: ServiceCuts,
+        held: Floats,
+        deadline: Deadline,
+        over: float,
+    ) -> bool:
+        """Whether it is proven that no set has so many units, after some that might were tried.
+
+        First those that serve with a grid whom the feeders' searches serve: voltages decide there,
+        in the dark the balance does. The others follow.
+        """
+        found = None
+        for said in (held, np.full(len(held), np.nan)):
+            for _ in range(TRIES):
+                found = cuts.with_units(units, known.shares, said, deadline)
+                if not found.status.has_answer:
                     break
-                self._cut(linear, cuts)
-                known.improve(*self._carried(linear))
-                patience.saw(known.most, known.bound, patience.nodes + ROUND_NODES)
-            if over < DISC or known.best is None or not verify:
-                return
-            over = VERIFIED_DISC
-            carried = self._tried(solver, known.best, over, -np.inf, self.deadline)
-            if carried.status != Status.OPTIMAL:
-                return
-            linear = carried
-            self._cut(linear, cuts)
-            known.best, known.most = self._carried(linear)
+                known.tried = np.round(found.x)
+                done = not self._learns(known, cuts, deadline, over)
+                if done or known.most >= units or deadline.passed:
+                    return False
+        return found is not None and found.status == Status.INFEASIBLE
+
+    def _learns(self, known: Known, cuts: ServiceCuts, deadline: Deadline, over: float) -> bool:
+        """Put the set that is tried into the network; says whether that was solved.
+
+        The discs themselves are asked only where the set would be the best without them.
+        """
+        solver = self.root[0]
+        enough = known.most
+        linear = self._tried(solver, known.tried, DISC, enough, deadline)
+        if over < DISC and self.units @ self._in_full(linear) > enough:
+            linear = self._tried(solver, known.tried, over, enough, deadline)
+        if linear.status != Status.OPTIMAL:
+            return False
+        self._cut(linear, cuts)
+        known.shares = self._shares(linear)
+        known.improve(*self._carried(linear))
+        return True
 
     def carries(self, served: Flags) -> bool:
         """Whether the relaxation in the network serves a set in full."""

@@ -19,6 +19,9 @@ NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
 must stay below one unit, or the best set would no longer be told from the next."""
 
+HALF_UNIT = 0.5
+"""What a sum of weights may miss a whole number by and still be the number itself."""
+
 CLOSE = 0.03
 """Of the units for which a set may be preferred, how many a set may lack that ends a search."""
 
@@ -28,10 +31,14 @@ TOLERANCE = 1e-6
 
 @dataclass
 class Known:
-    """The set last tried, the bound on all, and the best set that is carried, in units."""
+    """The set last tried, the bound on all, and the best set that is carried, in units.
+
+    ``shares`` is how far customers are served by the last linear solution.
+    """
 
     tried: Floats
     bound: float
+    shares: Floats
     best: Floats | None = None
     most: float = -np.inf
 
@@ -47,12 +54,9 @@ class Known:
             self.tried = np.round(found.x)
         self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
 
-    def follow(self, found: ProgramSolution, units: Floats) -> bool:
-        """Try a set of a search that proves nothing, if it would be the best."""
-        better = found.status.has_answer and units @ np.round(found.x) > self.most
-        if better:
-            self.tried = np.round(found.x)
-        return bool(better)
+    def exclude(self) -> None:
+        """No set that is carried has as much as the bound."""
+        self.bound = max(self.most, self.bound - 1.0)
 
     def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
@@ -69,6 +73,8 @@ class ServiceCuts:
         self.gains: list[Floats] = []
         self.most_units: list[float] = []
         self.first_left: Floats = np.zeros(len(units))
+        self.raised: Floats = np.zeros(len(units))
+        self.by_feeders = 0.0
 
     def add(self, left: Floats, most: float) -> float:
         """Add a bound ``most - left @ x``; returns its largest value.
@@ -81,39 +87,74 @@ class ServiceCuts:
         self.most_units.append(most + TOLERANCE)
         return most + float(self.gains[-1].sum())
 
+    @property
+    def first(self) -> float:
+        """The first bound on all sets."""
+        return self.most_units[0] + float(self.gains[0].sum()) - self.by_feeders
+
+    def lower(self, raised: Floats, total: float) -> None:
+        """Lower the first bound by what feeders' own searches take from it.
+
+        ``raised`` is what the search of each customer's feeder takes, zero without one, and
+        ``total`` the sum over the feeders. A departure from the linear solution costs a feeder that
+        much for nothing, since its search has seen all of them.
+        """
+        self.raised = raised
+        self.by_feeders = total
+        gain = self.gains[0]
+        searched = raised > 0.0
+        self.gains.append(np.where(searched, 0.0, gain))
+        self.most_units.append(self.most_units[0] + float(gain[searched].sum()) - total)
+
     def most(
         self,
         shares: Floats,
         at_least: float,
         deadline: Deadline,
-        held: Floats | None = None,
-        at_most: float = np.inf,
         most_nodes: int | None = None,
     ) -> ProgramSolution:
         """The set with the most units, at least so many; among equal ones one close to the shares.
 
-        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. Whose
-        service or lack of it would alone cost too much by the first bound is decided beforehand;
-        ``held`` decides more, where it is not NaN: the bound is that of such sets then. A close set
-        of the units that no set exceeds ends the search, and so do so many nodes.
+        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. So
+        many nodes end the search.
+        """
+        program = self._program(shares, at_least)
+        solver = program.loaded(1.0 - 2.0 * NEAR, most_nodes)
+        found = ProgramSolution.of(solver, deadline)
+        return replace(found, bound=found.bound - NEAR)
+
+    def with_units(
+        self, units: float, shares: Floats, held: Floats, deadline: Deadline
+    ) -> ProgramSolution:
+        """A set of just so many units; infeasible where no set that is carried has them.
+
+        ``held`` decides whom it serves where it is not NaN: of others nothing is proven then.
+        """
+        program = self._program(shares, units)
+        free = np.isnan(held)
+        program = replace(
+            program,
+            x_lower=np.where(free, program.x_lower, held),
+            x_upper=np.where(free, program.x_upper, held),
+        )
+        just = sp.csc_array(self.units[None, :])
+        limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
+        solver = program.with_range(just, *limits).loaded(1.0 - 2.0 * NEAR, enough=CLOSE - units)
+        return ProgramSolution.of(solver, deadline)
+
+    def _program(self, shares: Floats, at_least: float) -> Program:
+        """The most units under all bounds, at least so many.
+
+        Whose service or lack of it would alone cost too much by the first bound is decided.
         """
         away = 1.0 - shares
-        spare = self.most_units[0] + float(self.gains[0].sum()) - at_least
-        cost = NEAR / max(1.0, float(away.sum())) * away - self.units
-        low = self.first_left < -spare
-        high = self.first_left <= spare
-        if held is not None:
-            low = np.where(np.isnan(held), low, held > 0.5)
-            high = np.where(np.isnan(held), high, held > 0.5)
-        program = Program(
-            cost,
-            low.astype(float),
-            high.astype(float),
+        spare = self.first - at_least + self.raised
+        return Program(
+            NEAR / max(1.0, float(away.sum())) * away - self.units,
+            (self.first_left < -spare).astype(float),
+            (self.first_left <= spare).astype(float),
             sp.csc_array(self.units - np.array(self.gains)),
             np.full(len(self.gains), -np.inf),
             np.array(self.most_units),
-            np.arange(len(cost)),
+            np.arange(len(self.units)),
         )
-        solver = program.loaded(1.0 - 2.0 * NEAR, most_nodes, enough=CLOSE - at_most)
-        found = ProgramSolution.of(solver, deadline)
-        return replace(found, bound=found.bound - NEAR)
