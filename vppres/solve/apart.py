@@ -23,13 +23,10 @@ from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 from vppres.model.terms import Terms
 from vppres.scenario.assets import NO_POWER_KW
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 SolveStep = Callable[[WindowData, SolveLimits], WindowSolution]
-
-LEAST_S = 0.01
-"""What a step may take where earlier ones have used up the time: its grace is for an answer."""
 
 TWICE = 2.0
 """Factor of the energy of batteries that are to start anywhere between full and empty."""
@@ -239,7 +236,10 @@ def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> Wind
 
 
 def _shares(n_steps: int, limits: SolveLimits, deadline: Deadline) -> Iterator[SolveLimits]:
-    """Limits of each step, of the time as it is left when the step begins."""
+    """Limits of each step, of the time as it is left when the step begins.
+
+    Where earlier ones have used it up, a step has its grace for an answer.
+    """
     for k in range(n_steps):
         share = min(SHARES / (n_steps - k), 1.0)
         yield SolveLimits(
