@@ -71,12 +71,12 @@ class CheapestDispatch:
         self.near = near
 
     def of(
-        self, served: Flags, deadline: Deadline, quickly: bool = False
+        self, served: Flags, deadline: Deadline, shares: tuple[float, ...] = ()
     ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
-        Tangents are put well within the discs first, which ends sooner, or else at them: not where
-        it is looked for quickly.
+        Tangents are put well within the discs first, which ends sooner, or else at them, unless
+        other shares are given.
         """
         watch = Stopwatch()
         self.network.unfinished = None
@@ -84,8 +84,8 @@ class CheapestDispatch:
         sun = self.model.at["P_exp"]
         if self.network.is_large:
             program.cost[sun] -= self._worth_of_sun
-        shares = LARGE_INSIDE if self.network.is_large else INSIDE
-        answer, inside = self._within_discs(program, deadline, shares[:1] if quickly else shares)
+        shares = shares or (LARGE_INSIDE if self.network.is_large else INSIDE)
+        answer, inside = self._within_discs(program, deadline, shares)
         if (
             not self.network.is_large
             and answer.status == Status.OPTIMAL

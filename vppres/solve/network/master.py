@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from types import MappingProxyType
 
 import highspy
@@ -15,7 +16,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
-from vppres.solve.network.cheapest import CheapestDispatch
+from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, LARGE_INSIDE, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -34,6 +35,9 @@ from vppres.solve.result import Outcome, Status
 VERIFIED_DISC = 1e-4
 """The same of the best set of a large window's search, which has to have a dispatch: ten times as
 many rounds lead to the discs themselves, and a set that misses so little of them has one."""
+
+DISCS = (DISC, VERIFIED_DISC, EXACT_DISC)
+"""The shares one after the other: a set that the second admits may need the little that it does."""
 
 ROUNDS = 3
 """Sets that are tried before it begins: most windows are closed by then, at a tenth of its time."""
@@ -54,6 +58,10 @@ COST_ASKED = 100
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
+
+NEARLY = 1e-4
+"""Units by which the network may carry less than a set and still be asked for its dispatch: bounds
+that are as tight find the same set again."""
 
 ROUND_NODES = 25
 """Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
@@ -234,24 +242,28 @@ class NetworkMaster:
     ) -> None:
         """Try sets of as many units as none exceeds, and of fewer where there are none.
 
-        The best set is put to the discs themselves at the end if it has no dispatch within them:
-        it may exceed many by the little that a bound admits. From then on each better one is.
+        The best set is put to the discs themselves, in two steps, where it has no dispatch within
+        them: it may exceed many by the little that a bound admits. From then on each better one is.
         """
         held = np.full(len(self.units), np.nan)
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
             known.bound = max(known.most, float(np.floor(cuts.first + TOLERANCE)))
-        self._reach(known, cuts, held, deadline, DISC)
-        if known.best is None or not verify or self._has_dispatch(known.best, deadline):
+        known.tried = np.where(np.isnan(held), 1.0, held)
+        if not known.closed() and not self._learns(known, cuts, deadline, DISC):
             return
-        carried = self._tried(self.root[0], known.best, VERIFIED_DISC, -np.inf, self.deadline)
-        if carried.status != Status.OPTIMAL:
-            return
-        self._cut(carried, cuts)
-        before = known.most
-        known.best, known.most = self._carried(carried)
-        if known.most < before:
-            self._reach(known, cuts, held, deadline, VERIFIED_DISC)
+        for over, finer in pairwise(DISCS):
+            self._reach(known, cuts, held, deadline, over)
+            inside = LARGE_INSIDE[:1] if over == DISC else INSIDE
+            if known.best is None or not verify or self._has_dispatch(known.best, inside):
+                return
+            carried = self._tried(self.root[0], known.best, finer, -np.inf, self.deadline)
+            if carried.status != Status.OPTIMAL:
+                return
+            self._cut(carried, cuts)
+            known.shares = self._shares(carried)
+            known.best, known.most = self._carried(carried)
+        self._reach(known, cuts, held, deadline, finer)
 
     def _reach(
         self, known: Known, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
@@ -260,12 +272,7 @@ class NetworkMaster:
 
         Where that cannot be told, sets of fewer units are tried, and the bound stays.
         """
-        if known.closed():
-            return
-        known.tried = np.where(np.isnan(held), 1.0, held)
         goal = known.bound
-        if not self._learns(known, cuts, deadline, DISC):
-            return
         while goal > known.most and not deadline.passed:
             none_has = self._none_has(goal, known, cuts, held, deadline, over)
             if none_has and goal == known.bound:
@@ -292,6 +299,8 @@ class NetworkMaster:
                 found = cuts.with_units(units, known.shares, said, deadline)
                 if not found.status.has_answer:
                     break
+                if (np.round(found.x) == known.tried).all():
+                    return False
                 known.tried = np.round(found.x)
                 done = not self._learns(known, cuts, deadline, over)
                 if done or known.most >= units or deadline.passed:
@@ -313,6 +322,9 @@ class NetworkMaster:
         self._cut(linear, cuts)
         known.shares = self._shares(linear)
         known.improve(*self._carried(linear))
+        wanted = float(self.units @ known.tried)
+        if wanted + linear.value < NEARLY:
+            known.improve(known.tried, wanted)
         return True
 
     def carries(self, served: Flags) -> bool:
@@ -485,11 +497,11 @@ class NetworkMaster:
             network = NetworkProgram(self.site, self.model.reactance, data)
         return CheapestDispatch(self.site, data, network, self._basis).of(served, deadline)
 
-    def _has_dispatch(self, best: Floats, deadline: Deadline) -> bool:
-        """Whether a set has a dispatch well within the discs, which is kept."""
+    def _has_dispatch(self, best: Floats, inside: tuple[float, ...]) -> bool:
+        """Whether a set has a dispatch by shares within the discs, which is kept."""
         served = best.reshape(self.model.at["x"].shape) > 0.5
         found = CheapestDispatch(self.site, self.data, self.network, self._basis)
-        outcome, dispatch = found.of(served, deadline, quickly=True)
+        outcome, dispatch = found.of(served, self.deadline, inside)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
         return outcome.status == Status.OPTIMAL

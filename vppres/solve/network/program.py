@@ -39,8 +39,8 @@ most of the rounds add a handful of tangents that change nothing."""
 
 
 FEW_DISCS = 300
-"""Exceeded discs up to which a tangent of a large window comes with both its neighbours: most of
-the rounds add a few hundred and less, each beside the one before."""
+"""Exceeded discs up to which a tangent of a large window's dispatch comes with both its neighbours:
+most of the rounds add a few hundred and less, each beside the one before."""
 
 
 SMALL = 2000
@@ -182,6 +182,7 @@ class NetworkProgram:
         solver that meets limits only within a tolerance may violate the same ones for ever: then
         time ends it.
         """
+        few = FEW_DISCS if self.is_large and over < DISC else 0
         settled = SETTLED if self.is_large and over >= DISC else 0.0
         before = np.inf
         while True:
@@ -194,7 +195,7 @@ class NetworkProgram:
             x = self.columns(answer)
             found = [
                 *self.model.voltage_rows(x, VOLTAGE_PU2),
-                *self.model.disc_rows(x, over, inside, FEW_DISCS if self.is_large else 0),
+                *self.model.disc_rows(x, over, inside, few),
             ]
             if not found:
                 return answer
