@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -385,10 +386,10 @@ def test_least_slack_by_hand() -> None:
 class OnlyOneStep(WindowSolver):
     """A solver that finds nothing feasible beyond one step."""
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         if data.n_steps > 1:
             raise InfeasibleError("The future has no feasible dispatch.")
-        return super().solve(data)
+        return super().solve(data, within_s)
 
 
 def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> None:
@@ -406,7 +407,7 @@ def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> Non
 class Dead(WindowSolver):
     """A solver that never answers."""
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         raise RuntimeError("no solver")
 
 

@@ -18,6 +18,7 @@ from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
+    FIRST_SHARE,
     LOSS_TOLERANCE_KW,
     SOC_NUDGE,
     VOLTAGE_TOLERANCE_PU,
@@ -290,11 +291,11 @@ def test_window_without_answer_is_tried_again_and_says_so(
     solver = WindowSolver(Site.of(tiny))
     solve, windows = solver.solve, list[WindowData]()
 
-    def failing(data: WindowData) -> WindowSolution:
+    def failing(data: WindowData, within_s: float) -> WindowSolution:
         windows.append(data)
         if len(windows) <= failures:
             raise NumericalError("gave up")
-        return solve(data)
+        return solve(data, within_s)
 
     monkeypatch.setattr(solver, "solve", failing)
     seen = Observation(
@@ -309,14 +310,14 @@ def test_window_without_answer_is_tried_again_and_says_so(
     assert np.ptp([w.soc[0] for w in windows]) == pytest.approx(0.0 if not mark else SOC_NUDGE)
     if failures == 2:
         monkeypatch.setattr(
-            solver, "solve", lambda data: (_ for _ in ()).throw(NumericalError("gave up"))
+            solver, "solve", lambda *_: (_ for _ in ()).throw(NumericalError("gave up"))
         )
         with pytest.raises(NumericalError, match="gave up"):
             ConvergedPlanner(solver).plan(seen)
 
 
-def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> None:
-    # 66.5 kWh at the terminals for 66.4 kW of demand behind a line that loses more than 1 kW.
+def lossy_day(tiny: Scenario) -> tuple[Scenario, Observation]:
+    """66.5 kWh at the terminals for 66.4 kW of demand behind a line that loses more than 1 kW."""
     day = replace(
         tiny,
         network=Network(
@@ -335,10 +336,34 @@ def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> N
         day.batteries.eta_charge,
         day.batteries.eta_discharge,
     )
+    return day, seen
+
+
+def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> None:
+    day, seen = lossy_day(tiny)
     planner = ConvergedPlanner(WindowSolver(Site.of(day)), headroom=0.0)
     assert planner.plan(seen).dispatch.served.tolist() == [[True, True, False]]
     lossless_plan = ConvergedPlanner(planner.solver, headroom=0.0, passes=0).plan(seen)
     assert lossless_plan.dispatch.served.all()
+
+
+def test_all_decisions_of_a_window_share_its_time(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    day, seen = lossy_day(tiny)
+    solver = WindowSolver(Site.of(day))
+    solve, spans = solver.solve, list[float]()
+
+    def watched(data: WindowData, within_s: float) -> WindowSolution:
+        spans.append(within_s)
+        return solve(data, within_s)
+
+    monkeypatch.setattr(solver, "solve", watched)
+    ConvergedPlanner(solver, headroom=0.0).plan(seen)
+    first_s, second_s = spans
+    limit_s = solver.limits.time_s
+    assert first_s == pytest.approx(FIRST_SHARE * limit_s, abs=0.1)
+    assert 0.5 * limit_s < second_s < limit_s  # what the first one left, of the whole
 
 
 # Options and files.

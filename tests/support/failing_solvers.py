@@ -6,6 +6,7 @@ The window is known by the price of its first step; all others are solved.
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 from dataclasses import replace
 
@@ -32,11 +33,11 @@ def bad(data: WindowData) -> WindowData:
 class Failing(WindowSolver):
     """Fails at the window with the bad price."""
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window, or fail at it."""
         if data.price_gbp_per_kwh[0] == BAD_PRICE:
             self.fail()
-        return super().solve(data)
+        return super().solve(data, within_s)
 
     def fail(self) -> None:
         """What befalls it."""
@@ -74,10 +75,10 @@ class Counting(Crashing):
         """Windows solved so far, by all solvers of the process."""
         return Counting.solved
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window and count it."""
         Counting.solved += 1
-        return super().solve(data)
+        return super().solve(data, within_s)
 
 
 class Hungry(Failing):

@@ -16,7 +16,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InfeasibleError, NumericalError
+from vppres.core.errors import InfeasibleError, LimitError, NumericalError
 from vppres.model.beyond_paper.losses import (
     ACPoints,
     Sweeps,
@@ -30,6 +30,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.scenario.network import Network
+from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
@@ -39,6 +40,9 @@ DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
 LARGEST_RESERVE = 0.5
 """Share of a battery's usable energy that its reserve may take up."""
+
+FIRST_SHARE = 0.75
+"""Share of a window's time in which its set is decided first: the passes need the rest."""
 
 SOC_NUDGE = 1e-6
 """What is added to a measured SoC before a window counts as infeasible."""
@@ -103,8 +107,9 @@ class ConvergedPlanner:
         start = self._at_rest(lossless(without_power(whole, dark), physics))
         if self.passes == 0:
             return self._in_the_dark(whole, dark, self.solver.solve(start))
-        data, solution = self._decide(self._guessed(t0, start), start)
-        reached, solution = self._converge(data, solution)
+        deadline = Deadline(self.solver.limits.time_s)
+        data, solution = self._decide(self._guessed(t0, start), start, deadline.part(FIRST_SHARE))
+        reached, solution = self._converge(data, solution, deadline)
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
 
@@ -114,7 +119,9 @@ class ConvergedPlanner:
         """The solution with what the dark steps lose, called optimal if it is then still."""
         return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
 
-    def _decide(self, data: WindowData, start: WindowData) -> tuple[WindowData, WindowSolution]:
+    def _decide(
+        self, data: WindowData, start: WindowData, deadline: Deadline
+    ) -> tuple[WindowData, WindowSolution]:
         """Served set and first candidate; the stages say where it took a second attempt.
 
         A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
@@ -125,16 +132,16 @@ class ConvergedPlanner:
         b = self.solver.site.batteries
         nudged = replace(data, soc=np.minimum(data.soc + SOC_NUDGE, b.soc_max))
         try:
-            return data, self.solver.solve(data)
+            return data, self.solver.solve(data, deadline.left_s)
         except (InfeasibleError, NumericalError):
             pass
         try:
-            return nudged, _marked("nudged", self.solver.solve(nudged))
+            return nudged, _marked("nudged", self.solver.solve(nudged, deadline.left_s))
         except (InfeasibleError, NumericalError):
-            return start, _marked("lossless", self.solver.solve(start))
+            return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
 
     def _converge(
-        self, data: WindowData, solution: WindowSolution
+        self, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
         """The candidate at which model and AC meet, and the window linearised there."""
         network = self.solver.site.network
@@ -148,12 +155,12 @@ class ConvergedPlanner:
             closer = linearised(data, network, points)
             again = self.solver.solve_served(closer, solution.dispatch.served)
             if again is None:
-                if decisions == _MAX_DECISIONS:
+                if decisions == _MAX_DECISIONS or deadline.passed:
                     break
                 decisions += 1
                 try:
-                    again = decided = self.solver.solve(closer)
-                except (InfeasibleError, NumericalError):
+                    again = decided = self.solver.solve(closer, deadline.left_s)
+                except (InfeasibleError, NumericalError, LimitError):
                     break
             data = closer
             solution = again

@@ -7,6 +7,7 @@ nor the solving code knows of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
@@ -276,11 +277,11 @@ class FaultySolver(WindowSolver):
         """Those of the solver that works."""
         return self._solver.compilations
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window, or fail at it."""
         fault = self._injector.solver_fault()
         _fail(fault)
-        solution = self._solver.solve(data)
+        solution = self._solver.solve(data, within_s)
         return solution if fault is None else _garbled(solution, fault, self.site)
 
     def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:

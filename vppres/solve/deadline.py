@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 import time
 
+LEAST_S = 0.01
+"""Least time limit that is handed to a solver: some take zero for none."""
+
 
 class Stopwatch:
     """Counts seconds from when it is made.

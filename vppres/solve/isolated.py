@@ -9,6 +9,7 @@ shared by all solvers of a thread. POSIX systems only: ``docs/operation.md``.
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import pickle
 import signal
@@ -469,7 +470,7 @@ class IsolatedSolver(WindowSolver):
         """Problems that the process has compiled for the site."""
         return self._compilations
 
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window in the other process.
 
         Raises
@@ -477,7 +478,7 @@ class IsolatedSolver(WindowSolver):
         SolveError
             As in this process; and ``SolverLostError`` if the process died or was late.
         """
-        solution: WindowSolution = self._ask("solve", data)
+        solution: WindowSolution = self._ask("solve", data, within_s, within_s=within_s)
         return solution
 
     def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
@@ -490,7 +491,9 @@ class IsolatedSolver(WindowSolver):
         slack: float = self._ask("least_slack", data)
         return slack
 
-    def deadline_s(self, data: WindowData, compiled: bool = True) -> float:
+    def deadline_s(
+        self, data: WindowData, compiled: bool = True, within_s: float = math.inf
+    ) -> float:
         """Time after which the process is killed, in s.
 
         Parameters
@@ -499,18 +502,20 @@ class IsolatedSolver(WindowSolver):
             The window.
         compiled : bool
             Whether the process has solved a window of that kind before.
+        within_s : float, optional
+            Time that the solver may take, in s, where that is less than its limit.
         """
         buses = self.site.network.n_buses
-        seconds = self.limits.time_s + GRACE_S + GRACE_S_PER_BUS * buses
+        seconds = self.limits.at_most(within_s).time_s + GRACE_S + GRACE_S_PER_BUS * buses
         if compiled:
             return seconds
         return seconds + COMPILE_S + COMPILE_S_PER_ENTRY * buses * data.n_steps
 
-    def _ask(self, method: str, data: WindowData, *args: Any) -> Any:
+    def _ask(self, method: str, data: WindowData, *args: Any, within_s: float = math.inf) -> Any:
         """Call a method of the solver in the other process."""
         task = Task(self._setup.key, method, (data, *args), self._setup)
         reply = self._from().ask(
-            task, _kind(method, data), lambda compiled: self.deadline_s(data, compiled)
+            task, _kind(method, data), lambda compiled: self.deadline_s(data, compiled, within_s)
         )
         if reply.error is not None:
             raise reply.error

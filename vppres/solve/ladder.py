@@ -7,6 +7,7 @@ last one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
@@ -18,7 +19,6 @@ from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.apart import (
-    LEAST_S,
     are_idle,
     better,
     falls_apart,
@@ -124,13 +124,15 @@ class WindowSolver:
         return self.cache.compilations
 
     @one_at_a_time
-    def solve(self, data: WindowData) -> WindowSolution:
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window.
 
         Parameters
         ----------
         data : WindowData
             What changes from window to window.
+        within_s : float, optional
+            Time that it may take, in s, where that is less than its limit.
 
         Returns
         -------
@@ -142,17 +144,18 @@ class WindowSolver:
         SolveError
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
+        limits = self.limits.at_most(within_s)
         if self.method == "decomposed" and falls_apart(self.site, data):
-            return solve_apart(data, self.limits, self._solve)
+            return solve_apart(data, limits, self._solve)
         if self.method == "decomposed" and hardly_joined(self.site, data):
-            deadline = Deadline(self.limits.time_s)
-            turns = self.limits.within(IN_TURN_SHARE)
+            deadline = Deadline(limits.time_s)
+            turns = limits.within(IN_TURN_SHARE)
             found = solve_in_turn(self.site, data, turns, self._solve, self._with_room._solve)
             if found.status == Status.OPTIMAL or deadline.passed:
                 return found
-            left = replace(self.limits, time_s=max(deadline.left_s, LEAST_S))
-            return better(self._solve(data, left, found), found, self.limits)
-        return self._solve(data, self.limits)
+            left = limits.at_most(deadline.left_s)
+            return better(self._solve(data, left, found), found, limits)
+        return self._solve(data, limits)
 
     @cached_property
     def _with_room(self) -> WindowSolver:

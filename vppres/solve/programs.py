@@ -16,9 +16,8 @@ import scipy.sparse as sp
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
 from vppres.solve.compiled import compiled_for
-from vppres.solve.deadline import Deadline, Patience
+from vppres.solve.deadline import LEAST_S, Deadline, Patience
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import LEAST_S
 
 DIRECT = "highs"
 """Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear

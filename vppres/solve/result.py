@@ -20,6 +20,7 @@ from vppres.core.errors import (
     UnboundedError,
 )
 from vppres.model.terms import Terms
+from vppres.solve.deadline import LEAST_S
 
 
 class Status(enum.StrEnum):
@@ -128,6 +129,10 @@ class SolveLimits:
     def within(self, share: float) -> SolveLimits:
         """The same gaps in a share of the time."""
         return replace(self, time_s=share * self.time_s)
+
+    def at_most(self, time_s: float) -> SolveLimits:
+        """The same gaps in no more time than some seconds are left."""
+        return replace(self, time_s=min(self.time_s, max(time_s, LEAST_S)))
 
     def absolute(self, scale: float) -> float:
         """The absolute gap that meets both, for an objective of size ``scale``."""

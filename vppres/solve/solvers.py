@@ -14,7 +14,7 @@ from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.errors import InputError, Problem
 from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.result import Outcome, Status
@@ -22,9 +22,6 @@ from vppres.solve.result import Outcome, Status
 INTERIOR_POINTS = "clarabel"
 """Solver of all continuous problems with cones or squares, whichever solver is chosen: those of the
 table are for binaries, and HiGHS takes no cones."""
-
-LEAST_S = 0.01
-"""Least time limit that is handed to a solver: some take zero for none."""
 
 COMPILE_S = 0.04
 COMPILE_S_PER_ENTRY = 5e-6

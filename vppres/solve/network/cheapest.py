@@ -70,10 +70,13 @@ class CheapestDispatch:
         self.model = network.model
         self.near = near
 
-    def of(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+    def of(
+        self, served: Flags, deadline: Deadline, quickly: bool = False
+    ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
-        Tangents are put well within the discs first, which ends sooner, or else at them.
+        Tangents are put well within the discs first, which ends sooner, or else at them: not where
+        it is looked for quickly.
         """
         watch = Stopwatch()
         self.network.unfinished = None
@@ -81,14 +84,15 @@ class CheapestDispatch:
         sun = self.model.at["P_exp"]
         if self.network.is_large:
             program.cost[sun] -= self._worth_of_sun
-        answer, inside = self._within_discs(program, deadline)
+        shares = LARGE_INSIDE if self.network.is_large else INSIDE
+        answer, inside = self._within_discs(program, deadline, shares[:1] if quickly else shares)
         if (
             not self.network.is_large
             and answer.status == Status.OPTIMAL
             and self._wastes(answer, served)
         ):
             program.cost[sun] -= self._worth_of_sun
-            keeping = self._within_discs(program, deadline)
+            keeping = self._within_discs(program, deadline, shares)
             answer, inside = keeping if keeping[0].status == Status.OPTIMAL else (answer, inside)
         if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
             answer = self._one_way(program, answer, deadline, inside)
@@ -97,21 +101,35 @@ class CheapestDispatch:
         dispatch = None if columns is None else self.model.dispatch(columns, served)
         return answer.outcome(watch.spent_s), dispatch
 
-    def _within_discs(self, program: Program, deadline: Deadline) -> tuple[ProgramSolution, float]:
-        """The optimum of a set's program within the discs, and by which share it lies inside."""
+    def _within_discs(
+        self, program: Program, deadline: Deadline, shares: tuple[float, ...]
+    ) -> tuple[ProgramSolution, float]:
+        """The optimum of a set's program within the discs, and by which share it lies inside.
+
+        In a large window limits that the search for the set has found are left behind where the
+        way begins anew: few of them bind, and they are found again.
+        """
         known = self.network.found
+        anew = self.network.is_large and self._import_has_a_price
+        limits = [] if anew else known
         begin = None
-        for inside in LARGE_INSIDE if self.network.is_large else INSIDE:
-            self.network.found = list(known)
+        for inside in shares:
+            self.network.found = list(limits)
             solver = self.network.loaded(program)
             if self.network.is_large:
                 begin = self._begun(solver, begin, deadline)
             answer = self.network.until_carried(solver, deadline, EXACT_DISC, inside)
-            stricter = len(self.network.found) > len(known)
+            stricter = len(self.network.found) > len(limits)
             self.network.found = known  # tangents within the discs hold for no other problem
             if answer.status == Status.OPTIMAL or not stricter:
                 break
         return answer, inside
+
+    @property
+    def _import_has_a_price(self) -> bool:
+        """Whether import that is possible costs anything."""
+        columns, price = self.model.price
+        return bool((price * self.network.program.x_upper[columns]).any())
 
     def _wastes(self, answer: ProgramSolution, served: Flags) -> bool:
         """Whether a solution loses PV power that its inverters could pass on.
@@ -148,8 +166,7 @@ class CheapestDispatch:
         if begin is not None:
             solver.setBasis(begin)
             return begin
-        prices = self.model.price[1] * self.network.program.x_upper[self.model.price[0]]
-        basis = None if prices.any() else self.near()
+        basis = None if self._import_has_a_price else self.near()
         if basis is None or not basis.valid:
             self.network.start(solver)
         else:

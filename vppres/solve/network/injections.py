@@ -57,6 +57,16 @@ class Demand:
         )
 
 
+def rotated(cos: Floats, sin: Floats, angle: float) -> tuple[Floats, Floats]:
+    """Points of the unit circle turned by an angle in radians.
+
+    >>> x, y = rotated(np.ones(1), np.zeros(1), np.pi / 2)
+    >>> x.round(9).tolist(), y.tolist()
+    ([0.0], [1.0])
+    """
+    return cos * np.cos(angle) - sin * np.sin(angle), sin * np.cos(angle) + cos * np.sin(angle)
+
+
 class Injections:
     """A window's variables as columns, and its constraints as rows.
 
@@ -453,10 +463,14 @@ class Injections:
             self.size,
         )
 
-    def disc_rows(self, x: Floats, tolerance: float, inside: float = 0.0) -> list[Rows]:
+    def disc_rows(
+        self, x: Floats, tolerance: float, inside: float = 0.0, few: int = 0
+    ) -> list[Rows]:
         """Tangents of the inverters' discs that are exceeded by more than a share of the radius.
 
-        The tangents may lie inside by another share, so that few of them end within the disc.
+        The tangents may lie inside by another share, so that few of them end within the disc. Where
+        no more than ``few`` discs are exceeded, both neighbours of a tangent come with it: those
+        at an angle from which on no point between exceeds the disc by more than the tolerance.
         """
         at = self.at
         site = self.site
@@ -465,6 +479,7 @@ class Injections:
         through = x[at["P_exp"]]
         for name, demand in self.demands.items():
             through = through + demand.own_kw * x[own[name]]
+        turn = 2.0 * np.arccos((1.0 - inside) / (1.0 + tolerance))
         tangents = []
         inverters: list[tuple[Floats, Wholes, Floats, list[tuple[Wholes, Floats | float]]]] = [
             (
@@ -483,22 +498,20 @@ class Injections:
         for p, q, radius, pieces in inverters:
             size = np.hypot(p, x[q])
             out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
-            if out.any():
-                cos = p[out] / size[out]
-                sin = x[q][out] / size[out]
-                columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
+            if not out.any():
+                continue
+            cos = p[out] / size[out]
+            sin = x[q][out] / size[out]
+            points = [(cos, sin)]
+            if out.sum() <= few:
+                points += [rotated(cos, sin, -turn), rotated(cos, sin, turn)]
+            columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
+            limit = (1.0 - inside) * np.broadcast_to(radius, p.shape)[out]
+            for cos, sin in points:
                 values = np.column_stack(
                     [*(cos * np.broadcast_to(f, p.shape)[out] for _, f in pieces), sin]
                 )
-                tangents.append(
-                    Rows.of(
-                        columns,
-                        values,
-                        -np.inf,
-                        (1.0 - inside) * np.broadcast_to(radius, p.shape)[out],
-                        self.size,
-                    )
-                )
+                tangents.append(Rows.of(columns, values, -np.inf, limit, self.size))
         return tangents
 
     def clipped(self, x: Floats, tolerance_pu2: float) -> Floats | None:

@@ -114,6 +114,7 @@ class NetworkMaster:
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
+        self._dispatched: tuple[Flags, Outcome, Dispatch | None] | None = None
         self.pair = 0.0
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
@@ -233,15 +234,15 @@ class NetworkMaster:
     ) -> None:
         """Try sets of as many units as none exceeds, and of fewer where there are none.
 
-        The best set is put to the discs themselves at the end: one that exceeds many of them by
-        the little that a bound admits has no dispatch. From then on each better one is.
+        The best set is put to the discs themselves at the end if it has no dispatch within them:
+        it may exceed many by the little that a bound admits. From then on each better one is.
         """
         held = np.full(len(self.units), np.nan)
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
             known.bound = max(known.most, float(np.floor(cuts.first + TOLERANCE)))
         self._reach(known, cuts, held, deadline, DISC)
-        if known.best is None or not verify:
+        if known.best is None or not verify or self._has_dispatch(known.best, deadline):
             return
         carried = self._tried(self.root[0], known.best, VERIFIED_DISC, -np.inf, self.deadline)
         if carried.status != Status.OPTIMAL:
@@ -474,12 +475,24 @@ class NetworkMaster:
 
         With the set its rules are met, and what it draws is known.
         """
+        if self._dispatched is not None and (self._dispatched[0] == served).all():
+            _, outcome, dispatch = self._dispatched
+            return outcome, dispatch
         data = self.data
         network = self.network
         if data.switching is not None:
             data = replace(data.for_service(served), switching=None)
             network = NetworkProgram(self.site, self.model.reactance, data)
         return CheapestDispatch(self.site, data, network, self._basis).of(served, deadline)
+
+    def _has_dispatch(self, best: Floats, deadline: Deadline) -> bool:
+        """Whether a set has a dispatch well within the discs, which is kept."""
+        served = best.reshape(self.model.at["x"].shape) > 0.5
+        found = CheapestDispatch(self.site, self.data, self.network, self._basis)
+        outcome, dispatch = found.of(served, deadline, quickly=True)
+        if outcome.status == Status.OPTIMAL:
+            self._dispatched = served, outcome, dispatch
+        return outcome.status == Status.OPTIMAL
 
     def _basis(self) -> highspy.HighsBasis:
         """Basis of the most service."""

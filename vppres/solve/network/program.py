@@ -38,6 +38,11 @@ SETTLED = 1e-3
 most of the rounds add a handful of tangents that change nothing."""
 
 
+FEW_DISCS = 300
+"""Exceeded discs up to which a tangent of a large window comes with both its neighbours: most of
+the rounds add a few hundred and less, each beside the one before."""
+
+
 SMALL = 2000
 """Binaries up to which the search has the network in it: beyond it, it does not end in minutes."""
 
@@ -189,7 +194,7 @@ class NetworkProgram:
             x = self.columns(answer)
             found = [
                 *self.model.voltage_rows(x, VOLTAGE_PU2),
-                *self.model.disc_rows(x, over, inside),
+                *self.model.disc_rows(x, over, inside, FEW_DISCS if self.is_large else 0),
             ]
             if not found:
                 return answer
