@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import NumericalError
 from vppres.model.forms import Form, WindowModel
-from vppres.model.objective import MOST_SQUARES, weighted_squares
+from vppres.model.objective import MOST_SQUARES, listed, weighted_squares
 from vppres.model.site import Site
 from vppres.model.tie_breakers import TieBreakerModel
 from vppres.solve import compiled
@@ -181,3 +181,17 @@ def test_very_many_squares_are_the_same_sum_with_variables_of_their_own() -> Non
         assert found.value == pytest.approx(float(np.sum(weight * x.value**2)))
         known = Compiled(cp.Problem(cp.Minimize(found), [x >= 1.0]), CLARABEL_INTERFACE)
         assert len(known.numbers().cost) == x.size + own
+
+
+def test_very_many_squares_of_a_list_need_no_variables() -> None:
+    """A list's entries stand where those of the variable would, and have its weights."""
+    weight = np.array([1.0, 0.5, 0.0])
+    x = listed(cp.Variable((MOST_SQUARES, 3), name="x"))
+    (entries,) = x.variables()
+    entries.value = np.linspace(-1.0, 1.0, x.size)
+    found = weighted_squares(weight, x)
+    assert found.value == pytest.approx(float(np.sum(weight * x.value**2)))
+    known = Compiled(cp.Problem(cp.Minimize(found), [x >= 1.0]), CLARABEL_INTERFACE).numbers()
+    assert len(known.cost) == x.size
+    assert known.squares.diagonal() == pytest.approx(2.0 * np.repeat(weight, MOST_SQUARES))
+    assert isinstance(listed(cp.Variable((4, 3))), cp.Variable)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from benchmarks.feeders import with_days
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
 from experiments.hard_days import hard_window
@@ -175,6 +176,19 @@ def test_counts_find_what_binaries_find(
     binary, _ = master.service(0.1)
     assert counted.value == pytest.approx(binary.value, abs=1e-4)
     assert counted.bound == binary.bound
+
+
+def test_cuts_of_an_outage_join_no_other_and_no_loss_of_next_to_no_price() -> None:
+    """Else one search has all outages: a window of 96 steps had no answer in a minute."""
+    day = with_days(instances_day(), 4)
+    data = day_window(day, 8, 72, 0.4)
+    counts = Counts(demand_model(Site.of(day), 72, lumped=True), data, Deadline(TIME_S))
+    outcome, _ = counts.service(0.5)
+    assert outcome.status == Status.OPTIMAL
+    assert len(counts.blocks) == len(counts.outages) == 3
+    for cut in counts.cuts:
+        assert sum(bool(cut.weights[:-2][outage].any()) for outage in counts.outages) == 1
+        assert (cut.weights[-2:] == 0.0).all()
 
 
 def test_outages_by_themselves_prove_what_all_do(

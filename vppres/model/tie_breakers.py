@@ -47,6 +47,9 @@ fraction of one needs smaller units to be met as sharply."""
 KEPT_TOLERANCE = 1e-6
 """Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
+SQUARED = ("P_flow", "Q_flow", "Q_pv", "Q_batt")
+"""Variables whose squares are minimised."""
+
 KEPT = (
     "circular_charging",
     "grid_active_limit",
@@ -205,6 +208,7 @@ class TieBreakerModel:
             P_dch=P_ch - self.P_batt,
             delta=self.held.charging,
             P_batt=self.P_batt,
+            **{name: terms.listed(getattr(free, name)) for name in SQUARED},
         )
 
     def _constraints(self) -> Named:

@@ -116,18 +116,18 @@ class Variables:
     P_self: cp.Expression
     P_exp: cp.Expression
     P_curt: cp.Expression
-    Q_pv: cp.Variable
+    Q_pv: cp.Expression
     P_ch: cp.Expression
     P_dch: cp.Expression
     delta: cp.Expression
     P_batt: cp.Expression
-    Q_batt: cp.Variable
+    Q_batt: cp.Expression
     SoC: cp.Variable
     P_grid: cp.Variable
     Q_grid: cp.Variable
     u: cp.Variable
-    P_flow: cp.Variable
-    Q_flow: cp.Variable
+    P_flow: cp.Expression
+    Q_flow: cp.Expression
 
     @classmethod
     def create(

@@ -187,6 +187,7 @@ class Counts:
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
         self.orders: dict[tuple[int, int], Wholes] = {}
         self.proven: dict[bytes, float] = {}
+        self.carried: set[bytes] = set()
         self.blocks: list[Flags] = []
         self.best: Flags | None = None
         self.gap = 0.0
@@ -412,13 +413,20 @@ class Counts:
         """
         outages = self.outages if len(self.outages) > 1 else []
         cuts = []
-        for outage in outages:
+        for number, outage in enumerate(outages):
             alone = point.copy()
-            alone[:-2][np.logical_or.reduce(outages) & ~outage] = 0.0
-            status, cut = self.reach.separate(alone, self.deadline)
+            others = np.logical_or.reduce(outages) & ~outage
+            alone[:-2][others] = 0.0
+            if alone.tobytes() in self.carried:
+                continue
+            status, cut = self.reach.separate(alone, self.deadline, number)
             if status != Status.OPTIMAL:
                 return status, []
-            cuts += [] if cut is None else [cut]
+            if cut is None:
+                self.carried.add(alone.tobytes())
+            else:
+                # Nobody served in the others is as far outside without their part in it.
+                cuts.append(cut.without(others))
         if cuts:
             return Status.OPTIMAL, cuts
         status, cut = self.reach.separate(point, self.deadline)

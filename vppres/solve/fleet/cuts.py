@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import highspy
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.programs import ProgramSolution, compiled
@@ -17,12 +18,26 @@ VIOLATED_KW = 2e-6
 """By how much a point must violate a cut to count as cut off: what programs are solved to."""
 
 
+NO_PRICE = 1e-12
+"""Share of a cut's largest weight below which that of loss or cost is a dual's rounding."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cut:
     """``weights @ point <= most`` for every point the fleet can carry, shape (W + 2,)."""
 
     weights: Floats
     most: float
+
+    def without(self, steps: Flags) -> Cut:
+        """The cut without the demand of some steps, which it holds without too: none is negative.
+
+        Duals of a demand of nothing may be anything, and would join steps that have no limit in
+        common.
+        """
+        weights = self.weights.copy()
+        weights[:-2][steps] = 0.0
+        return replace(self, weights=weights)
 
 
 class Reach:
@@ -68,13 +83,25 @@ class Reach:
             rows=sp.csc_array(sp.hstack([program.rows, sp.csc_array((len(program.lower), 1))])),
         )
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
-        self.solver = wider.with_rows(rows, np.zeros(W + 2)).loaded()
+        self.asking = wider.with_rows(rows, np.zeros(W + 2))
+        self.solver = self.asking.loaded()
+        self.others: dict[int, highspy.Highs] = {}
 
-    def separate(self, point: Floats, deadline: Deadline) -> tuple[Status, Cut | None]:
-        """A cut that a point violates; none if the fleet can carry it."""
+    def separate(
+        self, point: Floats, deadline: Deadline, outage: int | None = None
+    ) -> tuple[Status, Cut | None]:
+        """A cut that a point violates; none if the fleet can carry it.
+
+        Points of one ``outage`` alone have a solver of their own: from one to another is far.
+        """
+        solver = self.solver
+        if outage is not None:
+            if outage not in self.others:
+                self.others[outage] = self.asking.loaded()
+            solver = self.others[outage]
         count = len(self.asked)
-        self.solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
-        answer = ProgramSolution.of(self.solver, deadline)
+        solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
+        answer = ProgramSolution.of(solver, deadline)
         if answer.status != Status.OPTIMAL:
             return answer.status, None
         # The duals of a point outside support what is carried where the solution lies.
@@ -82,6 +109,8 @@ class Reach:
         size = float(np.abs(weights).max())
         if size == 0.0:
             return answer.status, None
+        # A loss or cost of next to no price would join the whole window, and service be no number.
+        weights[-2:][np.abs(weights[-2:]) < NO_PRICE * size] = 0.0
         most = self._most(weights, answer.row_dual[: self.asked[0]])
         cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
