@@ -197,3 +197,27 @@ def test_sets_of_so_many_units_by_hand() -> None:
     assert cuts.with_units(6.0, shares, held, end).status == Status.INFEASIBLE
     five = cuts.with_units(5.0, shares, held, end)
     np.testing.assert_array_equal(np.round(five.x), [0.0, 1.0, 1.0, 1.0])
+
+
+def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    day = three_feeders()
+    site = Site.of(day)
+    data = window(day, slice(11, 13), 0.35)
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+
+    def service() -> tuple[Outcome, NetworkMaster, np.ndarray | None]:
+        master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+        outcome, served = master.service(Deadline(TIME_S))
+        return outcome, master, served
+
+    usual, quick, served = service()
+    assert served is not None
+    assert quick.cheapest(served, Deadline(TIME_S))[1] is not None
+    monkeypatch.setattr(NetworkMaster, "_has_dispatch", lambda *_: False)
+    outcome, exact, served = service()
+    assert served is not None
+    assert outcome.bound == usual.bound
+    assert outcome.value <= usual.value
+    assert exact.cheapest(served, Deadline(TIME_S))[0].status == Status.OPTIMAL
