@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from rich.progress import Progress
 from scipy import stats
 
@@ -41,6 +42,8 @@ QUICK_SIZES: dict[Axis, tuple[int, ...]] = {
     "steps": (1, 3, 6),
     "minutes": (60, 15),
 }
+SHOWN_STEPS = (1, 3, 6, 12, 24, 48, 72, 96)
+"""Numbers of steps that the figure names."""
 H5_HOURS = 6
 FIRST_HOURS = (8, 10, 12)
 """Windows begin before and at the outage of 12:00: all of them meet it."""
@@ -266,6 +269,10 @@ def draw_scaling(rows: pd.DataFrame) -> Figure:
         ax.loglog(size, part["median_s"], color=BLUE, marker="o", label="median")
         ax.loglog(size, part["max_s"], color=GREY, marker="v", linestyle=":", label="largest")
         ax.set_xlabel(names[str(axis)])
+        if axis != "buses":  # few sizes: their own numbers, no powers of ten
+            shown = size[size.isin(SHOWN_STEPS)]
+            ax.set_xticks(shown, [f"{n:g}" for n in shown], minor=False)
+            ax.xaxis.set_minor_locator(NullLocator())
         ax.grid(True, color=RULE_COLOUR, linewidth=0.5)
     axes[0].set_ylabel("Time of a window (s)")
     axes[0].legend(frameon=False)
