@@ -172,7 +172,8 @@ def sharp_settings(config: Config) -> list[Setting]:
     study = config["study"]
     first = named(config)
     gaps = [first.gap, *study["sharp_gaps"]]
-    return [replace(first, unit_kw=unit, gap=gap) for unit, gap in product(study["units_kw"], gaps)]
+    units = study["sharp_units_kw"]
+    return [replace(first, unit_kw=unit, gap=gap) for unit, gap in product(units, gaps)]
 
 
 def sharp_days(config: Config) -> list[Job]:

@@ -99,7 +99,9 @@ def test_smaller_gaps_are_seen_beside_the_named_one_in_each_unit() -> None:
 
 
 def test_a_study_of_fewer_settings() -> None:
-    config = precision._narrowed(precision.study_config(), [1000.0], 2)
+    whole = precision.study_config()
+    config = precision._narrowed(whole, [1000.0], 2)
+    assert precision.sharp_settings(config) == precision.sharp_settings(whole)
     found = precision.settings(config)
     assert [(one.unit_kw, one.seed) for one in found] == [(1.0, 0), (1000.0, 0), (1000.0, 1)]
 
