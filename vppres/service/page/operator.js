@@ -1,6 +1,6 @@
 // The operator's part: which mode, for how long, why, and whether that is meant.
 
-import { MODE_WORDS } from "./words.js";
+import { HOUR, MINUTE, MODE_WORDS } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -50,6 +50,11 @@ export class Operator {
     $("confirm").showModal();
   }
 
+  // A mode ends at a whole minute, as the page tells it: the clock moves while the question stands.
+  after(hours) {
+    return new Date(Math.round((this.now().getTime() + hours * HOUR) / MINUTE) * MINUTE);
+  }
+
   async confirmed() {
     $("mode-change").focus();
     if ($("confirm").returnValue !== "yes") {
@@ -57,7 +62,7 @@ export class Operator {
       return;
     }
     const hours = Number($("mode-hours").value);
-    const until = hours ? new Date(this.now().getTime() + hours * 3.6e6).toISOString() : null;
+    const until = hours ? this.after(hours).toISOString() : null;
     const body = { mode: this.chosen().value, until, reason: $("mode-reason").value };
     $("mode-change").disabled = true;
     const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })

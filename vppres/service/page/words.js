@@ -4,7 +4,7 @@ export const ALARM = "alarm", WARNING = "warning", NOTE = "note", FINE = "fine";
 const RANK = { [ALARM]: 0, [WARNING]: 1, [NOTE]: 2 };
 export const MARKS = { [ALARM]: "\u25a0", [WARNING]: "\u25b2", [NOTE]: "\u25cb", [FINE]: "\u25cf" };
 
-const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
+export const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
 export const NAMED_HERE = 3; // assets of a kind, before "and n more"
 
 // Times as the clocks at the site show them; the zone is named wherever it is not the one of now.
