@@ -36,9 +36,11 @@ from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     all_terms,
     everyone_served,
+    matched,
     service_then_cost,
     with_modes_of_batteries,
 )
+from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.network.terms import all_terms_in_network
 from vppres.solve.result import SolveLimits, Status, WindowSolution
@@ -176,6 +178,8 @@ class WindowSolver:
             return solve_weighted(task, self.weighted)
         if self.method == "decomposed":
             climb(task)
+            if task.data.switching is not None and not task.certificate.answered:
+                steady(task)
             if worth_no_binaries(task):
                 without_binaries(task)
             if worth_the_whole(task):
@@ -228,6 +232,14 @@ def climb(task: WindowTask) -> None:
     enter_network(task, master)
 
 
+def steady(task: WindowTask) -> None:
+    """An answer where rules left the searches none in their time."""
+    for served in steady_sets(task.site, task.data):
+        keep_dispatch_in_network(task, served)
+        if task.certificate.answered:
+            return
+
+
 def worth_everyone(task: WindowTask) -> bool:
     """Whether to try to serve everyone before any search: connected throughout, or in reach."""
     data = task.data
@@ -241,10 +253,11 @@ def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
 
     A dark step without batteries, or with some of next to no power, has to match the sun with whole
     customers, and every kW that it misses is lost: service cannot be told from curtailment there.
+    Without rules exchanges match it.
     """
     data = task.data
     if data.n_steps == 1 and are_idle(task.site) and (data.grid_limit_kw <= 0.0).all():
-        return [all_terms]
+        return [all_terms] if data.switching is not None else [matched, all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
 

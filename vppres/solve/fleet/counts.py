@@ -20,6 +20,8 @@ from vppres.model.data import WindowData
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.fleet.reach import OneBattery
+from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
 from vppres.solve.programs import DIRECT, PROOF, SMALL_PROOF, Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -52,6 +54,18 @@ windows that would save 15 ms, and find another of equally good sets here and th
 
 FEW_COUNTS = 30
 """Whole numbers up to which it does: of a search of 36, two outages at once, it is a gain."""
+
+SPARE_CUSTOMERS = 3
+"""Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
+linear solution has a fraction for each cut that binds."""
+
+SMALLER = 6
+SPARE_ENERGY = 1.2
+"""Batteries that are tried, each with less energy than the one before by so many times what the
+fleet lacks of its set."""
+
+STEPS_SHARE = 0.2
+"""Share of the time left in which they are tried."""
 
 PRICINGS = 3
 """Times that outages are asked for their cheapest sets, at prices that know what they cost."""
@@ -173,6 +187,7 @@ class Counts:
         self.deadline = deadline
         self.unit = model.relaxation.grid
         model.fill(data)
+        self.dt_h = model.relaxation.site.dt_h
         self.load_kw = data.load_kw
         self.able = model.able
         self.units = model.customer_units
@@ -183,6 +198,7 @@ class Counts:
         self.least = model.least_lost(), model.least_cost_gbp()
         self.whole = model.whole
         self.reach = Reach(model)
+        self.one = OneBattery.of(model.relaxation.site, data)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
         self.orders: dict[tuple[int, int], Wholes] = {}
@@ -190,6 +206,7 @@ class Counts:
         self.carried: set[bytes] = set()
         self.blocks: list[Flags] = []
         self.best: Flags | None = None
+        self.kept: _Found | None = None
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
@@ -201,8 +218,10 @@ class Counts:
         found = self._carried(lambda: self._most(free, False, self.deadline), self.deadline)
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
-            whole = self._carried(lambda: self._in_blocks(free, solved, search), search)
-            found = whole if whole.status.has_answer else self._rounded(found, free)
+            whole = self._step_by_step(found, free) or self._carried(
+                lambda: self._in_blocks(free, solved, search), search
+            )
+            found = self._better(whole, found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
         served = self._using_the_sun(found, free, search) if found.status.has_answer else None
         self.best = served
@@ -432,10 +451,91 @@ class Counts:
         status, cut = self.reach.separate(point, self.deadline)
         return status, [] if cut is None else [cut]
 
+    def _better(self, whole: _Found, linear: _Found, free: Flags) -> _Found:
+        """The better of what a search and what one battery found, or else the linear one."""
+        if not whole.status.has_answer:
+            return self.kept or self._rounded(linear, free)
+        if self.kept is None or self.kept.value > whole.value - HALF_UNIT:
+            return whole
+        return replace(self.kept, bound=whole.bound)
+
     def _rounded(self, linear: _Found, free: Flags) -> _Found:
         """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
         units = int((linear.served[free] * self.units).sum())
-        return replace(linear, status=Status.TIME_LIMIT, value=float(linear.point[-2]) - units)
+        bound = max(linear.bound, self.proven.get(free.tobytes(), -np.inf))
+        value = float(linear.point[-2]) - units
+        return replace(linear, status=Status.TIME_LIMIT, value=value, bound=bound)
+
+    # Service, step by step.
+
+    def _step_by_step(self, linear: _Found, free: Flags) -> _Found | None:
+        """Most service that one battery can carry, None unless the fleet carries its set.
+
+        Then it still bounds the service.
+        """
+        layout, _ = self._program(free, [])
+        joined = len(self.outages) > 1 or any(cut.weights[-2] for cut in self.cuts)
+        if not self.whole or joined or len(layout.weight) <= FEW_COUNTS:
+            return None
+        everyone = int((self.able[free] * self.units).sum())
+        lost = int(np.ceil(everyone + linear.bound - self.least[0] - TOLERANCE))
+        most_lost = lost + SPARE_CUSTOMERS * int(layout.weight.max())
+        units_of_step = int((self.able * self.units).sum(axis=1).max())
+        if is_too_much(layout.n_steps, units_of_step, most_lost):
+            return None
+        losses = [self._losses(layout, t, most_lost) for t in range(layout.n_steps)]
+        one = self.one
+        found = self._of_one_battery(one, free, layout, losses, most_lost)
+        proven = found.value if found else self.least[0] - everyone + most_lost + 1
+        self.proven[free.tobytes()] = proven
+        end = self.deadline.part(STEPS_SHARE)
+        for _ in range(SMALLER):
+            if found is None or end.passed:
+                return None
+            status, cuts = self._separated(found.point)
+            if status != Status.OPTIMAL:
+                return None
+            if not cuts:
+                return self._within_gap(replace(found, bound=proven))
+            self.cuts += cuts
+            missing_kw = max(float(cut.weights @ found.point) - cut.most for cut in cuts)
+            one = replace(one, stored_kwh=one.stored_kwh - SPARE_ENERGY * missing_kw * self.dt_h)
+            found = self._of_one_battery(one, free, layout, losses, most_lost)
+        return None
+
+    def _within_gap(self, found: _Found) -> _Found | None:
+        """A set that the fleet carries, if no other has much more; kept in any case."""
+        if found.value - found.bound < max(1.0, WHOLE_GAP_SHARE * self.gap):
+            return found
+        self.kept = replace(found, status=Status.TIME_LIMIT)
+        return None
+
+    def _of_one_battery(
+        self,
+        one: OneBattery,
+        free: Flags,
+        layout: _Layout,
+        losses: list[Losses],
+        most_lost: int,
+    ) -> _Found | None:
+        """Most service that one battery carries, if it loses no more than so many units."""
+        ways = fewest_lost(one, self.demand_kw, losses, most_lost)
+        if ways is None:
+            return None
+        left_out = [step.left_out[way] for step, way in zip(losses, ways, strict=True)]
+        served = self.able.copy()
+        self._choose(served, layout, np.bincount(layout.count) - np.concatenate(left_out))
+        value = self.least[0] - int((served[free] * self.units).sum())
+        point = np.append((self.load_kw * served).sum(axis=1), [self.least[0], self.worst[1]])
+        return _Found(Status.OPTIMAL, value, value, served, point)
+
+    def _losses(self, layout: _Layout, t: int, most_lost: int) -> Losses:
+        """Ways to lose service in a step, so many units at most."""
+        weights = layout.weight[layout.count_step == t].tolist()
+        orders = [self._cheapest_first(t, weight) for weight in weights]
+        return Losses.of(weights, [self.load_kw[t, order] for order in orders], most_lost)
+
+    # Service, one search for the steps of each block.
 
     def _in_blocks(
         self, free: Flags, solved: dict[tuple[bytes, int], _Found], deadline: Deadline

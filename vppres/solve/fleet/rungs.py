@@ -15,6 +15,7 @@ from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_tie_breakers
 from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
+from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.modes import modes_apart
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
@@ -149,6 +150,25 @@ def all_terms(task: WindowTask) -> None:
         keep_dispatch(task, np.asarray(model.x.value) > 0.5)
     else:
         known.prove(outcome)
+
+
+def matched(task: WindowTask) -> None:
+    """Customers whose demand takes up the sun of a dark step, bounded by shares of customers."""
+    known = task.certificate
+    data = task.data
+    site = task.site
+    model = relaxation_of(task.cache, data, integer=False, lumped=fleets_of(data)[0])
+    model.fill(data)
+    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(site))
+    known.note("matched", outcome)
+    if outcome.status != Status.OPTIMAL:
+        known.prove(outcome)
+        return
+    known.bound_by(outcome.bound)
+    able = model.p["x_max"].value[0] > 0.5
+    given_kw = float(np.minimum(data.pv_kw[0], site.pv.s_max_kva).sum() - data.network_kw[0])
+    worth = site.customers.weight + site.weights.lambda_curt * data.load_kw[0]
+    keep_dispatch(task, exchanged(worth * able, data.load_kw[0], given_kw)[None, :])
 
 
 def with_modes_of_batteries(task: WindowTask) -> None:
