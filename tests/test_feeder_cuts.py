@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
+from vppres.solve.dispatch import net_modes
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.master import NetworkMaster
@@ -104,34 +106,49 @@ def test_cuts_leave_every_set_that_is_carried(
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
 
 
-def test_a_set_without_a_dispatch_leaves_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("huge", [0, 1500])
+def test_a_set_without_a_dispatch_leaves_an_answer(
+    monkeypatch: pytest.MonkeyPatch, huge: int
+) -> None:
+    """The search says everyone, whom the network does not carry; some of them get a dispatch."""
     day = three_feeders()
     data = window(day, slice(11, 13), 0.35)
     usual = WindowSolver(Site.of(day)).solve(data)
-    for name in ("task.LARGE", "task.HUGE", "network.program.SMALL"):
-        monkeypatch.setattr(f"vppres.solve.{name}", 0)
-    cheapest = NetworkMaster.cheapest
-    refused = []
+    for name, value in {"task.LARGE": 0, "task.HUGE": huge, "network.program.SMALL": 0}.items():
+        monkeypatch.setattr(f"vppres.solve.{name}", value)
+    found = NetworkMaster.service
 
-    def refuse(
-        master: NetworkMaster, served: np.ndarray, deadline: Deadline
-    ) -> tuple[Outcome, object]:
-        if refused:
-            return cheapest(master, served, deadline)
-        refused.append(served)
-        return Outcome(Status.INFEASIBLE, np.nan, np.nan, 0.0), None
+    def everyone(master: NetworkMaster, *args: Any, **more: Any) -> tuple[Outcome, np.ndarray]:
+        return found(master, *args, **more)[0], np.ones(data.load_kw.shape, dtype=bool)
 
-    monkeypatch.setattr(NetworkMaster, "cheapest", refuse)
-    one_off = np.ones(data.load_kw.shape, dtype=bool)
-    one_off[0, 0] = False
-    fewer = NetworkMaster.fewer
-    monkeypatch.setattr(NetworkMaster, "fewer", lambda self, served: fewer(self, served) & one_off)
+    monkeypatch.setattr(NetworkMaster, "service", everyone)
     answer = WindowSolver(Site.of(day)).solve(data)
-    assert len(refused) == 1
+    assert not usual.dispatch.served.all()
     assert answer.status == Status.GAP_OPEN
-    assert answer.dispatch.served.any()
+    assert usual.objective - 0.2 < answer.objective < usual.objective
     assert answer.bound >= usual.objective - 1e-6
     assert check_dispatch(day, data, answer.dispatch).worst[1] < 2e-5
+
+
+def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A full battery beside more sun than everyone needs, in the dark: nothing has a price."""
+    day = three_feeders()
+    site = Site.of(day)
+    data = window(day, slice(12, 14), 0.35)
+    data = replace(data, soc=site.batteries.soc_max, pv_kw=20.0 * data.pv_kw)
+    _, served = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)).service(
+        Deadline(TIME_S)
+    )
+    assert served is not None
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
+    assert outcome.status == Status.OPTIMAL
+    assert dispatch is not None
+    assert net_modes(site, data, dispatch)[1]
+    assert dispatch.pv_curtailed_kw.sum() > 0.0
 
 
 def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import highspy
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.dispatch import net_modes
 from vppres.solve.network.program import DISC, VOLTAGE_PU2, NetworkProgram
+from vppres.solve.network.rows import Rows, limited
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -35,11 +37,37 @@ WASTED_KW = 1e-3
 
 
 BOTH_WAYS_KW = 1e-4
-"""Import and export of the same step above which a dispatch is made anew, one way in each step."""
+"""Import and export of the same step above which a dispatch goes on one way in each step."""
 
 
 SUN_OVER_PRICE = 10.0
 """By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
+
+
+PRIMAL, DUAL = 4, 1
+"""HiGHS's ways of simplex steps."""
+
+MORE_SHARE = 1e-4
+"""Share of all who are served who are left out beyond what a proof of infeasibility needs: without
+them another proof often follows, which takes 20 s at 10,000 buses for one unit of service."""
+
+ROUNDING = 1e-9
+"""Shares of a proof below which a column has no part in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Within:
+    """An optimum within the discs, the share by which its tangents lie inside, and its solver."""
+
+    answer: ProgramSolution
+    inside: float
+    solver: highspy.Highs
+    limits: list[Rows]
+
+    @property
+    def is_optimal(self) -> bool:
+        """Whether there is one."""
+        return self.answer.status == Status.OPTIMAL
 
 
 class CheapestDispatch:
@@ -53,8 +81,6 @@ class CheapestDispatch:
         The window.
     network : NetworkProgram
         Its problem, with the limits that are known.
-    near : callable
-        Basis of the most service, from which the way to a dispatch of a large window is short.
     """
 
     def __init__(
@@ -62,13 +88,11 @@ class CheapestDispatch:
         site: Site,
         data: WindowData,
         network: NetworkProgram,
-        near: Callable[[], highspy.HighsBasis],
     ) -> None:
         self.site = site
         self.data = data
         self.network = network
         self.model = network.model
-        self.near = near
 
     def of(
         self, served: Flags, deadline: Deadline, shares: tuple[float, ...] = ()
@@ -85,26 +109,78 @@ class CheapestDispatch:
         if self.network.is_large:
             program.cost[sun] -= self._worth_of_sun
         shares = shares or (LARGE_INSIDE if self.network.is_large else INSIDE)
-        answer, inside = self._within_discs(program, deadline, shares)
-        if (
-            not self.network.is_large
-            and answer.status == Status.OPTIMAL
-            and self._wastes(answer, served)
-        ):
+        found = self._within_discs(program, deadline, shares)
+        if not self.network.is_large and found.is_optimal and self._wastes(found.answer, served):
             program.cost[sun] -= self._worth_of_sun
             keeping = self._within_discs(program, deadline, shares)
-            answer, inside = keeping if keeping[0].status == Status.OPTIMAL else (answer, inside)
-        if answer.status == Status.OPTIMAL and self._both_ways(answer).any():
-            answer = self._one_way(program, answer, deadline, inside)
-        done = answer.status == Status.OPTIMAL
-        columns = self.network.columns(answer) if done else self._clipped()
-        dispatch = None if columns is None else self.model.dispatch(columns, served)
-        return answer.outcome(watch.spent_s), dispatch
+            found = keeping if keeping.is_optimal else found
+        found = self._one_way(found, served, deadline)
+        return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
+
+    def of_most(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of those of a large window's set who can be served.
+
+        A set that has none within the discs loses customers who are part of the proof of that.
+        """
+        watch = Stopwatch()
+        self.network.unfinished = None
+        program = self.network.of_set(served)
+        program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
+        found = self._within_discs(program, deadline, INSIDE[:1])
+        while found.answer.status == Status.INFEASIBLE and not deadline.passed:
+            left_out = self._in_the_way(found, served)
+            if not left_out.any():
+                break
+            served = served & ~left_out
+            self._hold(found.solver, self.model.at["x"][left_out], 0.0)
+            self._by_primal_steps(found.solver, deadline)
+            found = self._go_on(found, deadline)
+        found = self._one_way(found, served, deadline)
+        return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
+
+    def _by_primal_steps(self, solver: highspy.Highs, deadline: Deadline) -> None:
+        """Let a solver of an infeasible problem, changed since, begin where its last solve began.
+
+        Dual steps may take a minute there at 10,000 buses: HiGHS's costs were perturbed on the way.
+        """
+        if self.network.begun is not None:
+            solver.setBasis(self.network.begun)
+        solver.setOptionValue("simplex_strategy", PRIMAL)
+        ProgramSolution.of(solver, deadline)
+        solver.setOptionValue("simplex_strategy", DUAL)
+
+    def _in_the_way(self, found: Within, served: Flags) -> Flags:
+        """Customers without whom the proof that a set has no dispatch fails, (W, C).
+
+        The proof is a price of each row at which the columns' limits miss what the rows are worth.
+        Those are taken first who make up for most of it by their weight.
+        """
+        x = self.model.at["x"]
+        left_out = np.zeros(x.shape, dtype=bool)
+        _, has_proof, ray = found.solver.getDualRay()
+        if not has_proof:
+            return left_out
+        program = limited(self.network.of_set(served), found.limits)
+        program = replace(program, cost=np.zeros(len(program.cost)))
+        missing, left = max(
+            (_missing(program, sign * np.asarray(ray)) for sign in (-1.0, 1.0)), key=itemgetter(0)
+        )
+        gain = np.clip(np.where(served, left[x], 0.0), 0.0, max(missing, 0.0))
+        order = np.argsort(-gain / self.site.customers.weight, axis=None, kind="stable")
+        sums = np.cumsum(gain.ravel()[order])
+        needed = int(np.searchsorted(sums, missing)) + 1 + int(MORE_SHARE * served.sum())
+        left_out.ravel()[order[:needed]] = True
+        return left_out & (gain > 0.0)
+
+    def _dispatch(self, found: Within, served: Flags) -> Dispatch | None:
+        """A solution as a dispatch of a set, or what is left of one whose time ran out."""
+        columns = self.network.columns(found.answer) if found.is_optimal else self._clipped()
+        return None if columns is None else self.model.dispatch(columns, served)
 
     def _within_discs(
         self, program: Program, deadline: Deadline, shares: tuple[float, ...]
-    ) -> tuple[ProgramSolution, float]:
-        """The optimum of a set's program within the discs, and by which share it lies inside.
+    ) -> Within:
+        """The optimum of a set's program within the discs, by one share after the other.
 
         In a large window limits that the search for the set has found are left behind where the
         way begins anew: few of them bind, and they are found again.
@@ -119,11 +195,25 @@ class CheapestDispatch:
             if self.network.is_large:
                 begin = self._begun(solver, begin, deadline)
             answer = self.network.until_carried(solver, deadline, EXACT_DISC, inside)
-            stricter = len(self.network.found) > len(limits)
+            within = self.network.found
+            stricter = len(within) > len(limits)
             self.network.found = known  # tangents within the discs hold for no other problem
             if answer.status == Status.OPTIMAL or not stricter:
                 break
-        return answer, inside
+        return Within(answer, inside, solver, within)
+
+    def _go_on(self, found: Within, deadline: Deadline) -> Within:
+        """The optimum of a problem that was changed, from the solution that its solver has."""
+        known = self.network.found
+        self.network.found = found.limits
+        answer = self.network.until_carried(found.solver, deadline, EXACT_DISC, found.inside)
+        self.network.found = known
+        return replace(found, answer=answer)
+
+    def _hold(self, solver: highspy.Highs, columns: Wholes, value: float) -> None:
+        """Hold columns of a solver at a value."""
+        held = np.full(columns.size, value)
+        solver.changeColsBounds(len(held), columns.ravel().astype(np.int32), held, held)
 
     @property
     def _import_has_a_price(self) -> bool:
@@ -160,41 +250,51 @@ class CheapestDispatch:
     ) -> highspy.HighsBasis:
         """Let a solver of a set's cost begin at a basis, or find the one without tangents.
 
-        Where nothing costs anything, that of the service is near. Where import has its price, it
-        is far, and the way back takes longer than one from the start.
+        Where import has its price, idle batteries are near. Where nothing costs anything, presolve
+        leaves next to nothing, and steps from any basis are many.
         """
         if begin is not None:
             solver.setBasis(begin)
             return begin
-        basis = None if self._import_has_a_price else self.near()
-        if basis is None or not basis.valid:
+        if self._import_has_a_price:
             self.network.start(solver)
-        else:
-            added = solver.getNumRow() - len(basis.row_status)
-            basic = highspy.HighsBasisStatus.kBasic
-            basis.row_status = [*basis.row_status, *[basic] * added]
-            solver.setBasis(basis)
         ProgramSolution.of(solver, deadline)
         found: highspy.HighsBasis = solver.getBasis()
         return found
 
-    def _both_ways(self, answer: ProgramSolution) -> Flags:
-        """Steps in which a solution imports and exports, (W,)."""
-        return np.minimum(*self.model.exchange_kw(answer.x)) > BOTH_WAYS_KW
+    def _one_way(self, found: Within, served: Flags, deadline: Deadline) -> Within:
+        """The optimum without what goes two ways at once, if anything does."""
+        unused = self._unused(found.answer, served) if found.is_optimal else np.arange(0)
+        if not len(unused):
+            return found
+        self._hold(found.solver, unused, 0.0)
+        return self._go_on(found, deadline)
 
-    def _one_way(
-        self, program: Program, answer: ProgramSolution, deadline: Deadline, inside: float
-    ) -> ProgramSolution:
-        """The cheapest dispatch that imports or exports, as a solution does on balance."""
+    def _unused(self, answer: ProgramSolution, served: Flags) -> Wholes:
+        """Columns to be left unused where a solution goes two ways at once: the lesser of each two.
+
+        Import and export, where it has both in a step; charging and discharging of a large window,
+        where they waste more than a battery could store. In others modes are decided by binaries.
+        """
         at = self.model.at
         imported, exported = self.model.exchange_kw(answer.x)
-        one_way = replace(program, x_upper=program.x_upper.copy())
-        one_way.x_upper[at["P_out"][imported >= exported]] = 0.0
-        one_way.x_upper[at["P_grid"][imported < exported]] = 0.0
-        known = self.network.found
-        self.network.found = list(known)
-        found = self.network.until_carried(
-            self.network.loaded(one_way), deadline, EXACT_DISC, inside
-        )
-        self.network.found = known
-        return found
+        unused = []
+        if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
+            unused += [at["P_out"][imported >= exported], at["P_grid"][imported < exported]]
+        if self.network.is_large and not self._storable(answer, served):
+            charges = answer.x[at["P_ch"]] >= answer.x[at["P_dch"]]
+            unused += [at["P_dch"][charges], at["P_ch"][~charges]]
+        return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
+
+    def _storable(self, answer: ProgramSolution, served: Flags) -> bool:
+        """Whether batteries can store what a solution charges less what it discharges."""
+        dispatch = self.model.dispatch(self.network.columns(answer), served)
+        return net_modes(self.site, self.data, dispatch)[1]
+
+
+def _missing(program: Program, prices: Floats) -> tuple[float, Floats]:
+    """By how much columns within their limits miss what rows are worth, and each column's share."""
+    worth, left = program.priced(prices)
+    used = np.abs(left) > ROUNDING
+    limit = np.where(left > 0.0, program.x_lower, program.x_upper)
+    return worth + float(left[used] @ limit[used]), left

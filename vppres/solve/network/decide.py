@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import Deadline
@@ -28,7 +30,7 @@ SERVICE_SHARE = 0.5
 """Share of the time left for the search of a set: the other half is for its dispatch, its bound on
 cost and, where the window is small, the whole problem."""
 
-HUGE_SERVICE_SHARE = 0.35
+HUGE_SERVICE_SHARE = 0.45
 """The same in a huge window, whose dispatch takes longer than the search: at 10,000 buses 50 s."""
 
 FLEET_SHARE = 0.1
@@ -46,6 +48,8 @@ forbids the set."""
 
 UNITS_TOLERANCE = 1e-9
 """What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
+
+FindsDispatch = Callable[[Flags, Deadline], tuple[Outcome, Dispatch | None]]
 
 
 def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
@@ -168,16 +172,22 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served) or self._fewer(served)
+        found = self._dispatched(served)
         if found is None:
             return None
         self._bound_cost(found)
         return self._cheaper(found)
 
-    def _fewer(self, served: Flags) -> Candidate | None:
-        """An answer of a large window whose set has no dispatch: those of it served in full."""
-        fewer = self.master.fewer(served) if self.task.is_large else served
-        return self._cheapest(fewer) if (fewer != served).any() else None
+    def _dispatched(self, served: Flags) -> Candidate | None:
+        """A set's cheapest dispatch; in a large window that of most of it where it has none.
+
+        In a huge one there is time for one of them.
+        """
+        task = self.task
+        found = None if task.is_huge else self._cheapest(served, self.master.cheapest)
+        if found is None and task.is_large and task.data.switching is None:
+            return self._cheapest(served, self.master.cheapest_of_most)
+        return found
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""
@@ -194,7 +204,7 @@ class InNetwork:
         fewer = known.worth(self.master.unit * (units - 1.0), known.cost.least_gbp)
         as_much = known.worth(known.service_bound, outcome.bound)
         known.bound_by(max(found.value, fewer, as_much))
-        other = None if served is None else self._cheapest(served)
+        other = None if served is None else self._cheapest(served, self.master.cheapest)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
@@ -246,14 +256,14 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def _cheapest(self, served: Flags) -> Candidate | None:
+    def _cheapest(self, served: Flags, find: FindsDispatch) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
-        outcome, dispatch = self.master.cheapest(served, task.answer_by())
+        outcome, dispatch = find(served, task.answer_by())
         task.certificate.note("network_dispatch", outcome)
         if dispatch is None:
             return None
-        data = task.data.for_service(served)
+        data = task.data.for_service(dispatch.served)
         netted, fits = net_modes(task.site, data, dispatch)
         if not fits:
             return None

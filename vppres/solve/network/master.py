@@ -342,13 +342,6 @@ class NetworkMaster:
         done = linear.status == Status.OPTIMAL
         return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
 
-    def fewer(self, served: Flags) -> Flags:
-        """Those of a set who are served in full within the discs."""
-        linear = self._tried(self.root[0], served.ravel().astype(float), VERIFIED_DISC, -np.inf)
-        if linear.status != Status.OPTIMAL:
-            return served
-        return self._in_full(linear).reshape(served.shape) > 0.5
-
     def _tried(
         self,
         solver: highspy.Highs,
@@ -482,6 +475,12 @@ class NetworkMaster:
             enough.matrix.tocsc(), enough.lower
         )
 
+    def cheapest_of_most(
+        self, served: Flags, deadline: Deadline
+    ) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of those of a set who can be served, of a window without rules."""
+        return CheapestDispatch(self.site, self.data, self.network).of_most(served, deadline)
+
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
@@ -495,21 +494,16 @@ class NetworkMaster:
         if data.switching is not None:
             data = replace(data.for_service(served), switching=None)
             network = NetworkProgram(self.site, self.model.reactance, data)
-        return CheapestDispatch(self.site, data, network, self._basis).of(served, deadline)
+        return CheapestDispatch(self.site, data, network).of(served, deadline)
 
     def _has_dispatch(self, best: Floats, inside: tuple[float, ...]) -> bool:
         """Whether a set has a dispatch by shares within the discs, which is kept."""
         served = best.reshape(self.model.at["x"].shape) > 0.5
-        found = CheapestDispatch(self.site, self.data, self.network, self._basis)
+        found = CheapestDispatch(self.site, self.data, self.network)
         outcome, dispatch = found.of(served, self.deadline, inside)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
         return outcome.status == Status.OPTIMAL
-
-    def _basis(self) -> highspy.HighsBasis:
-        """Basis of the most service."""
-        found: highspy.HighsBasis = self.root[0].getBasis()
-        return found
 
     def _until_carried(
         self,

@@ -67,6 +67,8 @@ class NetworkProgram:
         Limits on the program's columns.
     unfinished : array or None
         Columns of the model at the last solution that still violated limits when time was up.
+    begun : basis or None
+        Basis at which the last solve with added limits began.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class NetworkProgram:
         self.model = Injections(site, reactance, data, rules)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
+        self.begun: highspy.HighsBasis | None = None
         self.is_large = data.load_kw.size > SMALL
         lower, upper = self.model.bounds()
         rows = self.model.rows()
@@ -205,3 +208,4 @@ class NetworkProgram:
             rows = self._limits(found)
             self.found.append(rows)
             add(solver, rows)
+            self.begun = solver.getBasis()
