@@ -27,7 +27,7 @@ from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import falls_apart, solve_apart, with_room_both_ways
-from vppres.solve.ladder import WindowSolver
+from vppres.solve.ladder import LEVELLED, WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.studies.sweep_parameters import scenario_changes
 
@@ -85,6 +85,24 @@ def test_batteries_and_rules_join_steps() -> None:
     rules = SwitchingRules(min_served_h=2.0)
     state = SwitchingState.start(rules, scenario.grid.dt_h, len(scenario.customers))
     assert not falls_apart(Site.of(scenario), replace(data, switching=state.window(3)))
+
+
+@pytest.mark.parametrize("idle", [False, True])
+def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> None:
+    scenario = two_dark_steps()
+    if idle:
+        scenario = replace(scenario, batteries=battery(p_max_kw=1e-3, s_max_kva=1e-3))
+    rules = SwitchingRules(min_unserved_h=2.0)
+    state = SwitchingState.start(rules, scenario.grid.dt_h, len(scenario.customers))
+    data = replace(window(scenario), switching=state.window(3))
+    answer, whole = (WindowSolver(Site.of(scenario), method).solve(data) for method in LEVELLED)
+    assert answer.stages[:2] == ("shares[highs]", "aggregate[highs]")
+    assert answer.status == Status.OPTIMAL
+    gap = SolveLimits().gap_at(whole.objective)
+    assert answer.objective == pytest.approx(whole.objective, abs=2 * gap)
+    assert answer.bound >= whole.objective - 1e-6
+    check = check_dispatch(scenario, data, answer.dispatch, state)
+    assert check.worst[1] < CHECKER_TOLERANCE
 
 
 @pytest.mark.monolith

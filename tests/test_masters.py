@@ -335,6 +335,18 @@ def test_counts_are_rounded_down_where_time_runs_out(
     assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
 
 
+def test_binaries_close_what_counts_leave_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = hard_window("tight", 3)
+    before = WindowSolver(case.site).solve(case.data)
+    monkeypatch.setattr("vppres.solve.fleet.counts.SERVICE_NODES", 3)
+    monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
+    answer = WindowSolver(case.site).solve(case.data)
+    assert answer.stages[0] == "service[highs]:gap_open", answer.stages
+    assert "binary_service[highs]" in answer.stages
+    assert answer.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(before.objective, abs=SolveLimits().gap_abs)
+
+
 def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> None:
     """Five tiers in thousandths, and a third of what is asked for: a unit proves nothing."""
     weights = np.resize([1.0, 0.37, 0.11, 0.043, 0.017], len(packaged.customers))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -207,6 +208,25 @@ def test_cold_load_of_an_earlier_restoration_lasts(method: str) -> None:
     day = island([[10.0]] * 4, [1.0], 100.0)
     answer = solved(day, state_of(rules, [True], [1.0]), method)
     assert answer.dispatch.discharge_kw.sum(axis=1) == pytest.approx([20, 20, 10, 10], abs=1e-3)
+
+
+def test_half_a_restoration_is_half_as_cold(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    W, C = 4, len(site.customers)
+    x = cp.Variable((W, C))
+    rules = switching_rules.SwitchingModel(site, x, RuleSteps(1, 1, 2))
+    cold = rules.cold
+    assert cold is not None
+    rules.x_before.value = np.ones(C)
+    rules.x_min.value, rules.x_max.value = np.zeros((W, C)), np.ones((W, C))
+    rules.actions_left.value = np.full((1, C), 2.0 * W)
+    rules.cold_before.value = np.zeros((W, C))
+    shares = np.array([1.0, 0.25, 0.75, 0.75])[:, None]
+    held = [*rules.constraints.values(), x == np.tile(shares, C)]
+    problem = cp.Problem(cp.Minimize(cp.sum(cold.z)), held)
+    problem.solve(solver=cp.HIGHS)
+    # Restored two steps ago or less are the half that was off at the second step.
+    assert cold.z.value[:, 0] == pytest.approx([0.0, 0.0, 0.5, 0.5])
 
 
 def test_interruption_that_cannot_be_ended_is_not_shortened() -> None:

@@ -227,6 +227,11 @@ class Batteries:
         return np.minimum(self.p_max_kw, self.s_max_kva)
 
     @property
+    def idle(self) -> bool:
+        """Whether none has more than next to no power, or there is none."""
+        return bool((self.active_max_kw <= NO_POWER_KW).all())
+
+    @property
     def formers(self) -> Flags:
         """Who forms an island's grid, (B,): those that are named, else the largest inverter.
 

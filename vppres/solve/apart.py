@@ -22,7 +22,6 @@ from vppres.model.data import WindowData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 from vppres.model.terms import Terms
-from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
@@ -46,14 +45,9 @@ def falls_apart(site: Site, data: WindowData) -> bool:
     return data.n_steps > 1 and len(site.batteries) == 0 and data.switching is None
 
 
-def are_idle(site: Site) -> bool:
-    """Whether there is no battery of more than next to no power."""
-    return bool((site.batteries.active_max_kw <= NO_POWER_KW).all())
-
-
 def hardly_joined(site: Site, data: WindowData) -> bool:
     """Whether a window has several steps that are joined by batteries of next to no power alone."""
-    idle = len(site.batteries) > 0 and are_idle(site)
+    idle = len(site.batteries) > 0 and site.batteries.idle
     plain = data.switching is None and data.terminal is None and not data.physical
     return data.n_steps > 1 and idle and plain and data.stored_value is None
 

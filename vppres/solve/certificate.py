@@ -107,6 +107,8 @@ class Certificate:
         The best dispatch.
     before : Candidate or None
         A dispatch in the network that was known from the beginning.
+    refused : Candidate or None
+        A dispatch that the tie-breakers did not find in the network.
     bound : float
         Upper bound on F of all dispatches.
     service_bound : float
@@ -128,6 +130,7 @@ class Certificate:
         self.cost = cost
         self.best: Candidate | None = None
         self.before: Candidate | None = None
+        self.refused: Candidate | None = None
         self.bound = np.inf
         self.service_bound = np.inf
         self.cost_bound_gbp = -np.inf

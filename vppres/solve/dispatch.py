@@ -94,11 +94,13 @@ def keep_dispatch(task: WindowTask, served: Flags) -> None:
     """Keep the cheapest dispatch of a served set if it is the best so far; without the network.
 
     A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
-    Where batteries would waste energy, their modes are left to who decides them with the service.
+    Where batteries would waste energy, their modes are left to who decides them with the service;
+    those of next to no power waste next to nothing, whatever their modes.
     """
     if task.obeys_rules(served):
         form = cost_form(0, network=False)
-        task.certificate.keep(cheapest(task, "cost", served, form, modes_later=True))
+        later = not task.site.batteries.idle
+        task.certificate.keep(cheapest(task, "cost", served, form, modes_later=later))
 
 
 def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:

@@ -19,7 +19,6 @@ from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.apart import (
-    are_idle,
     better,
     falls_apart,
     hardly_joined,
@@ -35,6 +34,7 @@ from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     all_terms,
+    all_terms_of_shares,
     everyone_served,
     matched,
     service_then_cost,
@@ -253,13 +253,26 @@ def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
 
     A dark step without batteries, or with some of next to no power, has to match the sun with whole
     customers, and every kW that it misses is lost: service cannot be told from curtailment there.
-    Without rules exchanges match it.
+    Without rules exchanges match it; with them the search of all terms at once is the only one.
     """
     data = task.data
-    if data.n_steps == 1 and are_idle(task.site) and (data.grid_limit_kw <= 0.0).all():
-        return [all_terms] if data.switching is not None else [matched, all_terms]
+    if task.site.batteries.idle:
+        if data.switching is not None and (_dark(data) & _sunny(data)).any():
+            return [all_terms_of_shares]
+        if data.switching is None and data.n_steps == 1 and _dark(data).all():
+            return [matched, all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
+
+
+def _dark(data: WindowData) -> Flags:
+    """Steps without any import, (W,)."""
+    return np.asarray(data.grid_limit_kw <= 0.0)
+
+
+def _sunny(data: WindowData) -> Flags:
+    """Steps with any PV power, (W,)."""
+    return np.asarray((data.pv_kw > 0.0).any(axis=1))
 
 
 def _by_levels(task: WindowTask, make: Callable[[], Master | None]) -> None:

@@ -148,14 +148,22 @@ def past_actions(m: SwitchingModel) -> Named:
 def cold_load(m: SwitchingModel) -> Named:
     """Demand is higher, z = 1, exactly for whoever is served and was restored in the last K steps.
 
-    A restoration before the window counts as long as it lasts.
+    Whoever is served now and was not k steps ago was restored in between. Shares of customers meet
+    these rows just where whole ones do in a mixture, which a bound on single restorations leaves
+    open. A restoration before the window counts as long as it lasts.
     """
     cold = m.cold
     W = m.x.shape[0]
     assert cold is not None
     K = m.steps.cold
-    after = {f"cold_load_after_{k}": cold.z[k:] >= m.on[: W - k] + m.x[k:] - 1 for k in range(K)}
+    first = min(K, W)
+    before = np.ones((first, 1)) @ cp.reshape(m.x_before, (1, m.x.shape[1]), order="C")
+    after = {
+        f"cold_load_after_{k}": cold.z[k:] >= m.x[k:] - m.x[:-k]
+        for k in range(1, min(K, W - 1) + 1)
+    }
     return after | {
+        "cold_load_after_before": cold.z[:first] >= m.x[:first] - before,
         "cold_load_before": cold.z >= m.cold_before + m.x - 1,
         "cold_load_served": cold.z <= m.x,
         "cold_load_restored": cold.z <= _band(W, K) @ m.on + m.cold_before,

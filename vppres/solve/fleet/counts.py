@@ -52,6 +52,10 @@ LONG = 12
 """Steps from which on HiGHS looks for no set in a problem of its own at the root either. In shorter
 windows that would save 15 ms, and find another of equally good sets here and there."""
 
+SERVICE_NODES = 1500
+"""Nodes of a search for the most service: what is open then was still open after 25,000, and
+binaries, which are tried next, close it."""
+
 FEW_COUNTS = 30
 """Whole numbers up to which it does: of a search of 36, two outages at once, it is a gain."""
 
@@ -457,7 +461,7 @@ class Counts:
             return self.kept or self._rounded(linear, free)
         if self.kept is None or self.kept.value > whole.value - HALF_UNIT:
             return whole
-        return replace(self.kept, bound=whole.bound)
+        return replace(self.kept, bound=whole.bound, status=whole.status)
 
     def _rounded(self, linear: _Found, free: Flags) -> _Found:
         """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
@@ -550,9 +554,9 @@ class Counts:
             if not solved[key].status.has_answer:
                 return solved[key]
             parts.append(solved[key])
-        late = any(part.status != Status.OPTIMAL for part in parts)
+        open_ = (part.status for part in parts if part.status != Status.OPTIMAL)
         return _Found(
-            Status.TIME_LIMIT if late else Status.OPTIMAL,
+            next(open_, Status.OPTIMAL),
             sum(part.value for part in parts),
             sum(part.bound for part in parts),
             np.logical_and.reduce([part.served for part in parts]),
@@ -608,7 +612,9 @@ class Counts:
             return self._solve(program, layout, gap, integer, deadline)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
-        found = self._solve(program, layout, gap, integer, deadline, enough=proven + HALF_UNIT)
+        found = self._solve(
+            program, layout, gap, integer, deadline, SERVICE_NODES, proven + HALF_UNIT
+        )
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.

@@ -5,7 +5,7 @@ The proofs are in ``docs/method.md``, *Why a bound bounds*.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_
 from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
 from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.modes import modes_apart
+from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
@@ -83,6 +84,7 @@ def refused_by_network(task: WindowTask) -> bool:
     assert known.best is not None
     carried = with_tie_breakers(task, known.best)
     if carried is None:
+        known.refused = known.best
         return True
     known.best = carried
     return False
@@ -139,32 +141,61 @@ def all_terms(task: WindowTask) -> None:
 
     It needs no grid of weights or prices.
     """
+    _to_its_gap(task, task.gap_to_best, _search_all_terms)
+
+
+def _to_its_gap(task: WindowTask, gap: float, search: Callable[[WindowTask, float], bool]) -> None:
+    """Search to a gap, and again where the answer says that it was more than there is."""
+    if search(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
+        search(task, task.gap_to_best)
+
+
+def _search_all_terms(task: WindowTask, gap: float) -> bool:
+    """One search with all terms to its share of a gap; whether it ended."""
     known = task.certificate
     model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
     model.fill(task.data)
-    gap = ALL_TERMS_GAP_SHARE * task.gap_to_best
+    gap = ALL_TERMS_GAP_SHARE * gap
     outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
     known.note("aggregate", outcome)
-    if outcome.status.has_answer:
-        known.bound_by(outcome.bound)
-        keep_dispatch(task, np.asarray(model.x.value) > 0.5)
-    else:
+    if not outcome.status.has_answer:
         known.prove(outcome)
+        return False
+    known.bound_by(outcome.bound)
+    keep_dispatch(task, np.asarray(model.x.value) > 0.5)
+    return outcome.status == Status.OPTIMAL
+
+
+def all_terms_of_shares(task: WindowTask) -> None:
+    """Bound by shares of customers, which says how large the objective is; then whole ones."""
+    gap = task.gap_to_best
+    if _by_shares(task, "shares") is not None:
+        gap = task.limits.gap_at(task.certificate.bound)
+    if task.goes_on:
+        _to_its_gap(task, gap, _search_all_terms)
+
+
+def _by_shares(task: WindowTask, stage: str) -> AggregateModel | None:
+    """Bound by shares of customers, all terms as weighted; the solved model, if it has one."""
+    known = task.certificate
+    model = relaxation_of(task.cache, task.data, integer=False, lumped=fleets_of(task.data)[0])
+    model.fill(task.data)
+    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
+    known.note(stage, outcome)
+    if outcome.status != Status.OPTIMAL:
+        known.prove(outcome)
+        return None
+    known.bound_by(outcome.bound)
+    return model
 
 
 def matched(task: WindowTask) -> None:
     """Customers whose demand takes up the sun of a dark step, bounded by shares of customers."""
-    known = task.certificate
+    model = _by_shares(task, "matched")
+    if model is None:
+        return
     data = task.data
     site = task.site
-    model = relaxation_of(task.cache, data, integer=False, lumped=fleets_of(data)[0])
-    model.fill(data)
-    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(site))
-    known.note("matched", outcome)
-    if outcome.status != Status.OPTIMAL:
-        known.prove(outcome)
-        return
-    known.bound_by(outcome.bound)
     able = model.p["x_max"].value[0] > 0.5
     given_kw = float(np.minimum(data.pv_kw[0], site.pv.s_max_kva).sum() - data.network_kw[0])
     worth = site.customers.weight + site.weights.lambda_curt * data.load_kw[0]
@@ -194,8 +225,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
         _one_battery_at_a_time(task, outcome.bound, gap)
     if not task.goes_on:
         return
-    if _search_modes(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
-        _search_modes(task, task.gap_to_best)
+    _to_its_gap(task, gap, _search_modes)
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:

@@ -64,7 +64,8 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     if master is None and task.is_large and not at_hand(task, best):
         master = network_master(task)
     found = None
-    if master is None or worth_asking_tie_breakers(master, best):
+    asked = best is task.certificate.refused
+    if not asked and (master is None or worth_asking_tie_breakers(master, best)):
         found = with_tie_breakers(task, best)
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
