@@ -27,6 +27,9 @@ from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import falls_apart, solve_apart, with_room_both_ways
+from vppres.solve.cache import shared_cache
+from vppres.solve.deadline import Deadline
+from vppres.solve.dispatch import with_modes
 from vppres.solve.ladder import LEVELLED, WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.studies.sweep_parameters import scenario_changes
@@ -177,3 +180,18 @@ def test_each_battery_bounds_what_it_can_lose(monkeypatch: pytest.MonkeyPatch) -
     assert not any(stage.startswith("modes_apart") for stage in whole.stages)
     assert answer.objective <= whole.bound + 1e-6
     assert whole.objective <= answer.bound + 1e-6
+
+
+def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:
+    # 10 kWh at the terminals take 10 / 0.95 of the battery; 1e-6 kWh of it are gone.
+    needed_kwh = 10.0 / battery().eta_discharge[0]
+    soc = 0.15 + (needed_kwh - 1e-6) / 100.0
+    scenario = replace(two_buses([[10.0]], [1.0], [DARK]), batteries=battery(soc=soc))
+    cache = shared_cache(Site.of(scenario))
+    modes = {"delta": np.zeros((1, 1))}
+    served = np.ones((1, 1), dtype=bool)
+    attempt = with_modes(cache, window(scenario), served, modes, Deadline(10.0))
+    assert attempt.dispatch is not None
+    assert attempt.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
+    less = replace(scenario, batteries=battery(soc=soc - 1e-6))
+    assert with_modes(cache, window(less), served, modes, Deadline(10.0)).dispatch is None

@@ -109,6 +109,8 @@ class Certificate:
         A dispatch in the network that was known from the beginning.
     refused : Candidate or None
         A dispatch that the tie-breakers did not find in the network.
+    makeshift : bool
+        Whether the best dispatch is of a set that no search has found.
     bound : float
         Upper bound on F of all dispatches.
     service_bound : float
@@ -131,6 +133,7 @@ class Certificate:
         self.best: Candidate | None = None
         self.before: Candidate | None = None
         self.refused: Candidate | None = None
+        self.makeshift = False
         self.bound = np.inf
         self.service_bound = np.inf
         self.cost_bound_gbp = -np.inf

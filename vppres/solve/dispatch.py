@@ -257,6 +257,16 @@ def with_modes(
     cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
 ) -> Attempt:
     """Cheapest dispatch without the network of a served set with binaries held, by their names."""
+    attempt = _with_modes(cache, data, served, modes, end)
+    if attempt.outcome.status == Status.INFEASIBLE:
+        return _with_modes(cache, eased(cache.site, data), served, modes, end)
+    return attempt
+
+
+def _with_modes(
+    cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
+) -> Attempt:
+    """One solve with binaries held."""
     watch = Stopwatch()
     model = window_model(cache, data, cost_form(0, network=False))
     model.fill(data, served)

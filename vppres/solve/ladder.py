@@ -237,6 +237,7 @@ def steady(task: WindowTask) -> None:
     for served in steady_sets(task.site, task.data):
         keep_dispatch_in_network(task, served)
         if task.certificate.answered:
+            task.certificate.makeshift = True
             return
 
 
@@ -308,5 +309,5 @@ def worth_the_whole(task: WindowTask) -> bool:
         return False
     decided = known.ran("network_service") and task.is_large
     anew = known.best is not known.before
-    carried = known.ran("modes") and not known.ran("relaxed") and anew
+    carried = known.ran("modes") and not known.ran("relaxed") and anew and not known.makeshift
     return task.goes_on and not (known.answered and (decided or carried))
