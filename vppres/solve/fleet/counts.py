@@ -53,8 +53,10 @@ LONG = 12
 windows that would save 15 ms, and find another of equally good sets here and there."""
 
 SERVICE_NODES = 1500
-"""Nodes of a search for the most service: what is open then was still open after 25,000, and
-binaries, which are tried next, close it."""
+FEW_BINARIES = 2000
+"""Nodes of a search for the most service where there are so few customers times steps: what is open
+then was still open after 25,000, and binaries, which are tried next, close it. Of 2,300 they do
+not."""
 
 FEW_COUNTS = 30
 """Whole numbers up to which it does: of a search of 36, two outages at once, it is a gain."""
@@ -612,9 +614,8 @@ class Counts:
             return self._solve(program, layout, gap, integer, deadline)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
-        found = self._solve(
-            program, layout, gap, integer, deadline, SERVICE_NODES, proven + HALF_UNIT
-        )
+        nodes = SERVICE_NODES if self.load_kw.size <= FEW_BINARIES else None
+        found = self._solve(program, layout, gap, integer, deadline, nodes, proven + HALF_UNIT)
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.

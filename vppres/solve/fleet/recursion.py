@@ -15,7 +15,7 @@ import numpy as np
 from vppres.core.arrays import Floats, Wholes
 from vppres.solve.fleet.reach import OneBattery
 
-MOST_WORK = 1e8
+MOST_WORK = 4e8
 """Energies that are looked at: half a second."""
 
 
