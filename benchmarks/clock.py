@@ -76,9 +76,10 @@ def peak_memory_mb() -> float:
     use begins with the memory of the one that started it.
     """
     status = Path("/proc/self/status")
-    if status.is_file():
-        lines = dict(line.split(":", 1) for line in status.read_text("utf-8").splitlines())
-        return float(lines["VmHWM"].split()[0]) / 1e3
+    lines = status.read_text("utf-8").splitlines() if status.is_file() else []
+    for line in lines:
+        if line.startswith("VmHWM:"):
+            return float(line.split()[1]) / 1e3
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
 

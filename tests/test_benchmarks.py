@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import benchmarks.__main__ as command
 from benchmarks import deadlines, make_instances, profiles
+from benchmarks.clock import in_fresh_process, peak_memory_mb
 from benchmarks.day import error_settings
 from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
@@ -444,3 +445,9 @@ def test_windows_are_measured_in_both_turns() -> None:
     assert (row["buses"], row["steps"]) == (33, window.data.n_steps)
     assert row["first_ending"] == row["again_ending"] == "optimal"
     assert row["first_late_s"] == row["again_late_s"] == 0.0
+
+
+def test_a_process_is_told_its_own_memory() -> None:
+    held = np.ones(100_000_000)
+    assert peak_memory_mb() > held.nbytes / 1e6
+    assert in_fresh_process(peak_memory_mb) < peak_memory_mb() - 300.0

@@ -252,6 +252,11 @@ class WindowData:
             return self
         return replace(self, load_kw=self.load_kw * self.switching.demand_factor(served))
 
+    @property
+    def dark(self) -> Flags:
+        """Steps without any import, (W,)."""
+        return np.asarray(self.grid_limit_kw <= 0.0)
+
     def all_cold(self) -> WindowData:
         """The window with the largest demand that any service can bring about."""
         if self.switching is None or not self.switching.steps.cold:

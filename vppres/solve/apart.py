@@ -126,12 +126,11 @@ def _bound_with_price(
     b = site.batteries
     price = _price_of_lost(site, data)
     full_kwh = float(b.energy_kwh @ b.soc_max)
-    dark = data.grid_limit_kw <= 0.0
     wasted = np.array([step.terms.f3 for step in steps]) > 0.0
     deadline = Deadline(limits.time_s)
     shares = _shares(data.n_steps, limits, deadline)
     bound = sum(step.bound for step in steps)
-    for first, end in _runs(dark | wasted):
+    for first, end in _runs(data.dark | wasted):
         soc = data.soc if first == 0 else b.soc_min
         room_kwh = full_kwh - float(b.energy_kwh @ soc)
         priced = price * room_kwh

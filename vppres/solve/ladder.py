@@ -258,17 +258,12 @@ def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
     """
     data = task.data
     if task.site.batteries.idle:
-        if data.switching is not None and (_dark(data) & _sunny(data)).any():
+        if data.switching is not None and (data.dark & _sunny(data)).any():
             return [all_terms_of_shares]
-        if data.switching is None and data.n_steps == 1 and _dark(data).all():
+        if data.switching is None and data.n_steps == 1 and data.dark.all():
             return [matched, all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]
     return [*levels, all_terms]
-
-
-def _dark(data: WindowData) -> Flags:
-    """Steps without any import, (W,)."""
-    return np.asarray(data.grid_limit_kw <= 0.0)
 
 
 def _sunny(data: WindowData) -> Flags:

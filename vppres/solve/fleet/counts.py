@@ -48,15 +48,15 @@ COST_NODES = 200
 """Nodes of a search for a cheaper set where there are several outages: cost joins what service
 leaves apart, and a proof to the usual 0.1 % takes 20 times as long as all the rest."""
 
+SERVICE_NODES = 1500
+FEW_BINARIES = 2000
+"""Nodes after which a search for the most service ends where there are no more customers times
+steps: what was open then was still open after 25,000 nodes, and binaries, which come next, closed
+it. In a window of 2,300 they did not."""
+
 LONG = 12
 """Steps from which on HiGHS looks for no set in a problem of its own at the root either. In shorter
 windows that would save 15 ms, and find another of equally good sets here and there."""
-
-SERVICE_NODES = 1500
-FEW_BINARIES = 2000
-"""Nodes of a search for the most service where there are so few customers times steps: what is open
-then was still open after 25,000, and binaries, which are tried next, close it. Of 2,300 they do
-not."""
 
 FEW_COUNTS = 30
 """Whole numbers up to which it does: of a search of 36, two outages at once, it is a gain."""
@@ -198,7 +198,7 @@ class Counts:
         self.able = model.able
         self.units = model.customer_units
         self.unlimited: Flags = np.isinf(data.grid_limit_kw)
-        self.outages = runs(data.grid_limit_kw <= 0.0)
+        self.outages = runs(data.dark)
         self.demand_kw = np.asarray(model.p["load_all"].value)
         self.worst = model.worst()
         self.least = model.least_lost(), model.least_cost_gbp()

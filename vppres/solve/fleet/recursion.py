@@ -16,7 +16,7 @@ from vppres.core.arrays import Floats, Wholes
 from vppres.solve.fleet.reach import OneBattery
 
 MOST_WORK = 4e8
-"""Energies that are looked at: half a second."""
+"""Energies that are looked at: a third of a second."""
 
 
 @dataclass(frozen=True, eq=False)
