@@ -6,6 +6,7 @@ Every row follows from the paper's equations, so that a problem with these is a 
 from __future__ import annotations
 
 import cvxpy as cp
+import numpy as np
 
 from vppres.model.constraints import AddedDemand, Named
 from vppres.model.site import Site
@@ -51,3 +52,18 @@ def battery_room(site: Site, v: Variables, p: Parameters) -> Named:
         "battery_room": v.SoC[:-1] + stored <= b.soc_max[None, :],
         "battery_reserve": v.SoC[:-1] - drawn >= b.soc_min[None, :],
     }
+
+
+def counts_of_alike(site: Site, x: cp.Expression) -> Named:
+    """How many of each weight are served in each step, as whole numbers to branch on.
+
+    They say nothing new, but one branch on such a number says of many customers what else takes one
+    for each.
+    """
+    weights, kind = np.unique(site.customers.weight, return_inverse=True)
+    alike = kind[:, None] == np.arange(len(weights))
+    shared = alike[:, alike.sum(axis=0) > 1].astype(float)
+    if not shared.size:
+        return {}
+    counts = cp.Variable((x.shape[0], shared.shape[1]), name="counts", integer=True)
+    return {"counts_of_alike": counts == x @ shared}

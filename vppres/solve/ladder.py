@@ -34,15 +34,18 @@ from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     all_terms,
-    all_terms_of_shares,
     everyone_served,
     matched,
     service_then_cost,
+    shares,
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
-from vppres.solve.network.terms import all_terms_in_network
+from vppres.solve.network.terms import (
+    all_terms_in_network,
+    all_terms_where_the_network_binds,
+)
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -254,12 +257,13 @@ def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
 
     A dark step without batteries, or with some of next to no power, has to match the sun with whole
     customers, and every kW that it misses is lost: service cannot be told from curtailment there.
-    Without rules exchanges match it; with them the search of all terms at once is the only one.
+    Without rules exchanges match it; with them the search of all terms at once is the only one, and
+    that in the network where shares of customers say already that it binds.
     """
     data = task.data
     if task.site.batteries.idle:
         if data.switching is not None and (data.dark & _sunny(data)).any():
-            return [all_terms_of_shares]
+            return [shares, all_terms_where_the_network_binds, all_terms]
         if data.switching is None and data.n_steps == 1 and data.dark.all():
             return [matched, all_terms]
     levels = [partial(_by_levels, make=make) for make in masters_of(task)]

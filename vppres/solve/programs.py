@@ -61,6 +61,10 @@ SUMS_KEPT = sum(1 << rule for rule in (8, 9, 12))
 """HiGHS's rules of presolve that replace a whole number by the sum that it stands for, and leave
 nothing to branch on: substitution of free columns, equations of two columns, aggregation."""
 
+SEARCH_OF_SETS = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
+"""Options for a search for sets: the time goes into the proof, and it may branch on how many of a
+weight are served in a step, where the problem or :func:`with_sums` counts them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -252,6 +256,16 @@ class ProgramSolution:
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
+
+
+def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:
+    """Columns, of (W, C), of the customers of equal weight in each step, where there are several.
+
+    >>> columns_of_alike(np.arange(6).reshape(2, 3), np.array([1.0, 0.1, 1.0]))
+    [array([0, 2]), array([3, 5])]
+    """
+    kinds = [np.flatnonzero(weight == each) for each in np.unique(weight)]
+    return [step[kind] for step in columns for kind in kinds if len(kind) > 1]
 
 
 def with_sums(program: Program, groups: Sequence[Wholes]) -> Program:

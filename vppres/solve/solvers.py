@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import cvxpy as cp
@@ -17,6 +18,7 @@ from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
+from vppres.solve.programs import SEARCH_OF_SETS
 from vppres.solve.result import Outcome, Status
 
 INTERIOR_POINTS = "clarabel"
@@ -68,6 +70,8 @@ class SolverSpec:
         ``answer -> value - bound`` in the solver's own (minimising) sense.
     ended : callable
         ``answer -> Status`` for answers that cvxpy does not call optimal.
+    of_sets : mapping
+        Options of the solver for a search for sets, whose time goes into the proof.
     """
 
     name: str
@@ -76,6 +80,7 @@ class SolverSpec:
     options: Callable[[float, float], Mapping[str, Any]]
     slack: Callable[[Answer], float]
     ended: Callable[[Answer], Status]
+    of_sets: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def installed(self) -> bool:
@@ -146,6 +151,7 @@ SOLVERS: dict[str, SolverSpec] = {
             lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
             _highs_slack,
             _highs_ended,
+            SEARCH_OF_SETS,
         ),
         SolverSpec(
             "scip",
@@ -239,14 +245,23 @@ def compile_now(problem: cp.Problem, spec: SolverSpec) -> None:
 
 
 def run(
-    problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float, scale: float = 1.0
+    problem: cp.Problem,
+    spec: SolverSpec,
+    gap_abs: float,
+    time_s: float,
+    scale: float = 1.0,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> Outcome:
     """Solve a mixed-integer or linear problem and map its status honestly.
 
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
-    The time limit holds for compiling too.
+    The time limit holds for compiling too. ``more`` are options of the solver.
     """
-    return run_with(problem, spec, lambda s: spec.options(gap_abs * scale, s), time_s, scale)
+
+    def options(left_s: float) -> Mapping[str, Any]:
+        return {**spec.options(gap_abs * scale, left_s), **more}
+
+    return run_with(problem, spec, options, time_s, scale)
 
 
 def run_with(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -98,6 +100,16 @@ class WindowTask:
         """Absolute gap that certifies the best dispatch, the searches' gap where there is none."""
         best = self.certificate.best
         return self.gap if best is None else self.limits.gap_at(best.value)
+
+    @property
+    def gap_so_far(self) -> float:
+        """The same, but where there is none that of the bound, which says how much there may be.
+
+        Service and curtailment may cancel to a small part of everyone's service.
+        """
+        known = self.certificate
+        by_bound = known.best is None and np.isfinite(known.bound)
+        return self.limits.gap_at(known.bound) if by_bound else self.gap_to_best
 
     @property
     def is_large(self) -> bool:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
+import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
@@ -111,7 +112,7 @@ class Binaries:
         open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
-        outcome = run(self.model.grid_problem, self.spec, open_units, self.deadline.left_s)
+        outcome = self._searched(self.model.grid_problem, open_units)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
@@ -126,8 +127,13 @@ class Binaries:
         model.fill(self.data, all_connected=everyone)
         model.service_min.value = units_min * self.unit
         gap = gap_gbp if integer else 0.0
-        outcome = run(model.cost_problem, self.spec, gap, self.deadline.left_s)
+        outcome = self._searched(model.cost_problem, gap)
         return outcome, self._set(outcome) if integer else None
+
+    def _searched(self, problem: cp.Problem, gap: float) -> Outcome:
+        """How the search for a set to a gap ended."""
+        left_s = self.deadline.left_s
+        return run(problem, self.spec, gap, left_s, more=self.spec.of_sets)
 
     def _set(self, outcome: Outcome) -> Flags | None:
         """Who is served by the last answer."""

@@ -20,7 +20,7 @@ from vppres.solve.network.feeders import SEARCH, SHARED, Effort, Feeders
 from vppres.solve.network.rows import Rows
 from vppres.solve.programs import (
     DIRECT,
-    SUMS_KEPT,
+    SEARCH_OF_SETS,
     Program,
     ProgramSolution,
     compiled,
@@ -94,9 +94,7 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
         program = _with_cuts(program, cuts)
     bound = -linear.value * gap if linear.status == Status.OPTIMAL else relaxed
     turns = with_sums(program, list(places.T))
-    answer = ProgramSolution.of(
-        turns.loaded(SET_GAP, more={"presolve_rule_off": SUMS_KEPT}), task.search
-    )
+    answer = ProgramSolution.of(turns.loaded(SET_GAP, more=SEARCH_OF_SETS), task.search)
     if np.isfinite(answer.bound):
         bound = min(bound, -answer.bound * gap)
     if not answer.status.has_answer:

@@ -26,6 +26,7 @@ from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
+from vppres.model.lumped import counts_of_alike
 from vppres.model.numerics import objective_scale, require_dpp, write
 from vppres.model.site import Site
 
@@ -99,6 +100,8 @@ class AggregateModel:
             self.switching = SwitchingModel(site, self.x, switching)
         self.energy = self._energy()
         self.constraints = self._power() | self.energy
+        if integer:
+            self.constraints = self.constraints | counts_of_alike(site, self.x)
         if self.switching is not None:
             self.constraints = self.constraints | self.switching.constraints
         self.problem = self._weighted_problem()

@@ -141,7 +141,7 @@ def all_terms(task: WindowTask) -> None:
 
     It needs no grid of weights or prices.
     """
-    _to_its_gap(task, task.gap_to_best, _search_all_terms)
+    _to_its_gap(task, task.gap_so_far, _search_all_terms)
 
 
 def _to_its_gap(task: WindowTask, gap: float, search: Callable[[WindowTask, float], bool]) -> None:
@@ -156,7 +156,8 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
     model.fill(task.data)
     gap = ALL_TERMS_GAP_SHARE * gap
-    outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
+    scale = objective_scale(task.site)
+    outcome = run(model.problem, task.spec, gap, task.search.left_s, scale, task.spec.of_sets)
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
@@ -166,13 +167,9 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     return outcome.status == Status.OPTIMAL
 
 
-def all_terms_of_shares(task: WindowTask) -> None:
-    """Bound by shares of customers, which says how large the objective is; then whole ones."""
-    gap = task.gap_to_best
-    if _by_shares(task, "shares") is not None:
-        gap = task.limits.gap_at(task.certificate.bound)
-    if task.goes_on:
-        _to_its_gap(task, gap, _search_all_terms)
+def shares(task: WindowTask) -> None:
+    """Bound by shares of customers, which says how large the objective is."""
+    _by_shares(task, "shares")
 
 
 def _by_shares(task: WindowTask, stage: str) -> AggregateModel | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 
 import highspy
 import numpy as np
@@ -24,10 +23,10 @@ from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.sets import HALF_UNIT, TOLERANCE, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
-    PROOF,
-    SUMS_KEPT,
+    SEARCH_OF_SETS,
     Program,
     ProgramSolution,
+    columns_of_alike,
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
@@ -68,11 +67,6 @@ ROUND_NODES = 25
 
 FEEDERS_SHARE = 0.5
 """Share of the time of the search for the most service that feeders' own searches may take."""
-
-SEARCH = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
-"""How HiGHS searches sets with the network in it: the time goes into the proof, and it may branch
-on how many of equal weight are served in a step. Of four windows that stayed open, all are proven
-in 1.5 to 5.3 s so."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -402,18 +396,16 @@ class NetworkMaster:
         """Search with binaries and some of the limits in the network, until so many units."""
         x = self.model.at["x"]
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
-        program = limited(self.network.with_cost(*self.lack), rows)
-        counted = with_sums(replace(program, integer=x.ravel()), self._alike())
-        solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH)
+        counted = self._counted(self.network.with_cost(*self.lack), rows)
+        solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH_OF_SETS)
         found = ProgramSolution.of_search(solver, patience)
         return replace(found, x=found.x[x.ravel()] if found.status.has_answer else found.x)
 
-    def _alike(self) -> list[Wholes]:
-        """Columns of the customers of each weight in each step."""
+    def _counted(self, program: Program, rows: list[Rows]) -> Program:
+        """A program with limits, binaries, and how many of each weight are served."""
         x = self.model.at["x"]
-        units = self.units.reshape(x.shape)[0]
-        kinds = [np.flatnonzero(units == weight) for weight in np.unique(units)]
-        return [columns[kind] for columns in x for kind in kinds if len(kind) > 1]
+        alike = columns_of_alike(x, self.site.customers.weight)
+        return with_sums(replace(limited(program, rows), integer=x.ravel()), alike)
 
     def _priced(self, linear: ProgramSolution) -> Flags:
         """Which of the limits found so far have a price in a linear solution.
@@ -442,12 +434,13 @@ class NetworkMaster:
         best = None
         bound = -np.inf
         size = -1
-        program = replace(self._enough(units_min), integer=x.ravel())
+        program = self._enough(units_min)
         while (
             known_gbp - bound > gap_gbp and not deadline.passed and len(self.network.found) > size
         ):
             size = len(self.network.found)
-            solver = limited(program, self.network.found).loaded(0.5 * gap_gbp, COST_NODES)
+            counted = self._counted(program, self.network.found)
+            solver = counted.loaded(0.5 * gap_gbp, COST_NODES, more=SEARCH_OF_SETS)
             found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)

@@ -24,15 +24,26 @@ from vppres.solve.network.program import SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.rules import rows_of_rules
-from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution
+from vppres.solve.programs import (
+    DIRECT,
+    SEARCH_OF_SETS,
+    Program,
+    ProgramSolution,
+    columns_of_alike,
+    with_sums,
+)
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import WindowTask
 
 DISC = 1e-4
 """Share of its radius by which a disc may be exceeded in a search."""
 
-SET_GAP = 0.5
-"""Part of the window's gap that the search may leave open."""
+SET_GAP = 0.8
+"""Part of the window's gap that the search may leave open: a dispatch within the discs and its
+tie-breakers need little of it."""
+
+BINDS = 0.1
+"""Share of the window's gap by which the network must lower the bound of shares of customers."""
 
 AGAIN = 0.999
 """Share of a gap below which another search to the smaller gap can tell anything new."""
@@ -48,16 +59,37 @@ def all_terms_in_network(task: WindowTask) -> None:
     Where the dispatch of a set is worth less than its search says, it has violated some limit, and
     the next search knows that.
     """
+    if task.data.load_kw.size <= SMALL:
+        _search_until_carried(task, _terms_of(task))
+
+
+def all_terms_where_the_network_binds(task: WindowTask) -> None:
+    """The same, if shares of customers are worth less in the network than the bound without it.
+
+    Then the network forbids the best set without it, or makes it dearer: a search for that one
+    would be in vain.
+    """
     if task.data.load_kw.size > SMALL:
         return
+    terms = _terms_of(task)
+    shares = terms.shares(task.deadline)
+    nearly = task.certificate.bound - BINDS * task.gap_so_far
+    if shares.status == Status.OPTIMAL and terms.worth(shares.value) < nearly:
+        _search_until_carried(task, terms)
+
+
+def _terms_of(task: WindowTask) -> NetworkTerms:
+    """The program of a window."""
+    reactance = task.cache.table(Reactance)
+    return NetworkTerms(task.site, reactance, task.data, rows_of_rules(task), task.gap_so_far)
+
+
+def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
+    """Search, each time with the limits found, until bound and dispatch meet or time is up."""
     known = task.certificate
-    gap = task.gap_to_best
-    terms = NetworkTerms(
-        task.site, task.cache.table(Reactance), task.data, rows_of_rules(task), gap
-    )
     while task.goes_on:
         limits = terms.limits
-        gap = task.gap_to_best
+        gap = task.gap_so_far
         outcome, whole = terms.search(gap, task.deadline)
         known.note("network_terms", outcome)
         if whole is None:
@@ -65,7 +97,7 @@ def all_terms_in_network(task: WindowTask) -> None:
             return
         known.bound_by(outcome.bound)
         known.keep(_carried(task, terms, whole))
-        nothing_new = terms.limits == limits and task.gap_to_best >= AGAIN * gap
+        nothing_new = terms.limits == limits and task.gap_so_far >= AGAIN * gap
         if outcome.status != Status.OPTIMAL or nothing_new:
             return
 
@@ -155,50 +187,56 @@ class NetworkTerms(NetworkProgram):
         """How many limits of the network are known."""
         return sum(len(rows.lower) for rows in self.found)
 
+    def shares(self, deadline: Deadline) -> ProgramSolution:
+        """The best value of F of shares of customers, with all limits that they violate."""
+        return self.until_carried(self.loaded(self.program), deadline, DISC)
+
     def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, Floats | None]:
         """The best value of F with the limits found, those of shares included, and its binaries.
 
         The linear problem comes first: most limits that ever bind have a violation there.
         """
         watch = Stopwatch()
-        linear = self.until_carried(self.loaded(self.program), deadline, DISC)
+        linear = self.shares(deadline)
         if linear.status != Status.OPTIMAL:
             return linear.outcome(watch.spent_s), None
         program = limited(replace(self.program, integer=self.whole), self.found)
-        solver = program.loaded(SET_GAP * gap / self.unit, more=PROOF)
+        alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
+        counted = with_sums(program, alike)
+        solver = counted.loaded(SET_GAP * gap / self.unit, more=SEARCH_OF_SETS)
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
-            self._worth(found.value),
-            self._worth(found.bound if np.isfinite(found.bound) else linear.value),
+            self.worth(found.value),
+            self.worth(found.bound if np.isfinite(found.bound) else linear.value),
             watch.spent_s,
             DIRECT,
         )
         return outcome, np.round(found.x[self.chosen]) if found.status.has_answer else None
 
-    def _worth(self, value: float) -> float:
+    def worth(self, value: float) -> float:
         """F of a value of the program."""
         return -value * self.unit - self.lost
 
     def dispatch(self, chosen: Floats, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
-        """The best dispatch of a set and its turns within the discs.
+        """The best dispatch of a set and its turns within the discs, whose limits are found.
 
         With the set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
         x = self.model.at["x"]
         served = chosen[: x.size].reshape(x.shape) > 0.5
-        if self.data.switching is not None:
-            data = replace(self.data.for_service(served), switching=None)
-            plain = NetworkTerms(self.site, self.model.reactance, data, None, self.unit)
-            return plain.dispatch(chosen, deadline)
         held = replace(
             self.program, x_lower=self.program.x_lower.copy(), x_upper=self.program.x_upper.copy()
         )
         held.x_lower[self.chosen] = chosen
         held.x_upper[self.chosen] = chosen
         found = self.until_carried(self.loaded(held), deadline, EXACT_DISC)
-        outcome = Outcome(found.status, self._worth(found.value), np.inf, watch.spent_s, DIRECT)
+        if self.data.switching is not None:
+            data = replace(self.data.for_service(served), switching=None)
+            plain = NetworkTerms(self.site, self.model.reactance, data, None, self.unit)
+            return plain.dispatch(chosen, deadline)
+        outcome = Outcome(found.status, self.worth(found.value), np.inf, watch.spent_s, DIRECT)
         done = found.status == Status.OPTIMAL
         return outcome, self.model.dispatch(self.columns(found), served) if done else None
 
