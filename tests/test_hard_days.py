@@ -22,10 +22,13 @@ from tests.support.small_windows import (
 )
 from vppres.control.converged import in_the_dark
 from vppres.io.python_door import check_scenario
+from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.solvers import find_solver, run
 
 # The days.
 
@@ -224,3 +227,57 @@ def test_all_terms_in_the_network_know_switching_rules(seed: int) -> None:
     assert ladder.objective == pytest.approx(monolith.objective, abs=1e-4)
     assert ladder.bound >= monolith.objective - 1e-6
     assert monolith.bound >= ladder.objective - 1e-6
+
+
+# Rules in the network.
+
+
+def test_a_window_whose_network_binds_is_searched_there_at_once() -> None:
+    """And a set that the discs refuse is not found again: its limits are known from then on."""
+    case = hard_window("rules", 12)
+    answer = WindowSolver(case.site).solve(case.data)
+    stages = [stage.replace("[highs]", "") for stage in answer.stages]
+    assert answer.status == Status.OPTIMAL
+    assert stages[:3] == ["shares", "network_terms", "network_dispatch:infeasible"]
+    assert stages.count("network_terms") == 2
+    assert "aggregate" not in stages
+    served = answer.dispatch.served
+    assert not case.data.switching.broken(served).any()
+    checked = check_dispatch(case.day.scenario, case.data.for_service(served), answer.dispatch)
+    assert checked.worst[1] < CHECKER_TOLERANCE
+
+
+def test_a_window_whose_network_does_not_bind_is_searched_without_it() -> None:
+    case = hard_window("rules", 12)
+    wide = replace(case.site.network, v_min_pu=0.5, v_max_pu=1.5)
+    site = Site.of(replace(case.day.scenario, network=wide))
+    answer = WindowSolver(site).solve(case.data)
+    assert [stage.partition("[")[0] for stage in answer.stages[:2]] == ["shares", "aggregate"]
+
+
+# Counts to branch on.
+
+
+def test_counts_say_how_many_of_a_weight_are_served() -> None:
+    case = hard_window("rules", 7)
+    customers = case.site.customers
+    model = AggregateModel(case.site, 3, lumped=True, switching=rule_steps(case.data.first(3)))
+    model.fill(case.data.first(3))
+    run(model.problem, find_solver("highs"), 0.0, 10.0)
+    counts = next(v for v in model.problem.variables() if v.name() == "counts").value
+    weights, many = np.unique(customers.weight, return_counts=True)
+    served = np.round(model.x.value)
+    of_weight = [served[:, customers.weight == w].sum(axis=1) for w in weights[many > 1]]
+    assert np.allclose(counts, np.transpose(of_weight))
+
+
+def test_customers_of_different_weights_have_no_counts() -> None:
+    site = hard_window("rules", 7).site
+    apart = replace(site.customers, weight=1.0 + np.arange(len(site.customers)))
+    model = AggregateModel(replace(site, customers=apart), 2)
+    assert "counts_of_alike" not in model.constraints
+
+
+def test_only_highs_is_told_how_to_search_for_sets() -> None:
+    assert find_solver("highs").of_sets["mip_allow_restart"] is False
+    assert not find_solver("scip").of_sets
