@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from vppres.solve.network.rows import Rows
 from vppres.solve.programs import (
     DIRECT,
     SEARCH_OF_SETS,
+    SUMS_KEPT,
     Program,
     ProgramSolution,
     compiled,
@@ -37,6 +39,13 @@ EFFORT = Effort(most_lost=100.0, nodes=2000, gap=0.02, least_cut=0.01, room=1e-4
 
 SET_GAP = 0.5
 """Part of the window's gap that the search with all cuts may leave open."""
+
+SEARCHES: tuple[tuple[int | None, Mapping[str, Any]], ...] = (
+    (100, SEARCH_OF_SETS),
+    (None, {"presolve_rule_off": SUMS_KEPT}),
+)
+"""Nodes and options of the searches for set and modes, one after the other: most windows end within
+40 nodes of the first, in a third of the time of the second; others need HiGHS's own searches."""
 
 SAME = 1e-6
 """Relative difference up to which two linear problems have the same optimum."""
@@ -94,9 +103,12 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
         program = _with_cuts(program, cuts)
     bound = -linear.value * gap if linear.status == Status.OPTIMAL else relaxed
     turns = with_sums(program, list(places.T))
-    answer = ProgramSolution.of(turns.loaded(SET_GAP, more=SEARCH_OF_SETS), task.search)
-    if np.isfinite(answer.bound):
-        bound = min(bound, -answer.bound * gap)
+    for nodes, options in SEARCHES:
+        answer = ProgramSolution.of(turns.loaded(SET_GAP, nodes, more=options), task.search)
+        if np.isfinite(answer.bound):
+            bound = min(bound, -answer.bound * gap)
+        if answer.status == Status.OPTIMAL or task.search.passed:
+            break
     if not answer.status.has_answer:
         return Apart(Outcome(answer.status, np.nan, bound, watch.spent_s, DIRECT), None, {})
     outcome = Outcome(answer.status, -answer.value * gap, bound, watch.spent_s, DIRECT)
