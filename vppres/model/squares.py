@@ -13,6 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
+from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Variables
 
@@ -42,8 +43,8 @@ class Tangents:
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the largest flows of a window."""
         reach = np.tile(largest_flow(site, data), (data.n_steps, 1))
-        self.reach.value = reach
-        self.reach_squared.value = reach**2
+        write(self.reach, reach)
+        write(self.reach_squared, reach**2)
 
     def f4(self, site: Site, v: Variables) -> cp.Expression:
         """Proxy of the ohmic losses, from below."""

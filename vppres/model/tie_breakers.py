@@ -132,7 +132,9 @@ class Near:
 
     def fill(self, moves: Moves, p_max_kw: Floats) -> None:
         """Write the previous plan."""
-        self.factor.value, self.value.value = moves.targets(p_max_kw)
+        factor, value = moves.targets(p_max_kw)
+        write(self.factor, factor)
+        write(self.value, value)
 
 
 class TieBreakerModel:
@@ -320,19 +322,19 @@ class TieBreakerModel:
         """Write the window's data and what is held of a dispatch."""
         self.p.fill(self.site, data, dispatch.served)
         self.held.fill(self.site, data, charging)
-        self.held.f2.value = f2_held_gbp
-        self.held.f3.value = f3_held_kwh
+        write(self.held.f2, f2_held_gbp)
+        write(self.held.f3, f3_held_kwh)
         if self.physical is not None:
             self.physical.fill(self.site, data)
         if self.terminal is not None:
             fill_end(self.terminal, self.site, data)
         if self.kept_share is not None:
             kept = dispatch.soc[-1] @ self.site.batteries.energy_kwh / self._capacity_kwh
-            self.kept_share.value = kept - KEPT_TOLERANCE
+            write(self.kept_share, kept - KEPT_TOLERANCE)
         if self.export is not None:
             exporting = exporting_steps(dispatch)
             self.export.fill(self.site, data, exporting)
-            self.p.P_grid_max.value = np.where(exporting, 0.0, self.p.P_grid_max.value)
+            write(self.p.P_grid_max, np.where(exporting, 0.0, self.p.P_grid_max.value))
         if self.near is not None and data.moves is not None:
             self.near.fill(data.moves, self.site.batteries.p_max_kw)
 

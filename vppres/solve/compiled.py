@@ -32,11 +32,12 @@ class Numbers:
     """Minimise ``x @ P @ x / 2 + cost @ x`` where ``limit - rows @ x`` lies in the cones.
 
     ``squares`` is the upper triangle of P, empty without squares; shapes are (n, n), (n,), (m, n)
-    and (m,).
+    and (m,). What the objective has besides is ``offset``.
     """
 
     squares: sp.csc_array
     cost: Floats
+    offset: float
     rows: sp.csc_array
     limit: Floats
 
@@ -104,10 +105,12 @@ class Compiled:
         columns = program.var_id_to_col
         compiled = {v.id: places.get(v.id, [v.id])[0] for v in problem.variables()}
         self.first = {own: columns[new] for own, new in compiled.items() if new in columns}
-        self._variables = [v for v in problem.variables() if v.id in self.first]
+        known = [v for v in problem.variables() if v.id in self.first]
+        starts = [self.first[v.id] for v in known]
+        self._places = [(v, k, k + v.size, v.shape) for v, k in zip(known, starts, strict=True)]
         self._empty = [v for v in problem.variables() if v.id not in self.first]
         # What cvxpy does with variables that are not simply free, if any is not.
-        self._projects = bool(attributes_present(self._variables, CONVEX_ATTRIBUTES))
+        self._projects = bool(attributes_present(known, CONVEX_ATTRIBUTES))
 
     def _keep_bounds(self, program: Any, count: int) -> None:
         """Bounds of the columns, and which of them are whole numbers."""
@@ -140,11 +143,12 @@ class Compiled:
         entries = self._rows @ values
         limit = np.zeros(self._pattern.shape[0])
         limit[self._limited] = entries[self._entries :]
-        cost = (self._cost @ values)[:-1]
+        cost = self._cost @ values
         squares = self._triangle
         if self._squares is not None:
             squares = _like(squares, (self._squares @ values)[self._kept])
-        found = Numbers(squares, cost, _like(self._pattern, -entries[: self._entries]), limit)
+        rows = _like(self._pattern, -entries[: self._entries])
+        found = Numbers(squares, cost[:-1], float(cost[-1]), rows, limit)
         _check(found)
         return found
 
@@ -152,9 +156,8 @@ class Compiled:
         """Give the variables the values of a solution."""
         for variable in self._empty:
             variable.save_value(np.zeros(variable.shape))
-        for variable in self._variables:
-            first = self.first[variable.id]
-            value = np.reshape(x[first : first + variable.size], variable.shape, order="F")
+        for variable, first, end, shape in self._places:
+            value = x[first:end].reshape(shape, order="F")
             variable.save_value(variable.project(value) if self._projects else value)
 
 

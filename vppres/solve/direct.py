@@ -20,8 +20,8 @@ from vppres.core.arrays import Floats
 from vppres.solve.compiled import Compiled, Numbers
 
 
-def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str, Any]:
-    """Solve a problem without cones; cvxpy's word for how it ended, and HiGHS's own figures.
+def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str, Any, float]:
+    """Solve a problem without cones: cvxpy's word for how it ended, HiGHS's figures, the least.
 
     Raises
     ------
@@ -35,12 +35,14 @@ def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str,
     for name, value in options.items():
         if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
-    solver.passModel(_model(compiled, compiled.numbers()))
+    numbers = compiled.numbers()
+    solver.passModel(_model(compiled, numbers))
     solver.run()
     word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:
         compiled.put(np.array(solver.getSolution().col_value))
-    return word, solver.getInfo()
+    info = solver.getInfo()
+    return word, info, info.objective_function_value + numbers.offset
 
 
 def _model(compiled: Compiled, numbers: Numbers) -> highspy.HighsModel:

@@ -247,7 +247,7 @@ def _solve_cost(
     if conic:
         outcome = run_conic(model.problem, deadline.left_s)
     else:
-        outcome = run(model.problem, spec, gap_gbp, deadline.left_s)
+        outcome = run(model.problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
     return Attempt(outcome, model.dispatch(served), model.both_kw())

@@ -38,10 +38,18 @@ WIDE = 100
 """Columns for each row beyond which a linear problem is not presolved. HiGHS compares them with
 each other, which at 40,000 takes 40 s for a solution of nine iterations."""
 
+LIGHT = 2_000
+"""Entries up to which the fleet's linear problems are not presolved: that would take longer than
+the few iterations that they need."""
+
+
+NO_JUMPS = MappingProxyType({"mip_heuristic_run_feasibility_jump": False})
+"""Options for a search whose first linear solution is nearly an answer: HiGHS does not jump about
+for one before it, which in small searches takes half of their time."""
 
 NO_SETS_OF_THEIR_OWN = MappingProxyType(
     {
-        "mip_heuristic_run_feasibility_jump": False,
+        **NO_JUMPS,
         "mip_heuristic_run_rins": False,
         "mip_heuristic_run_rens": False,
     }
@@ -125,6 +133,10 @@ class Program:
         prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
         return np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
 
+    def by_shares(self) -> Program:
+        """The program without whole numbers."""
+        return replace(self, integer=np.arange(0))
+
     @property
     def is_wide(self) -> bool:
         """Whether it is a linear problem of hardly any rows."""
@@ -164,6 +176,11 @@ class Program:
                 "large. Check the data for extreme values."
             )
         return solver
+
+    def loaded_by_shares(self) -> highspy.Highs:
+        """A solver that has the program without whole numbers; a light one as it is."""
+        light = self.rows.nnz <= LIGHT
+        return self.by_shares().loaded(more={"presolve": "off"} if light else {})
 
     def _model(self) -> highspy.HighsModel:
         """The program in HiGHS's own form."""
@@ -256,6 +273,13 @@ class ProgramSolution:
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
+
+
+def add_row(
+    solver: highspy.Highs, columns: Wholes, values: Floats, lower: float, upper: float
+) -> None:
+    """Add a row to a solver, which keeps its basis."""
+    solver.addRow(lower, upper, len(columns), columns.astype(np.int32), values)
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

@@ -31,7 +31,7 @@ from vppres.model.forms import (
     with_polygons,
 )
 from vppres.model.linearise import Drawn
-from vppres.model.numerics import disc_sides, require_dpp
+from vppres.model.numerics import disc_sides, require_dpp, write
 from vppres.model.polygons import Polygon
 from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
@@ -153,22 +153,22 @@ class ShadowPriceModel:
         if self.terminal is not None:
             fill_end(self.terminal, self.site, data)
             if isinstance(self.terminal, ValueAtEnd):
-                self.terminal.gbp.value = priced.cost * self.terminal.gbp.value
-                self.terminal.share.value = priced.service * self.terminal.share.value
+                write(self.terminal.gbp, priced.cost * self.terminal.gbp.value)
+                write(self.terminal.share, priced.service * self.terminal.share.value)
             else:
-                self.terminal.price.value = priced.cost * self.terminal.price.value
+                write(self.terminal.price, priced.cost * self.terminal.price.value)
         if self.export is not None:
             self.export.fill(self.site, padded)
-            self.export.sigma_dt.value = priced.cost * self.export.sigma_dt.value
-        self.x_min.value = _rows(held.service_min, missing)
-        self.x_max.value = _rows(held.service_max, missing)
-        self.mode_min.value = held.mode_min
-        self.mode_max.value = held.mode_max
-        self.weight_f1.value = priced.service
-        self.weight_f3.value = priced.curtailment
+            write(self.export.sigma_dt, priced.cost * self.export.sigma_dt.value)
+        write(self.x_min, _rows(held.service_min, missing))
+        write(self.x_max, _rows(held.service_max, missing))
+        write(self.mode_min, held.mode_min)
+        write(self.mode_max, held.mode_max)
+        write(self.weight_f1, priced.service)
+        write(self.weight_f3, priced.curtailment)
         # All PV energy of the window is a limit that never binds.
         everything = float(data.pv_kw.sum()) * self.site.dt_h + 1.0
-        self.f3_max.value = min(priced.curtailed_max_kwh, everything)
+        write(self.f3_max, min(priced.curtailed_max_kwh, everything))
 
 
 def _padded(data: WindowData, missing: int) -> WindowData:

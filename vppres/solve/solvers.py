@@ -18,7 +18,7 @@ from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
-from vppres.solve.programs import SEARCH_OF_SETS
+from vppres.solve.programs import NO_JUMPS, SEARCH_OF_SETS
 from vppres.solve.result import Outcome, Status
 
 INTERIOR_POINTS = "clarabel"
@@ -43,12 +43,15 @@ class Answer:
         The solver's own figures.
     mixed_integer, has_values : bool
         Whether the problem has whole numbers; whether its variables got values.
+    least : float, optional
+        Value of the problem as one of a minimum, where the solver says it.
     """
 
     word: str
     stats: Any
     mixed_integer: bool
     has_values: bool
+    least: float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ class SolverSpec:
         ``answer -> Status`` for answers that cvxpy does not call optimal.
     of_sets : mapping
         Options of the solver for a search for sets, whose time goes into the proof.
+    of_modes : mapping
+        The same for a search for modes of known sets, whose rounding finds answers at once.
     """
 
     name: str
@@ -81,6 +86,7 @@ class SolverSpec:
     slack: Callable[[Answer], float]
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
+    of_modes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def installed(self) -> bool:
@@ -152,6 +158,7 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_slack,
             _highs_ended,
             SEARCH_OF_SETS,
+            NO_JUMPS,
         ),
         SolverSpec(
             "scip",
@@ -283,7 +290,7 @@ def run_with(
     if answer is None or not status.has_answer:
         return Outcome(status, np.nan, np.nan, elapsed, spec.name)
     sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
-    value = float(problem.objective.value)
+    value = float(problem.objective.value) if answer.least is None else -sign * answer.least
     bound = value + sign * max(spec.slack(answer), 0.0)
     return Outcome(status, value / scale, bound / scale, elapsed, spec.name)
 
@@ -365,10 +372,10 @@ def _by_highs(
     known = _in_time(problem, interface, deadline)
     if known is None:
         return None
-    word, info = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)))
+    word, info, least = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)))
     if word == cp.SOLVER_ERROR:
         raise cp.SolverError("HiGHS gave up.")
-    return Answer(word, info, len(known.whole) > 0, word in cp.settings.SOLUTION_PRESENT)
+    return Answer(word, info, len(known.whole) > 0, word in cp.settings.SOLUTION_PRESENT, least)
 
 
 def _by_clarabel(

@@ -17,6 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.constraints import AddedDemand, Named, at_slack_bus
 from vppres.model.data import WindowData
+from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Mode
 
@@ -90,8 +91,8 @@ class ExportToGrid:
         """Write a window's data, with the steps in which export is held to be the direction."""
         assert data.export is not None
         most = data.export_max_kw(site)
-        self.P_out_max.value = most if exporting is None else np.where(exporting, most, 0.0)
-        self.sigma_dt.value = data.export.price_gbp_per_kwh * site.dt_h
+        write(self.P_out_max, most if exporting is None else np.where(exporting, most, 0.0))
+        write(self.sigma_dt, data.export.price_gbp_per_kwh * site.dt_h)
 
     def most_earned_gbp(self) -> Floats:
         """What the largest export of each step earns, negative where it costs, (W,)."""

@@ -16,6 +16,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.constraints import Named, battery_soc_limits
 from vppres.model.data import Physics, WindowData
+from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -80,7 +81,7 @@ class PhysicalParameters:
             "SoC_min": site.batteries.soc_min + physics.soc_reserve,
         }
         for f in fields(self):
-            getattr(self, f.name).value = values[f.name]
+            write(getattr(self, f.name), values[f.name])
 
     @property
     def rating(self) -> cp.Parameter | None:

@@ -13,6 +13,7 @@ import cvxpy as cp
 
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.model.constraints import Named
+from vppres.model.numerics import write
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class ValueAtEnd:
 
     def fill(self, value: StoredValue) -> None:
         """Write the lines and what they count as."""
-        self.slope.value = value.slope
-        self.offset.value = value.offset
-        self.gbp.value = value.gbp_as_cost
-        self.share.value = float(value.as_service)
+        write(self.slope, value.slope)
+        write(self.offset, value.offset)
+        write(self.gbp, value.gbp_as_cost)
+        write(self.share, float(value.as_service))

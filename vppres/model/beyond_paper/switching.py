@@ -18,6 +18,7 @@ from vppres.contract.switching import RuleSteps, SwitchingData
 from vppres.core.arrays import Floats
 from vppres.model.constraints import AddedDemand, Named
 from vppres.model.data import WindowData
+from vppres.model.numerics import write
 from vppres.model.site import Site
 
 
@@ -56,9 +57,9 @@ class ColdDemand:
         """Write the added demand, and the added self-consumption of PV owners."""
         cold = data.all_cold()
         added: Floats = cold.load_kw - data.load_kw
-        self.P_cold.value = added
-        self.Q_cold.value = added * site.customers.q_per_p
-        self.P_self_cold.value = cold.self_limit_kw(site) - data.self_limit_kw(site)
+        write(self.P_cold, added)
+        write(self.Q_cold, added * site.customers.q_per_p)
+        write(self.P_self_cold, cold.self_limit_kw(site) - data.self_limit_kw(site))
 
 
 class SwitchingModel:
@@ -101,15 +102,14 @@ class SwitchingModel:
         """Write the window's rules."""
         rules = data.switching
         assert rules is not None
-        self.x_before.value = rules.served_before.astype(float)
-        self.x_min.value, self.x_max.value = (
-            v.astype(float) for v in (rules.served_min, rules.served_max)
-        )
-        self.actions_left.value = np.minimum(rules.actions_left, 2.0 * data.n_steps)
-        self.in_day.value = rules.in_day.astype(float)
-        self.price.value = rules.price_per_action
+        write(self.x_before, rules.served_before.astype(float))
+        write(self.x_min, rules.served_min.astype(float))
+        write(self.x_max, rules.served_max.astype(float))
+        write(self.actions_left, np.minimum(rules.actions_left, 2.0 * data.n_steps))
+        write(self.in_day, rules.in_day.astype(float))
+        write(self.price, rules.price_per_action)
         if self.cold is not None:
-            self.cold_before.value = rules.cold_before.astype(float)
+            write(self.cold_before, rules.cold_before.astype(float))
             self.cold.fill(self.site, data)
 
 

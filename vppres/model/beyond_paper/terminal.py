@@ -13,6 +13,7 @@ import cvxpy as cp
 
 from vppres.core.arrays import Floats
 from vppres.model.constraints import Named
+from vppres.model.numerics import write
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +54,8 @@ class HeldAtEnd:
 
     def fill(self, target_kwh: Floats, price_gbp_per_kwh: float) -> None:
         """Write what is to be held, (G,), and the price of what is missing."""
-        self.target_kwh.value = target_kwh
-        self.price.value = price_gbp_per_kwh
+        write(self.target_kwh, target_kwh)
+        write(self.price, price_gbp_per_kwh)
 
     @property
     def worst_gbp(self) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import highspy
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
@@ -22,7 +23,7 @@ from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
-from vppres.solve.programs import DIRECT, PROOF, SMALL_PROOF, Program, ProgramSolution
+from vppres.solve.programs import DIRECT, PROOF, SMALL_PROOF, Program, ProgramSolution, add_row
 from vppres.solve.result import Outcome, Status
 
 TOLERANCE = 1e-6
@@ -99,24 +100,32 @@ def runs(flags: Flags) -> list[Flags]:
 class _Layout:
     """Columns of the master: demand of each step, loss, cost, shares, counts.
 
-    ``step`` and ``customer`` say what a share stands for, ``count`` which count it belongs to;
-    ``weight`` and ``count_step`` say it of the counts.
+    ``step`` and ``customer`` say what a share stands for, ``load_kw`` what it needs, ``count``
+    which count it belongs to and ``rank`` how many of that count need less; ``weight`` and
+    ``count_step`` say it of the counts.
     """
 
     n_steps: int
     step: Wholes
     customer: Wholes
+    load_kw: Floats
     count: Wholes
+    rank: Wholes
     count_step: Wholes
     weight: Wholes
 
     @classmethod
-    def of(cls, units: Wholes, able: Flags, free: Flags) -> _Layout:
+    def of(cls, units: Wholes, able: Flags, free: Flags, load_kw: Floats) -> _Layout:
         """Shares and counts of the steps in which not everyone is served."""
         step, customer = np.nonzero(able & free[:, None] & (units > 0))
         span = int(units.max(initial=0)) + 1
         pairs, count = np.unique(step * span + units[customer], return_inverse=True)
-        return cls(len(free), step, customer, count, pairs // span, pairs % span)
+        load = load_kw[step, customer]
+        order = np.lexsort((load, count))
+        rank = np.empty(len(order), dtype=np.int64)
+        first = np.cumsum(np.bincount(count)) - np.bincount(count)
+        rank[order] = np.arange(len(order)) - first[count[order]]
+        return cls(len(free), step, customer, load, count, rank, pairs // span, pairs % span)
 
     @property
     def lost(self) -> int:
@@ -138,29 +147,24 @@ class _Layout:
         """Number of columns."""
         return self.n_steps + 2 + len(self.step) + len(self.weight)
 
-    def rows(self, load_kw: Floats) -> sp.csc_array:
+    def rows(self) -> sp.csc_array:
         """Demand of each step less what the shares need, then counts less shares."""
-        shares = self.n_steps + 2 + np.arange(len(self.step))
-        steps = np.arange(self.n_steps)
-        demand = sp.coo_array(
+        steps, shares, members = self.n_steps, len(self.step), len(self.weight)
+        own = np.stack([self.step, steps + self.count])
+        needed = np.stack([-self.load_kw, np.full(shares, -1.0)])
+        entries = np.repeat([1, 0, 2, 1], [steps, 2, shares, members])
+        return sp.csc_array(
             (
-                np.concatenate([np.ones(self.n_steps), -load_kw[self.step, self.customer]]),
-                (np.concatenate([steps, self.step]), np.concatenate([steps, shares])),
+                np.concatenate([np.ones(steps), needed.ravel("F"), np.ones(members)]),
+                np.concatenate([np.arange(steps), own.ravel("F"), steps + np.arange(members)]),
+                np.append(0, np.cumsum(entries)),
             ),
-            shape=(self.n_steps, self.size),
+            shape=(steps + members, self.size),
         )
-        members = len(self.weight)
-        counted = sp.coo_array(
-            (
-                np.concatenate([np.ones(members), np.full(len(shares), -1.0)]),
-                (
-                    np.concatenate([np.arange(members), self.count]),
-                    np.concatenate([self.counts, shares]),
-                ),
-            ),
-            shape=(members, self.size),
-        )
-        return sp.csc_array(sp.vstack([demand, counted]))
+
+    def serve(self, served: Flags, counts: Wholes) -> None:
+        """Leave out all but so many of each weight, those with the smallest demand."""
+        served[self.step, self.customer] = self.rank < counts[self.count]
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +225,7 @@ class Counts:
         search = self.deadline.part(SERVICE_SHARE)
         free = ~self.unlimited
         self.gap = gap
-        found = self._carried(lambda: self._most(free, False, self.deadline), self.deadline)
+        found = self._carried(self._most_by_shares(free), self.deadline)
         if found.status == Status.OPTIMAL:
             solved: dict[tuple[bytes, int], _Found] = {}
             whole = self._step_by_step(found, free) or self._carried(
@@ -269,14 +273,10 @@ class Counts:
         self, free: Flags, units_min: float, known_gbp: float, gap_gbp: float
     ) -> tuple[_Found, bool]:
         """Least cost of so many units, and whether its bound says that there is no set to find."""
-        found = self._carried(
-            lambda: self._least(free, units_min, 0.0, integer=False), self.deadline
-        )
+        found = self._carried(self._least_by_shares(free, units_min), self.deadline)
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
         if found.status == Status.OPTIMAL and not near:
-            whole = self._carried(
-                lambda: self._least(free, units_min, gap_gbp, integer=True), self.deadline
-            )
+            whole = self._carried(lambda: self._least(free, units_min, gap_gbp), self.deadline)
             if whole.status.has_answer:
                 found = whole
             else:
@@ -366,20 +366,21 @@ class Counts:
 
     def _prices(self, free: Flags, needs: list[int], joining: list[Cut]) -> list[float] | None:
         """Prices of some cuts at the least cost of shares of customers, as units of GBP."""
-        layout, program = self._program(free, self.cuts)
+        layout, program = self._program(free)
         program.cost[layout.spent] = 1.0
-        enough = np.zeros((len(needs), layout.size))
-        for row, block in zip(enough, self.blocks, strict=True):
-            row[layout.counts] = layout.weight * block[layout.count_step]
-        whole = program.with_rows(sp.csc_array(enough), np.array(needs, dtype=float))
-        solver = replace(whole, integer=np.arange(0)).loaded()
+        solver = program.loaded_by_shares()
+        for cut in self.cuts:
+            cut.add_to(solver)
+        for need, block in zip(needs, self.blocks, strict=True):
+            own = block[layout.count_step]
+            add_row(solver, layout.counts[own], layout.weight[own].astype(float), need, np.inf)
         answer = ProgramSolution.of(solver, self.deadline)
         if answer.status != Status.OPTIMAL:
             return None
-        first = len(program.lower) - len(self.cuts)
+        first = len(program.lower)
         wanted = {id(cut) for cut in joining}
         return [
-            max(float(answer.row_dual[first + k]), 0.0)
+            max(-float(answer.row_dual[first + k]), 0.0)
             for k, cut in enumerate(self.cuts)
             if id(cut) in wanted
         ]
@@ -387,12 +388,11 @@ class Counts:
     def _least_demand(self, block: Flags, units: int, price: Floats, gap_gbp: float) -> _Found:
         """Cheapest demand of a block's sets of so many units, at a price of each step's kW."""
         cuts = [cut for cut in self._touching(block) if not self._joins_blocks(cut)]
-        layout, program = self._program(block, cuts)
+        layout, program = self._program(block)
         program.cost[: layout.n_steps] = price * block
-        enough = np.zeros((1, layout.size))
-        enough[0, layout.counts] = layout.weight
-        program = program.with_rows(sp.csc_array(enough), np.array([float(units)]))
-        return self._solve(program, layout, gap_gbp, True, self.deadline)
+        solver = self._search(program, layout, cuts, gap_gbp)
+        add_row(solver, layout.counts, layout.weight.astype(float), units, np.inf)
+        return self._found(solver, layout, self.deadline)
 
     def _at_its_cost(self, served: Flags) -> _Found | None:
         """A set at the least cost of the fleet; None if the fleet cannot carry it, which is a cut.
@@ -479,7 +479,7 @@ class Counts:
 
         Then it still bounds the service.
         """
-        layout, _ = self._program(free, [])
+        layout, _ = self._program(free)
         joined = len(self.outages) > 1 or any(cut.weights[-2] for cut in self.cuts)
         if not self.whole or joined or len(layout.weight) <= FEW_COUNTS:
             return None
@@ -530,7 +530,7 @@ class Counts:
             return None
         left_out = [step.left_out[way] for step, way in zip(losses, ways, strict=True)]
         served = self.able.copy()
-        self._choose(served, layout, np.bincount(layout.count) - np.concatenate(left_out))
+        layout.serve(served, np.bincount(layout.count) - np.concatenate(left_out))
         value = self.least[0] - int((served[free] * self.units).sum())
         point = np.append((self.load_kw * served).sum(axis=1), [self.least[0], self.worst[1]])
         return _Found(Status.OPTIMAL, value, value, served, point)
@@ -552,7 +552,7 @@ class Counts:
         for block in blocks:
             key = block.tobytes(), len(self._touching(block))
             if key not in solved:
-                solved[key] = self._most(block, True, deadline, 1.0 / len(blocks))
+                solved[key] = self._most(block, deadline, 1.0 / len(blocks))
             if not solved[key].status.has_answer:
                 return solved[key]
             parts.append(solved[key])
@@ -572,12 +572,12 @@ class Counts:
         """Flags in which not everyone is served, in groups that share a cut."""
         if not free.any() or any(cut.weights[-2] for cut in self.cuts):
             return [free]  # loss is one quantity of the whole window
-        joined = np.array(
-            [cut.weights[:-2] * free != 0.0 for cut in self.cuts]
-            or np.zeros((0, len(free)), dtype=bool),
-            dtype=int,
-        )
-        _, group = connected_components(sp.csr_array(joined.T @ joined), directed=False)
+        weights = np.array([cut.weights[:-2] for cut in self.cuts]).reshape(-1, len(free))
+        joined = (weights != 0.0) & free
+        if (joined.sum(axis=1) == free.sum()).any():
+            return [free]
+        pairs = joined.T.astype(int) @ joined.astype(int)
+        _, group = connected_components(sp.csr_array(pairs), directed=False)
         return [free & (group == number) for number in np.unique(group[free])]
 
     def _touching(self, block: Flags) -> list[Cut]:
@@ -587,7 +587,6 @@ class Counts:
     def _most(
         self,
         block: Flags,
-        integer: bool,
         deadline: Deadline,
         share: float = 1.0,
         least_kw: Floats | None = None,
@@ -598,24 +597,20 @@ class Counts:
         which bounds are none.
         """
         cuts = self._touching(block)
-        layout, program = self._program(block, cuts)
-        program.cost[layout.lost] = 1.0
-        program.cost[layout.counts] = -layout.weight
-        program.x_lower[layout.spent] = self.worst[1]
+        layout, program = self._of_service(block)
         if least_kw is not None:
             steps = slice(0, layout.n_steps)
             program.x_lower[steps] = np.maximum(program.x_lower[steps], least_kw)
-        whole = integer and self.whole and not any(cut.weights[layout.lost] for cut in cuts)
-        gap = LOSSY_GAP_SHARE * self.gap
-        if whole:
-            # Below one unit a whole number is known; a window of many units needs no such proof.
-            gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
-        if not whole:
-            return self._solve(program, layout, gap, integer, deadline)
+        if not self.whole or any(cut.weights[layout.lost] for cut in cuts):
+            solver = self._search(program, layout, cuts, LOSSY_GAP_SHARE * self.gap)
+            return self._found(solver, layout, deadline)
+        # Below one unit a whole number is known; a window of many units needs no such proof.
+        gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
         nodes = SERVICE_NODES if self.load_kw.size <= FEW_BINARIES else None
-        found = self._solve(program, layout, gap, integer, deadline, nodes, proven + HALF_UNIT)
+        solver = self._search(program, layout, cuts, gap, nodes, proven + HALF_UNIT)
+        found = self._found(solver, layout, deadline)
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.
@@ -625,33 +620,59 @@ class Counts:
         ended = found.value <= bound + HALF_UNIT
         return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
 
-    def _least(self, free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
-        """Least cost of so many units."""
-        layout, plain = self._program(free, self.cuts)
-        plain.cost[layout.spent] = 1.0
-        enough = np.zeros((1, layout.size))
-        enough[0, layout.counts] = layout.weight
-        enough[0, layout.lost] = -1.0
-        anyway = (self.able[~free] * self.units).sum()
-        program = plain.with_rows(sp.csc_array(enough), np.array([units_min - anyway]))
-        nodes = COST_NODES if len(self.outages) > 1 else None
-        return self._solve(program, layout, gap_gbp, integer, self.deadline, nodes)
+    def _most_by_shares(self, free: Flags) -> Callable[[], _Found]:
+        """The same of all free steps by shares of customers, each time with the cuts there are."""
+        layout, program = self._of_service(free)
+        return self._by_shares(program.loaded_by_shares(), layout)
 
-    def _program(self, free: Flags, cuts: list[Cut]) -> tuple[_Layout, Program]:
-        """Limits of demand, loss and cost, shares and counts, and cuts; without objective."""
+    def _least(self, free: Flags, units_min: float, gap_gbp: float) -> _Found:
+        """Least cost of so many units."""
+        layout, program = self._of_cost(free)
+        nodes = COST_NODES if len(self.outages) > 1 else None
+        solver = self._search(program, layout, self.cuts, gap_gbp, nodes)
+        self._ask_for(units_min, free, layout, solver)
+        return self._found(solver, layout, self.deadline)
+
+    def _least_by_shares(self, free: Flags, units_min: float) -> Callable[[], _Found]:
+        """The same by shares of customers, each time with the cuts there are."""
+        layout, program = self._of_cost(free)
+        solver = program.loaded_by_shares()
+        self._ask_for(units_min, free, layout, solver)
+        return self._by_shares(solver, layout)
+
+    def _ask_for(
+        self, units_min: float, free: Flags, layout: _Layout, solver: highspy.Highs
+    ) -> None:
+        """Add a row: so many units, those of connected steps included."""
+        anyway = (self.able[~free] * self.units).sum()
+        columns = np.append(layout.counts, layout.lost)
+        add_row(solver, columns, np.append(layout.weight, -1.0), units_min - anyway, np.inf)
+
+    def _of_service(self, free: Flags) -> tuple[_Layout, Program]:
+        """A program of the loss less the service, in units."""
+        layout, program = self._program(free)
+        program.cost[layout.lost] = 1.0
+        program.cost[layout.counts] = -layout.weight
+        program.x_lower[layout.spent] = self.worst[1]
+        return layout, program
+
+    def _of_cost(self, free: Flags) -> tuple[_Layout, Program]:
+        """A program of the cost."""
+        layout, program = self._program(free)
+        program.cost[layout.spent] = 1.0
+        return layout, program
+
+    def _program(self, free: Flags) -> tuple[_Layout, Program]:
+        """Limits of demand, loss and cost, shares and counts; without objective and cuts."""
         key = free.tobytes()
         if key not in self.plain:
-            self.plain[key] = self._without_cuts(free)
+            self.plain[key] = self._new_program(free)
         layout, plain = self.plain[key]
-        weights = np.array([-cut.weights for cut in cuts]).reshape(len(cuts), layout.n_steps + 2)
-        step, column = np.nonzero(weights)
-        rows = sp.csc_array((weights[step, column], (step, column)), shape=(len(cuts), layout.size))
-        program = plain.with_rows(rows, np.array([-cut.most for cut in cuts]))
-        return layout, replace(program, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
+        return layout, replace(plain, cost=plain.cost.copy(), x_lower=plain.x_lower.copy())
 
-    def _without_cuts(self, free: Flags) -> tuple[_Layout, Program]:
-        """The same before the first cut."""
-        layout = _Layout.of(self.units, self.able, free)
+    def _new_program(self, free: Flags) -> tuple[_Layout, Program]:
+        """The same when it is asked for the first time."""
+        layout = _Layout.of(self.units, self.able, free, self.load_kw)
         members = np.bincount(layout.count, minlength=len(layout.weight)).astype(float)
         lower = np.zeros(layout.size)
         upper = np.ones(layout.size)
@@ -665,41 +686,51 @@ class Counts:
             np.zeros(layout.size),
             lower,
             upper,
-            layout.rows(self.load_kw),
+            layout.rows(),
             np.zeros(len(most)),
             most,
             layout.counts,
         )
 
-    def _solve(
+    def _search(
         self,
         program: Program,
         layout: _Layout,
+        cuts: list[Cut],
         gap_abs: float,
-        integer: bool,
-        deadline: Deadline,
         nodes: int | None = None,
         enough: float = -np.inf,
-    ) -> _Found:
-        """Solve a program once, a search to so many nodes; nothing is below ``enough``."""
-        whole = program if integer else replace(program, integer=np.arange(0))
+    ) -> highspy.Highs:
+        """A search with cuts, to so many nodes; nothing is below ``enough``."""
         small = layout.n_steps >= LONG and len(layout.weight) <= FEW_COUNTS
-        proof = SMALL_PROOF if small else PROOF
-        solver = whole.loaded(gap_abs, nodes if integer else None, enough, proof)
+        solver = program.loaded(gap_abs, nodes, enough, SMALL_PROOF if small else PROOF)
+        for cut in cuts:
+            cut.add_to(solver)
+        return solver
+
+    def _by_shares(self, solver: highspy.Highs, layout: _Layout) -> Callable[[], _Found]:
+        """Asks a solver without whole numbers, each time with the cuts there are."""
+        known = 0
+
+        def ask() -> _Found:
+            """What it says now; it starts where it ended before."""
+            nonlocal known
+            for cut in self.cuts[known:]:
+                cut.add_to(solver)
+            known = len(self.cuts)
+            return self._found(solver, layout, self.deadline)
+
+        return ask
+
+    def _found(self, solver: highspy.Highs, layout: _Layout, deadline: Deadline) -> _Found:
+        """What a solver finds: of shares of customers only whole ones are served."""
         answer = ProgramSolution.of(solver, deadline)
         served = self.able.copy()
         if answer.status.has_answer:
-            counts = answer.x[layout.counts]
-            taken = np.round(counts) if integer else np.floor(counts + TOLERANCE)
-            self._choose(served, layout, taken.astype(int))
+            layout.serve(served, np.floor(answer.x[layout.counts] + 2.0 * TOLERANCE))
         return _Found(
             answer.status, answer.value, answer.bound, served, answer.x[: layout.n_steps + 2]
         )
-
-    def _choose(self, served: Flags, layout: _Layout, counts: Wholes) -> None:
-        """Leave out all but so many of each weight, those with the smallest demand."""
-        for t, weight, count in zip(layout.count_step, layout.weight, counts, strict=True):
-            served[t, self._cheapest_first(t, weight)[count:]] = False
 
     def _cheapest_first(self, t: int, weight: int) -> Wholes:
         """Customers of a weight who can be served in a step, by their demand."""
@@ -728,7 +759,7 @@ class Counts:
             self.cuts += cuts
             raised = demand_kw > (self.load_kw * found.served).sum(axis=1) + VIOLATED_KW
             least_kw = np.where(raised, np.maximum(least_kw, demand_kw), least_kw)
-            search = partial(self._most, free, True, deadline, least_kw=least_kw)
+            search = partial(self._most, free, deadline, least_kw=least_kw)
             another = self._carried(search, deadline)
             if not another.status.has_answer or another.value > found.value + HALF_UNIT:
                 return first

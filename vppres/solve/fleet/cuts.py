@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
-import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import ProgramSolution, compiled
+from vppres.solve.programs import ProgramSolution, add_row, compiled
 from vppres.solve.result import Status
 
 VIOLATED_KW = 2e-6
@@ -39,6 +38,11 @@ class Cut:
         weights[:-2][steps] = 0.0
         return replace(self, weights=weights)
 
+    def add_to(self, solver: highspy.Highs) -> None:
+        """Add it to a solver whose first columns are demand, loss and cost."""
+        columns = np.flatnonzero(self.weights)
+        add_row(solver, columns, self.weights[columns], -np.inf, self.most)
+
 
 class Reach:
     """Separates points of demand (W), loss and cost from what the fleet can carry.
@@ -56,7 +60,6 @@ class Reach:
     def __init__(self, model: DemandModel) -> None:
         program, first = compiled(model.problem)
         W = model.relaxation.n_steps
-        size = len(program.cost)
         self.places = np.concatenate(
             [first["load"] + np.arange(W), [first["lost"]], [first["spent"]]]
         )
@@ -66,26 +69,22 @@ class Reach:
         ranges = [most_lost - model.least_lost(), dearest_gbp - model.least_cost_gbp()]
         direction = np.concatenate([np.asarray(model.p["load_all"].value), ranges])
         self.program = program
+        self.direction = direction
+        self.constant = np.append(np.zeros(W, dtype=bool), np.array(ranges) <= 0.0)
         self.largest = float(direction.max() + model.fleet_kw())
-        rows = sp.csc_array(
-            (
-                np.concatenate([self.signs, direction]),
-                (np.tile(np.arange(W + 2), 2), np.concatenate([self.places, np.full(W + 2, size)])),
-            ),
-            shape=(W + 2, size + 1),
-        )
-        # The duals sum to the cost of a step in proportion to the direction: of order one.
-        wider = replace(
-            program,
-            cost=np.append(program.cost, max(direction.max(), 1.0)),
-            x_lower=np.append(program.x_lower, 0.0),
-            x_upper=np.append(program.x_upper, np.inf),
-            rows=sp.csc_array(sp.hstack([program.rows, sp.csc_array((len(program.lower), 1))])),
-        )
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
-        self.asking = wider.with_rows(rows, np.zeros(W + 2))
-        self.solver = self.asking.loaded()
+        self.solver = self._new_solver()
         self.others: dict[int, highspy.Highs] = {}
+
+    def _new_solver(self) -> highspy.Highs:
+        """A solver of the fleet's program with one column more, the step along the direction."""
+        solver = self.program.loaded_by_shares()
+        step = len(self.program.cost)
+        # The duals sum to the cost of a step in proportion to the direction: of order one.
+        solver.addCol(max(self.direction.max(), 1.0), 0.0, np.inf, 0, [], [])
+        for place, sign, towards in zip(self.places, self.signs, self.direction, strict=True):
+            add_row(solver, np.array([place, step]), np.array([sign, towards]), 0.0, np.inf)
+        return solver
 
     def separate(
         self, point: Floats, deadline: Deadline, outage: int | None = None
@@ -97,7 +96,7 @@ class Reach:
         solver = self.solver
         if outage is not None:
             if outage not in self.others:
-                self.others[outage] = self.asking.loaded()
+                self.others[outage] = self._new_solver()
             solver = self.others[outage]
         count = len(self.asked)
         solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
@@ -112,6 +111,10 @@ class Reach:
         # A loss or cost of next to no price would join the whole window, and service be no number.
         weights[-2:][np.abs(weights[-2:]) < NO_PRICE * size] = 0.0
         most = self._most(weights, answer.row_dual[: self.asked[0]])
+        # One that can have a single value alone has any price.
+        most -= float(weights[self.constant] @ point[self.constant])
+        weights[self.constant] = 0.0
+        size = float(np.abs(weights).max()) or size
         cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
 

@@ -11,7 +11,7 @@ from vppres.model.beyond_paper.ends import f7_at_end
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp
+from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 from vppres.solve.fleet.relaxation import AggregateModel
 
@@ -107,11 +107,10 @@ class DemandModel:
         p = self.relaxation.p
         # Several PV systems may together exceed their owner's demand.
         own = np.minimum(p["self"].value, data.load_kw)
-        self.p["load_all"].value = (data.load_kw * self.able).sum(axis=1)
-        self.p["net_all"].value = ((data.load_kw - own) * self.able).sum(axis=1)
-        self.p["export_all"].value = np.maximum(
-            p["P_pv"].value - (own * self.able).sum(axis=1), 0.0
-        )
+        write(self.p["load_all"], (data.load_kw * self.able).sum(axis=1))
+        write(self.p["net_all"], ((data.load_kw - own) * self.able).sum(axis=1))
+        export_all = np.maximum(p["P_pv"].value - (own * self.able).sum(axis=1), 0.0)
+        write(self.p["export_all"], export_all)
 
     def worst(self) -> tuple[float, float]:
         """Loss (units) and cost (GBP) that no dispatch exceeds."""

@@ -16,6 +16,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
+from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
@@ -125,7 +126,7 @@ class Binaries:
         integer = np.isfinite(gap_gbp)
         model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=self.lumped)
         model.fill(self.data, all_connected=everyone)
-        model.service_min.value = units_min * self.unit
+        write(model.service_min, units_min * self.unit)
         gap = gap_gbp if integer else 0.0
         outcome = self._searched(model.cost_problem, gap)
         return outcome, self._set(outcome) if integer else None
@@ -205,8 +206,9 @@ def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
         ending=data.ending,
     )
     model.fill(data)
-    model.service_min.value = units_min * model.grid
-    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, task.search.left_s)
+    write(model.service_min, units_min * model.grid)
+    end_s = task.search.left_s
+    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, end_s, more=task.spec.of_modes)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:

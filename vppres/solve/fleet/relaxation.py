@@ -348,7 +348,7 @@ class AggregateModel:
         elif self.terminal is not None and data.terminal is not None:
             target_kwh = self._fleet(data.terminal.target_kwh(site.batteries))
             self.terminal.fill(target_kwh, data.terminal.price_gbp_per_kwh)
-        self.rho_dt.value = data.price_gbp_per_kwh * site.dt_h
+        write(self.rho_dt, data.price_gbp_per_kwh * site.dt_h)
         if self.switching:
             self.switching.fill(data)
 
@@ -358,9 +358,9 @@ class AggregateModel:
         physics = data.require_physics()
         e_min = b.energy_kwh * (b.soc_min + physics.soc_reserve)
         limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
-        self.room["loss"].value = data.loss_kw
+        write(self.room["loss"], data.loss_kw)
         for name, value in limits.items():
-            self.room[name].value = value.sum(axis=1, keepdims=True) if self.lumped else value
+            write(self.room[name], value.sum(axis=1, keepdims=True) if self.lumped else value)
 
     def _first_step(self, data: WindowData) -> dict[str, Floats]:
         """Limits of the first step, where the SoC is known, (G,) each.

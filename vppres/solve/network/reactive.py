@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp
+from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 
 
@@ -86,24 +86,16 @@ class ReactiveModel:
         site = self.site
         net = self.site.network
         u = net.u_pu2(dispatch.v_pu[t])
-        load = data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p
-        self.Q_load.value = site.customer_bus @ load
-        if data.drawn is not None:
-            self.Q_load.value = self.Q_load.value + data.drawn.kvar[t]
-        self.rise.value = data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t]
-        self.Q_pv_max.value = _left(
-            site.pv.s_max_kva,
-            dispatch.pv_self_kw[t] + dispatch.pv_export_kw[t],
-            dispatch.pv_q_kvar[t],
-        )
-        self.Q_batt_max.value = _left(
-            site.batteries.s_max_kva,
-            dispatch.charge_kw[t] - dispatch.discharge_kw[t],
-            dispatch.batt_q_kvar[t],
-        )
-        self.Q_grid_max.value = data.grid_q_max_kvar(site)[t]
-        self.u_min.value = np.append(u[0], np.minimum(u[1:], net.u_min_pu2[1:]))
-        self.u_max.value = np.append(u[0], np.maximum(u[1:], net.u_max_pu2[1:]))
+        load = site.customer_bus @ (data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p)
+        write(self.Q_load, load if data.drawn is None else load + data.drawn.kvar[t])
+        write(self.rise, data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t])
+        of_pv_kw = dispatch.pv_self_kw[t] + dispatch.pv_export_kw[t]
+        write(self.Q_pv_max, _left(site.pv.s_max_kva, of_pv_kw, dispatch.pv_q_kvar[t]))
+        net_kw = dispatch.charge_kw[t] - dispatch.discharge_kw[t]
+        write(self.Q_batt_max, _left(site.batteries.s_max_kva, net_kw, dispatch.batt_q_kvar[t]))
+        write(self.Q_grid_max, data.grid_q_max_kvar(site)[t])
+        write(self.u_min, np.append(u[0], np.minimum(u[1:], net.u_min_pu2[1:])))
+        write(self.u_max, np.append(u[0], np.maximum(u[1:], net.u_max_pu2[1:])))
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the solution of the last solve in step ``t``."""
