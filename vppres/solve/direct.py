@@ -16,12 +16,20 @@ from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL, dims
 from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.solve.compiled import Compiled, Numbers
+from vppres.solve.programs import begin_with
+
+Start = tuple[cp.Variable, Flags]
+"""A binary variable and the values that a search begins with."""
 
 
-def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str, Any, float]:
+def solve_by_highs(
+    compiled: Compiled, options: Mapping[str, Any], start: Start | None = None
+) -> tuple[str, Any, float]:
     """Solve a problem without cones: cvxpy's word for how it ended, HiGHS's figures, the least.
+
+    A search begins with the values of ``start``.
 
     Raises
     ------
@@ -37,6 +45,10 @@ def solve_by_highs(compiled: Compiled, options: Mapping[str, Any]) -> tuple[str,
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
     numbers = compiled.numbers()
     solver.passModel(_model(compiled, numbers))
+    if start is not None:
+        variable, values = start
+        columns = compiled.first[variable.id] + np.arange(variable.size)
+        begin_with(solver, columns, values.ravel(order="F"))
     solver.run()
     word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:

@@ -13,7 +13,7 @@ import highspy
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Floats, Wholes
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import NumericalError
 from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import LEAST_S, Deadline, Patience
@@ -72,6 +72,10 @@ nothing to branch on: substitution of free columns, equations of two columns, ag
 SEARCH_OF_SETS = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
 """Options for a search for sets: the time goes into the proof, and it may branch on how many of a
 weight are served in a step, where the problem or :func:`with_sums` counts them."""
+
+
+NEAR_NODES = 100
+"""Nodes of a search near a linear solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +284,33 @@ def add_row(
 ) -> None:
     """Add a row to a solver, which keeps its basis."""
     solver.addRow(lower, upper, len(columns), columns.astype(np.int32), values)
+
+
+def near_linear(program: Program, gap_abs: float, deadline: Deadline) -> Floats | None:
+    """An answer in which whatever is whole in the linear solution stays what it is there.
+
+    Few columns are left to decide, so that it takes next to no time, and a search that begins with
+    it has little to improve: RENS (doi:10.1007/s12532-013-0060-9). HiGHS's own comes after cuts and
+    may take as long as the search. None where there is no such answer.
+    """
+    linear = ProgramSolution.of(program.by_shares().loaded(), deadline)
+    if linear.status != Status.OPTIMAL:
+        return None
+    whole = program.integer[
+        np.abs(linear.x - np.round(linear.x))[program.integer] < WHOLE_TOLERANCE
+    ]
+    near = replace(program, x_lower=program.x_lower.copy(), x_upper=program.x_upper.copy())
+    near.x_lower[whole] = near.x_upper[whole] = np.round(linear.x[whole])
+    found = ProgramSolution.of(near.loaded(gap_abs, NEAR_NODES, more=SEARCH_OF_SETS), deadline)
+    return found.x if found.status.has_answer else None
+
+
+def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -> None:
+    """Give a search a set to begin with; HiGHS finds what the other columns are then.
+
+    It need not look for an answer then, and leaves out whatever is no better.
+    """
+    solver.setSolution(columns.size, columns.ravel().astype(np.int32), values.ravel().astype(float))
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -16,7 +16,7 @@ from cvxpy.reductions.solvers.solver import Solver
 from vppres.core.errors import InputError, Problem
 from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
-from vppres.solve.direct import solve_by_clarabel, solve_by_highs
+from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.programs import NO_JUMPS, SEARCH_OF_SETS
 from vppres.solve.result import Outcome, Status
@@ -258,17 +258,19 @@ def run(
     time_s: float,
     scale: float = 1.0,
     more: Mapping[str, Any] = MappingProxyType({}),
+    start: Start | None = None,
 ) -> Outcome:
     """Solve a mixed-integer or linear problem and map its status honestly.
 
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
-    The time limit holds for compiling too. ``more`` are options of the solver.
+    The time limit holds for compiling too. ``more`` are options of the solver. HiGHS begins with
+    ``start``, others without.
     """
 
     def options(left_s: float) -> Mapping[str, Any]:
         return {**spec.options(gap_abs * scale, left_s), **more}
 
-    return run_with(problem, spec, options, time_s, scale)
+    return run_with(problem, spec, options, time_s, scale, start)
 
 
 def run_with(
@@ -277,10 +279,11 @@ def run_with(
     options: Callable[[float], Mapping[str, Any]],
     time_s: float,
     scale: float = 1.0,
+    start: Start | None = None,
 ) -> Outcome:
     """The same with options of one's own, of the seconds that are left."""
     deadline = Deadline(time_s)
-    ask = _by_highs if spec.cvxpy_name == cp.HIGHS else _by_cvxpy
+    ask = partial(_by_highs, start=start) if spec.cvxpy_name == cp.HIGHS else _by_cvxpy
     try:
         answer = ask(problem, spec.cvxpy_name, deadline, options)
     except cp.SolverError:
@@ -367,12 +370,13 @@ def _by_highs(
     interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
+    start: Start | None,
 ) -> Answer | None:
     """Ask HiGHS, without duals."""
-    known = _in_time(problem, interface, deadline)
+    known = compiled_in_time(problem, interface, deadline)
     if known is None:
         return None
-    word, info, least = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)))
+    word, info, least = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)), start)
     if word == cp.SOLVER_ERROR:
         raise cp.SolverError("HiGHS gave up.")
     return Answer(word, info, len(known.whole) > 0, word in cp.settings.SOLUTION_PRESENT, least)
@@ -385,14 +389,16 @@ def _by_clarabel(
     options: Callable[[float], Mapping[str, Any]],
 ) -> Answer | None:
     """Ask Clarabel, without duals."""
-    known = _in_time(problem, interface, deadline)
+    known = compiled_in_time(problem, interface, deadline)
     if known is None:
         return None
     word = solve_by_clarabel(known, options(max(deadline.left_s, LEAST_S)))
     return Answer(word, None, False, word in cp.settings.SOLUTION_PRESENT)
 
 
-def _in_time(problem: cp.Problem, interface: str | Solver, deadline: Deadline) -> Compiled | None:
+def compiled_in_time(
+    problem: cp.Problem, interface: str | Solver, deadline: Deadline
+) -> Compiled | None:
     """The compiled problem; None if it could not be compiled in time, or need not be begun."""
     if not is_compiled(problem, interface) and deadline.left_s < _compile_s(problem):
         return None

@@ -22,8 +22,9 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
+from vppres.solve.programs import compiled, near_linear
 from vppres.solve.result import Outcome
-from vppres.solve.solvers import SolverSpec, run
+from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
 
 WHOLE_GAP = 0.99
@@ -40,6 +41,13 @@ FEW_CUSTOMERS = 12
 MANY_STEPS = 20
 """Customers up to which, and steps from which on, binaries are tried before counts: 9 customers in
 40 quarter hours took 3.5 s by counts and take 0.3 s by binaries."""
+
+MANY_BINARIES = 100
+"""Binaries from which on a set near the linear solution is looked for before a search: with fewer
+that takes as long as the search."""
+
+NEAR_SHARE = 0.1
+"""Share of the time left in which it is looked for."""
 
 ALIKE = 1e-4
 """Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
@@ -101,6 +109,7 @@ class Binaries:
         self.lumped = lumped
         self.model = relaxation_of(cache, data, integer=True, lumped=lumped)
         self.unit = self.model.grid
+        self.best: Flags | None = None
 
     @property
     def applies(self) -> bool:
@@ -117,7 +126,8 @@ class Binaries:
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
-        return outcome, self._set(outcome)
+        self.best = self._set(outcome)
+        return outcome, self.best
 
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
@@ -128,17 +138,43 @@ class Binaries:
         model.fill(self.data, all_connected=everyone)
         write(model.service_min, units_min * self.unit)
         gap = gap_gbp if integer else 0.0
-        outcome = self._searched(model.cost_problem, gap)
+        outcome = self._searched(model.cost_problem, gap, self.best if integer else None)
         return outcome, self._set(outcome) if integer else None
 
-    def _searched(self, problem: cp.Problem, gap: float) -> Outcome:
-        """How the search for a set to a gap ended."""
-        left_s = self.deadline.left_s
-        return run(problem, self.spec, gap, left_s, more=self.spec.of_sets)
+    def _searched(self, problem: cp.Problem, gap: float, first: Flags | None = None) -> Outcome:
+        """How the search for a set to a gap ended, which begins with one that is known."""
+        return search_for_set(
+            problem, self.model.x, self.spec, gap, self.deadline.left_s, first=first
+        )
 
     def _set(self, outcome: Outcome) -> Flags | None:
         """Who is served by the last answer."""
         return np.asarray(self.model.x.value) > 0.5 if outcome.status.has_answer else None
+
+
+def search_for_set(
+    problem: cp.Problem,
+    x: cp.Variable,
+    spec: SolverSpec,
+    gap_abs: float,
+    time_s: float,
+    scale: float = 1.0,
+    first: Flags | None = None,
+) -> Outcome:
+    """How a search for a set ended that begins with a known one, or with one near the linear set.
+
+    ``x`` is the served status, ``scale`` a factor in the objective as in :func:`run`.
+    """
+    deadline = Deadline(time_s)
+    asks = first is None and spec.of_sets and x.size >= MANY_BINARIES
+    if asks and compiled_in_time(problem, spec.cvxpy_name, deadline):
+        program, columns = compiled(problem)
+        near = near_linear(program, gap_abs * scale, deadline.part(NEAR_SHARE))
+        if near is not None:
+            served = near[columns[x.name()] + np.arange(x.size)]
+            first = served.reshape(x.shape, order="F") > 0.5
+    start = None if first is None else (x, first)
+    return run(problem, spec, gap_abs, deadline.left_s, scale, spec.of_sets, start)
 
 
 def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:

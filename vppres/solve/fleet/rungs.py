@@ -14,7 +14,13 @@ from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_tie_breakers
-from vppres.solve.fleet.masters import Master, fleets_of, least_cost_one_way, relaxation_of
+from vppres.solve.fleet.masters import (
+    Master,
+    fleets_of,
+    least_cost_one_way,
+    relaxation_of,
+    search_for_set,
+)
 from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.modes import modes_apart
 from vppres.solve.fleet.relaxation import AggregateModel
@@ -157,7 +163,9 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     model.fill(task.data)
     gap = ALL_TERMS_GAP_SHARE * gap
     scale = objective_scale(task.site)
-    outcome = run(model.problem, task.spec, gap, task.search.left_s, scale, task.spec.of_sets)
+    first = None if known.best is None else known.best.dispatch.served
+    left_s = task.search.left_s
+    outcome = search_for_set(model.problem, model.x, task.spec, gap, left_s, scale, first)
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)

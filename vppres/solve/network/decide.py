@@ -198,7 +198,8 @@ class InNetwork:
             return found
         units = float(np.ceil(found.service / self.master.unit - TOLERANCE))
         deadline = self.task.deadline.part(COST_SHARE)
-        outcome, served = self.master.cost_level(units, found.terms.f2, gap_gbp, deadline)
+        first = found.dispatch.served
+        outcome, served = self.master.cost_level(units, first, found.terms.f2, gap_gbp, deadline)
         known.note("network_cost_level", outcome)
         known.cost_bound_gbp = max(known.cost_bound_gbp, outcome.bound)
         # Whoever serves a unit less gains no more than the least cost there can be.

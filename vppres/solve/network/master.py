@@ -26,6 +26,7 @@ from vppres.solve.programs import (
     SEARCH_OF_SETS,
     Program,
     ProgramSolution,
+    begin_with,
     columns_of_alike,
     with_sums,
 )
@@ -186,7 +187,7 @@ class NetworkMaster:
             rounds = rounds + 1
             enough = known.most
             if self.data.switching is not None or rounds > ROUNDS:
-                found = self._searched(binding, known.bound, patience)
+                found = self._searched(binding, known.bound, known.best, patience)
             else:
                 found = cuts.most(linear.x[x], enough + 1.0, patience.end, most_nodes=TRIED_NODES)
             known.take(found)
@@ -392,12 +393,19 @@ class NetworkMaster:
         columns = np.append(self.model.at["x"].ravel(), off)
         return columns, np.append(-self.units, np.full(len(off), self.pair))
 
-    def _searched(self, binding: Flags, at_most: float, patience: Patience) -> ProgramSolution:
-        """Search with binaries and some of the limits in the network, until so many units."""
+    def _searched(
+        self, binding: Flags, at_most: float, best: Floats | None, patience: Patience
+    ) -> ProgramSolution:
+        """Search with binaries and some of the limits in the network, until so many units.
+
+        It begins with the best set that is known.
+        """
         x = self.model.at["x"]
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
         solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=SEARCH_OF_SETS)
+        if best is not None:
+            begin_with(solver, x, best)
         found = ProgramSolution.of_search(solver, patience)
         return replace(found, x=found.x[x.ravel()] if found.status.has_answer else found.x)
 
@@ -422,10 +430,16 @@ class NetworkMaster:
         return found.outcome(watch.spent_s)
 
     def cost_level(
-        self, units_min: float, known_gbp: float, gap_gbp: float, deadline: Deadline
+        self,
+        units_min: float,
+        known: Flags,
+        known_gbp: float,
+        gap_gbp: float,
+        deadline: Deadline,
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units, to a gap or until a deadline.
 
+        ``known`` is a set of a known cost.
         The search has the limits of the network that are known; whatever it finds is put into all
         of them, which adds some. The set in the answer is cheaper than the known cost.
         """
@@ -441,6 +455,7 @@ class NetworkMaster:
             size = len(self.network.found)
             counted = self._counted(program, self.network.found)
             solver = counted.loaded(0.5 * gap_gbp, COST_NODES, more=SEARCH_OF_SETS)
+            begin_with(solver, x, known if best is None else best)
             found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
