@@ -296,11 +296,11 @@ def near_linear(program: Program, gap_abs: float, deadline: Deadline) -> Floats 
     linear = ProgramSolution.of(program.by_shares().loaded(), deadline)
     if linear.status != Status.OPTIMAL:
         return None
-    whole = program.integer[
-        np.abs(linear.x - np.round(linear.x))[program.integer] < WHOLE_TOLERANCE
-    ]
+    values = linear.x[program.integer]
+    is_whole = np.abs(values - np.round(values)) < WHOLE_TOLERANCE
+    decided = program.integer[is_whole]
     near = replace(program, x_lower=program.x_lower.copy(), x_upper=program.x_upper.copy())
-    near.x_lower[whole] = near.x_upper[whole] = np.round(linear.x[whole])
+    near.x_lower[decided] = near.x_upper[decided] = np.round(values[is_whole])
     found = ProgramSolution.of(near.loaded(gap_abs, NEAR_NODES, more=SEARCH_OF_SETS), deadline)
     return found.x if found.status.has_answer else None
 
