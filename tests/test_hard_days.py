@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +24,13 @@ from tests.support.small_windows import (
 from vppres.control.converged import in_the_dark
 from vppres.io.python_door import check_scenario
 from vppres.model.beyond_paper.switching import rule_steps
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve.fleet.masters import search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver, run
 
 # The days.
@@ -281,3 +284,33 @@ def test_customers_of_different_weights_have_no_counts() -> None:
 def test_only_highs_is_told_how_to_search_for_sets() -> None:
     assert find_solver("highs").of_sets["mip_allow_restart"] is False
     assert not find_solver("scip").of_sets
+
+
+# Sets to begin with.
+
+
+def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And find what they find without: a set is where they begin, not where they end."""
+    case = hard_window("rules", 1)
+    model = AggregateModel(case.site, case.data.n_steps, True, switching=rule_steps(case.data))
+    model.fill(case.data)
+    began = []
+
+    def noted(*asked: Any) -> Outcome:
+        began.append(asked[-1])
+        return run(*asked)
+
+    monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
+    highs, scip = find_solver("highs"), find_solver("scip")
+    asked = 1e-6, 20.0, objective_scale(case.site)
+    plain = run(model.problem, highs, *asked)
+    found = search_for_set(model, model.problem, highs, *asked)
+    assert found.value == pytest.approx(plain.value, abs=1e-5)
+    _, first = began[0]
+    assert first.shape == model.x.shape
+    nobody = np.zeros(model.x.shape, dtype=bool)
+    poor = search_for_set(model, model.problem, highs, *asked, first=nobody)
+    assert poor.value == pytest.approx(plain.value, abs=1e-5)
+    assert began[1][1] is nobody
+    search_for_set(model, model.problem, scip, *asked)
+    assert began[2] is None

@@ -122,7 +122,8 @@ class Binaries:
         open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
-        outcome = self._searched(self.model.grid_problem, open_units)
+        left_s = self.deadline.left_s
+        outcome = search_for_set(self.model, self.model.grid_problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
@@ -137,15 +138,13 @@ class Binaries:
         model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=self.lumped)
         model.fill(self.data, all_connected=everyone)
         write(model.service_min, units_min * self.unit)
-        gap = gap_gbp if integer else 0.0
-        outcome = self._searched(model.cost_problem, gap, self.best if integer else None)
-        return outcome, self._set(outcome) if integer else None
-
-    def _searched(self, problem: cp.Problem, gap: float, first: Flags | None = None) -> Outcome:
-        """How the search for a set to a gap ended, which begins with one that is known."""
-        return search_for_set(
-            problem, self.model.x, self.spec, gap, self.deadline.left_s, first=first
+        left_s = self.deadline.left_s
+        if not integer:
+            return run(model.cost_problem, self.spec, 0.0, left_s), None
+        outcome = search_for_set(
+            model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best
         )
+        return outcome, self._set(outcome)
 
     def _set(self, outcome: Outcome) -> Flags | None:
         """Who is served by the last answer."""
@@ -153,8 +152,8 @@ class Binaries:
 
 
 def search_for_set(
+    model: AggregateModel,
     problem: cp.Problem,
-    x: cp.Variable,
     spec: SolverSpec,
     gap_abs: float,
     time_s: float,
@@ -163,8 +162,9 @@ def search_for_set(
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, or with one near the linear set.
 
-    ``x`` is the served status, ``scale`` a factor in the objective as in :func:`run`.
+    ``problem`` is one of the model's, ``scale`` a factor in its objective as in :func:`run`.
     """
+    x = model.x
     deadline = Deadline(time_s)
     asks = first is None and spec.of_sets and x.size >= MANY_BINARIES
     if asks and compiled_in_time(problem, spec.cvxpy_name, deadline):

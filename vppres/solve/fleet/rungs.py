@@ -165,7 +165,7 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
     left_s = task.search.left_s
-    outcome = search_for_set(model.problem, model.x, task.spec, gap, left_s, scale, first)
+    outcome = search_for_set(model, model.problem, task.spec, gap, left_s, scale, first)
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
