@@ -59,10 +59,11 @@ much again is what interior points may miss it by."""
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
 
-EASED_KWH = 4e-6
-"""Energy by which every battery may miss what a set needs: twice what the masters accept in a step
-of an hour. A plan that lives on exactly the energy it has charged misses it by rounding one step
-later, and a set that lacks so little is served."""
+EASED_KWH = 1e-5
+"""Energy by which every battery may miss what a set needs: five times what the masters accept in a
+step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
+the energy it has charged misses it by rounding one step later, and a set that lacks so little is
+served."""
 
 VOLTAGE_OVER_PU2 = 1e-6
 """By how much a squared voltage of a bus that the tie-breakers did not know may miss its limit."""
