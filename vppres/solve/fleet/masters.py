@@ -174,7 +174,8 @@ def search_for_set(
             served = near[columns[x.name()] + np.arange(x.size)]
             first = served.reshape(x.shape, order="F") > 0.5
     start = None if first is None else (x, first)
-    return run(problem, spec, gap_abs, deadline.left_s, scale, spec.of_sets, start)
+    outcome = run(problem, spec, gap_abs, deadline.left_s, scale, spec.of_sets, start)
+    return replace(outcome, solve_s=deadline.spent_s)
 
 
 def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
@@ -243,8 +244,8 @@ def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
     )
     model.fill(data)
     write(model.service_min, units_min * model.grid)
-    end_s = task.search.left_s
-    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, end_s, more=task.spec.of_modes)
+    left_s = task.search.left_s
+    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, left_s, more=task.spec.of_modes)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:

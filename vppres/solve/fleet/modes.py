@@ -84,7 +84,7 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     unit = gap * objective_scale(task.site)
     plain, first = compiled(model.problem)
     program = _bounded(task, replace(plain, cost=plain.cost / unit), first)
-    shares = replace(program, integer=np.arange(0))
+    shares = program.by_shares()
     linear = ProgramSolution.of(shares.loaded(), end)
     alike = abs(-linear.value * gap - relaxed) <= SAME * max(abs(relaxed), 1.0)
     if linear.status != Status.OPTIMAL or not alike:
