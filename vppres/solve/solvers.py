@@ -18,7 +18,7 @@ from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
-from vppres.solve.programs import NO_JUMPS, SEARCH_OF_SETS
+from vppres.solve.programs import NO_JUMPS, SEARCH_FOR_CHEAPER, SEARCH_OF_SETS
 from vppres.solve.result import Outcome, Status
 
 INTERIOR_POINTS = "clarabel"
@@ -75,6 +75,8 @@ class SolverSpec:
         ``answer -> Status`` for answers that cvxpy does not call optimal.
     of_sets : mapping
         Options of the solver for a search for sets, whose time goes into the proof.
+    of_cheaper : mapping
+        The same for a search for a set that is only cheaper than one that is known.
     of_modes : mapping
         The same for a search for modes of known sets, whose rounding finds answers at once.
     """
@@ -86,6 +88,7 @@ class SolverSpec:
     slack: Callable[[Answer], float]
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
+    of_cheaper: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -158,6 +161,7 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_slack,
             _highs_ended,
             SEARCH_OF_SETS,
+            SEARCH_FOR_CHEAPER,
             NO_JUMPS,
         ),
         SolverSpec(

@@ -141,9 +141,11 @@ class Binaries:
         left_s = self.deadline.left_s
         if not integer:
             return run(model.cost_problem, self.spec, 0.0, left_s), None
-        outcome = search_for_set(
-            model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best
-        )
+        if self.best is None:
+            outcome = search_for_set(model, model.cost_problem, self.spec, gap_gbp, left_s)
+        else:
+            more, start = self.spec.of_cheaper, (model.x, self.best)
+            outcome = run(model.cost_problem, self.spec, gap_gbp, left_s, more=more, start=start)
         return outcome, self._set(outcome)
 
     def _set(self, outcome: Outcome) -> Flags | None:
