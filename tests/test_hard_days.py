@@ -301,6 +301,7 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
         return run(*asked)
 
     monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
+    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", 1)
     highs, scip = find_solver("highs"), find_solver("scip")
     asked = 1e-6, 20.0, objective_scale(case.site)
     plain = run(model.problem, highs, *asked)
@@ -314,3 +315,6 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     assert began[1][1] is nobody
     search_for_set(model, model.problem, scip, *asked)
     assert began[2] is None
+    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", model.x.size + 1)
+    search_for_set(model, model.problem, highs, *asked, first=nobody)
+    assert began[3] is not nobody

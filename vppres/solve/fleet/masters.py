@@ -42,9 +42,8 @@ MANY_STEPS = 20
 """Customers up to which, and steps from which on, binaries are tried before counts: 9 customers in
 40 quarter hours took 3.5 s by counts and take 0.3 s by binaries."""
 
-MANY_BINARIES = 100
-"""Binaries from which on a set near the linear solution is looked for before a search: with fewer
-that takes as long as the search."""
+MANY_BINARIES = 150
+"""Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
 
 NEAR_SHARE = 0.1
 """Share of the time left in which it is looked for."""
@@ -141,7 +140,7 @@ class Binaries:
         left_s = self.deadline.left_s
         if not integer:
             return run(model.cost_problem, self.spec, 0.0, left_s), None
-        if self.best is None:
+        if self.best is None or model.x.size < MANY_BINARIES:
             outcome = search_for_set(model, model.cost_problem, self.spec, gap_gbp, left_s)
         else:
             more, start = self.spec.of_cheaper, (model.x, self.best)
@@ -167,8 +166,10 @@ def search_for_set(
     ``problem`` is one of the model's, ``scale`` a factor in its objective as in :func:`run`.
     """
     x = model.x
+    if x.size < MANY_BINARIES:
+        return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
     deadline = Deadline(time_s)
-    asks = first is None and spec.of_sets and x.size >= MANY_BINARIES
+    asks = first is None and len(spec.of_sets) > 0
     if asks and compiled_in_time(problem, spec.cvxpy_name, deadline):
         program, columns = compiled(problem)
         near = near_linear(program, gap_abs * scale, deadline.part(NEAR_SHARE))
