@@ -307,14 +307,13 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     plain = run(model.problem, highs, *asked)
     found = search_for_set(model, model.problem, highs, *asked)
     assert found.value == pytest.approx(plain.value, abs=1e-5)
-    _, first = began[0]
-    assert first.shape == model.x.shape
+    assert began[0].values.shape == began[0].variable.shape == model.x.shape
     nobody = np.zeros(model.x.shape, dtype=bool)
     poor = search_for_set(model, model.problem, highs, *asked, first=nobody)
     assert poor.value == pytest.approx(plain.value, abs=1e-5)
-    assert began[1][1] is nobody
+    assert began[1].values is nobody
     search_for_set(model, model.problem, scip, *asked)
     assert began[2] is None
     monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", model.x.size + 1)
     search_for_set(model, model.problem, highs, *asked, first=nobody)
-    assert began[3] is not nobody
+    assert began[3] == highs.of_sets  # the last that it is asked with: no set

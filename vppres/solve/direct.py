@@ -6,7 +6,7 @@ The model, the options and their order are those of cvxpy's interfaces, and so a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import clarabel
 import cvxpy as cp
@@ -20,8 +20,12 @@ from vppres.core.arrays import Flags, Floats
 from vppres.solve.compiled import Compiled, Numbers
 from vppres.solve.programs import begin_with
 
-Start = tuple[cp.Variable, Flags]
-"""A binary variable and the values that a search begins with."""
+
+class Start(NamedTuple):
+    """What a search begins with: values of a variable of binaries, in its shape."""
+
+    variable: cp.Variable
+    values: Flags
 
 
 def solve_by_highs(
@@ -46,9 +50,8 @@ def solve_by_highs(
     numbers = compiled.numbers()
     solver.passModel(_model(compiled, numbers))
     if start is not None:
-        variable, values = start
-        columns = compiled.first[variable.id] + np.arange(variable.size)
-        begin_with(solver, columns, values.ravel(order="F"))
+        columns = compiled.first[start.variable.id] + np.arange(start.variable.size)
+        begin_with(solver, columns, start.values.ravel(order="F"))
     solver.run()
     word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:

@@ -19,6 +19,7 @@ from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
+from vppres.solve.direct import Start
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
@@ -143,7 +144,7 @@ class Binaries:
         if self.best is None or model.x.size < MANY_BINARIES:
             outcome = search_for_set(model, model.cost_problem, self.spec, gap_gbp, left_s)
         else:
-            more, start = self.spec.of_cheaper, (model.x, self.best)
+            more, start = self.spec.of_cheaper, Start(model.x, self.best)
             outcome = run(model.cost_problem, self.spec, gap_gbp, left_s, more=more, start=start)
         return outcome, self._set(outcome)
 
@@ -163,7 +164,7 @@ def search_for_set(
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, or with one near the linear set.
 
-    ``problem`` is one of the model's, ``scale`` a factor in its objective as in :func:`run`.
+    ``problem`` is one of the model's, ``scale`` a factor in its objective as in ``run``.
     """
     x = model.x
     if x.size < MANY_BINARIES:
@@ -176,7 +177,7 @@ def search_for_set(
         if near is not None:
             served = near[columns[x.name()] + np.arange(x.size)]
             first = served.reshape(x.shape, order="F") > 0.5
-    start = None if first is None else (x, first)
+    start = None if first is None else Start(x, first)
     outcome = run(problem, spec, gap_abs, deadline.left_s, scale, spec.of_sets, start)
     return replace(outcome, solve_s=deadline.spent_s)
 
