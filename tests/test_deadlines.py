@@ -225,12 +225,10 @@ def test_a_bound_whose_search_ran_out_of_time_is_not_called_optimal(
     demand = demand_of(ModelCache(site), data, lumped=True)
     counts = Counts(demand, data, Deadline(60.0))
     most, _ = counts.service(0.0)
-    least = counts._least
     linear, _ = counts.cost(most.value, False, np.inf, np.inf)
 
-    def no_search(free: Flags, units_min: float, gap_gbp: float, integer: bool) -> _Found:
-        found = least(free, units_min, gap_gbp, integer=False)
-        return replace(found, status=Status.NO_ANSWER) if integer else found
+    def no_search(free: Flags, units_min: float, gap_gbp: float) -> _Found:
+        return replace(counts._least_by_shares(free, units_min)(), status=Status.NO_ANSWER)
 
     monkeypatch.setattr(counts, "_least", no_search)
     outcome, served = counts.cost(most.value, False, known_gbp=1e6, gap_gbp=1e-3)
