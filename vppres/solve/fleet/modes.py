@@ -9,19 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.forms import WindowModel
 from vppres.model.numerics import objective_scale
-from vppres.solve.deadline import Stopwatch
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.feeders import SEARCH, SHARED, Effort, Feeders
 from vppres.solve.network.rows import Rows
 from vppres.solve.programs import (
     DIRECT,
-    SEARCH_OF_SETS,
+    NO_JUMPS,
     SUMS_KEPT,
     Program,
     ProgramSolution,
@@ -40,12 +40,21 @@ EFFORT = Effort(most_lost=100.0, nodes=2000, gap=0.02, least_cut=0.01, room=1e-4
 SET_GAP = 0.5
 """Part of the window's gap that the search with all cuts may leave open."""
 
-SEARCHES: tuple[tuple[int | None, Mapping[str, Any]], ...] = (
-    (100, SEARCH_OF_SETS),
-    (None, {"presolve_rule_off": SUMS_KEPT}),
+SEARCH_OF_MODES = MappingProxyType(
+    {
+        **NO_JUMPS,
+        "mip_heuristic_run_rens": False,
+        "mip_heuristic_run_root_reduced_cost": False,
+        "mip_allow_restart": False,
+        "presolve_rule_off": SUMS_KEPT,
+    }
 )
-"""Nodes and options of the searches for set and modes, one after the other: most windows end within
-40 nodes of the first, in a third of the time of the second; others need HiGHS's own searches."""
+"""Options of the search for set and modes. HiGHS keeps one of its problems within the problem, round
+its best answer (RINS): with all of them, or with none, a search takes twice as long."""
+
+ROUNDS = 3
+"""How often batteries are searched, each time at the prices of the cuts before: later rounds add
+little, and many search in vain."""
 
 SAME = 1e-6
 """Relative difference up to which two linear problems have the same optimum."""
@@ -84,31 +93,18 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     unit = gap * objective_scale(task.site)
     plain, first = compiled(model.problem)
     program = _bounded(task, replace(plain, cost=plain.cost / unit), first)
-    shares = program.by_shares()
-    linear = ProgramSolution.of(shares.loaded(), end)
+    linear = ProgramSolution.of(program.by_shares().loaded(), end)
     alike = abs(-linear.value * gap - relaxed) <= SAME * max(abs(relaxed), 1.0)
     if linear.status != Status.OPTIMAL or not alike:
         return None
     places = _columns(task, first, "delta")
-    of_column = _battery_of_columns(task, first, program)
-    batteries = Feeders(shares, linear, of_column, places.ravel())
-    cuts = []
-    for number in batteries.fractional:
-        if end.passed:
-            break
-        found = batteries.search(int(number), end, EFFORT)
-        cuts += [] if found.cut is None else [found.cut]
-    if cuts:
-        linear = ProgramSolution.of(_with_cuts(shares, cuts).loaded(), end)
-        program = _with_cuts(program, cuts)
+    battery = _battery_of_columns(task, first, program)
+    program, linear = _with_cuts(program, linear, battery, places.ravel(), end)
     bound = -linear.value * gap if linear.status == Status.OPTIMAL else relaxed
-    turns = with_sums(program, list(places.T))
-    for nodes, options in SEARCHES:
-        answer = ProgramSolution.of(turns.loaded(SET_GAP, nodes, more=options), task.search)
-        if np.isfinite(answer.bound):
-            bound = min(bound, -answer.bound * gap)
-        if answer.status == Status.OPTIMAL or task.search.passed:
-            break
+    search = with_sums(program, list(places.T)).loaded(SET_GAP, more=SEARCH_OF_MODES)
+    answer = ProgramSolution.of(search, task.search)
+    if np.isfinite(answer.bound):
+        bound = min(bound, -answer.bound * gap)
     if not answer.status.has_answer:
         return Apart(Outcome(answer.status, np.nan, bound, watch.spent_s, DIRECT), None, {})
     outcome = Outcome(answer.status, -answer.value * gap, bound, watch.spent_s, DIRECT)
@@ -158,7 +154,19 @@ def _battery_of_columns(task: WindowTask, first: Mapping[str, int], program: Pro
     return battery
 
 
-def _with_cuts(program: Program, cuts: list[Rows]) -> Program:
-    """A program with rows more."""
-    rows = Rows.joined(cuts)
-    return program.with_range(rows.matrix.tocsc(), rows.lower, rows.upper)
+def _with_cuts(
+    program: Program, linear: ProgramSolution, battery: Wholes, modes: Wholes, end: Deadline
+) -> tuple[Program, ProgramSolution]:
+    """A program and its linear solution with cuts of batteries more, until none has any."""
+    for _ in range(ROUNDS):
+        if linear.status != Status.OPTIMAL:
+            break
+        batteries = Feeders(program.by_shares(), linear, battery, modes)
+        searches = (batteries.search(int(n), end, EFFORT) for n in batteries.fractional)
+        cuts = [found.cut for found in searches if found.cut is not None]
+        if not cuts or end.passed:
+            break
+        rows = Rows.joined(cuts)
+        program = program.with_range(rows.matrix.tocsc(), rows.lower, rows.upper)
+        linear = ProgramSolution.of(program.by_shares().loaded(), end)
+    return program, linear
