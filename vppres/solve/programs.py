@@ -73,16 +73,14 @@ SEARCH_OF_SETS = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
 """Options for a search for sets: the time goes into the proof, and it may branch on how many of a
 weight are served in a step, where the problem or :func:`with_sums` counts them."""
 
-
-NEAR_NODES = 100
-"""Nodes of a search near a linear solution."""
-
-
 SEARCH_FOR_CHEAPER = MappingProxyType(
     {**SEARCH_OF_SETS, "mip_heuristic_run_root_reduced_cost": False}
 )
-"""The same for a search that begins with a set as good in all but its cost: another is seldom much
+"""Options for a search that begins with a set as good in all but its cost: another is seldom much
 cheaper, and HiGHS's problem within the problem took a third of the time."""
+
+NEAR_NODES = 100
+"""Nodes of a search near a linear solution."""
 
 
 @dataclass(frozen=True, eq=False)

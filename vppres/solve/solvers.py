@@ -160,9 +160,9 @@ SOLVERS: dict[str, SolverSpec] = {
             lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
             _highs_slack,
             _highs_ended,
-            SEARCH_OF_SETS,
-            SEARCH_FOR_CHEAPER,
-            NO_JUMPS,
+            of_sets=SEARCH_OF_SETS,
+            of_cheaper=SEARCH_FOR_CHEAPER,
+            of_modes=NO_JUMPS,
         ),
         SolverSpec(
             "scip",

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import cvxpy as cp
 import numpy as np
@@ -141,11 +142,10 @@ class Binaries:
         left_s = self.deadline.left_s
         if not integer:
             return run(model.cost_problem, self.spec, 0.0, left_s), None
-        if self.best is None or model.x.size < MANY_BINARIES:
-            outcome = search_for_set(model, model.cost_problem, self.spec, gap_gbp, left_s)
-        else:
-            more, start = self.spec.of_cheaper, Start(model.x, self.best)
-            outcome = run(model.cost_problem, self.spec, gap_gbp, left_s, more=more, start=start)
+        options = {} if self.best is None else self.spec.of_cheaper
+        outcome = search_for_set(
+            model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best, options=options
+        )
         return outcome, self._set(outcome)
 
     def _set(self, outcome: Outcome) -> Flags | None:
@@ -161,10 +161,13 @@ def search_for_set(
     time_s: float,
     scale: float = 1.0,
     first: Flags | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, or with one near the linear set.
 
-    ``problem`` is one of the model's, ``scale`` a factor in its objective as in ``run``.
+    ``problem`` is one of the model's, ``scale`` a factor in its objective as in ``run``. A search
+    of few binaries begins with nothing, and has the solver's options for any set; others have
+    these where ``options`` has none.
     """
     x = model.x
     if x.size < MANY_BINARIES:
@@ -178,7 +181,8 @@ def search_for_set(
             served = near[columns[x.name()] + np.arange(x.size)]
             first = served.reshape(x.shape, order="F") > 0.5
     start = None if first is None else Start(x, first)
-    outcome = run(problem, spec, gap_abs, deadline.left_s, scale, spec.of_sets, start)
+    more = options or spec.of_sets
+    outcome = run(problem, spec, gap_abs, deadline.left_s, scale, more, start)
     return replace(outcome, solve_s=deadline.spent_s)
 
 

@@ -49,8 +49,8 @@ SEARCH_OF_MODES = MappingProxyType(
         "presolve_rule_off": SUMS_KEPT,
     }
 )
-"""Options of the search for set and modes. HiGHS keeps one of its problems within the problem, round
-its best answer (RINS): with all of them, or with none, a search takes twice as long."""
+"""Options of the search for set and modes. Of HiGHS's problems within the problem the one round its
+best answer (RINS) is kept: with all of them, or with none, a search takes twice as long."""
 
 ROUNDS = 3
 """How often batteries are searched, each time at the prices of the cuts before: later rounds add
