@@ -41,14 +41,20 @@ from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
+from vppres.solve.cache import ModelCache
+from vppres.solve.deadline import Deadline
+from vppres.solve.dispatch import least_reactive, net_modes
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.master import NetworkMaster, applies
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.programs import Program
-from vppres.solve.result import WindowSolution
+from vppres.solve.result import Status, WindowSolution
 
 WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 DAYS = tuple(range(14))
 PAPER_R = 0.9207
+TIME_S = 20.0
 
 
 # AC points.
@@ -119,6 +125,31 @@ def test_windows_have_losses_islands_and_headroom() -> None:
     assert sum(w.loss_kw.max() > 1.0 for w in windows) >= 10
     assert sum((p.reference > 0).any() for p in physics) >= 10
     assert sum((p.soc_reserve > 0).any() for p in physics) >= 10
+
+
+def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage() -> None:
+    less = islands = 0
+    for seed in range(12):
+        case = physical_window(seed, stressed=True)
+        site, data = Site.of(case.scenario), case.data
+        if not applies(site, data):
+            continue
+        master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+        served = WindowSolver(site).solve(data).dispatch.served
+        before = master.cheapest(served, Deadline(TIME_S))[1]
+        if before is None:
+            continue
+        before, _ = net_modes(site, data, before)
+        attempt = least_reactive(ModelCache(site), data, before, Deadline(TIME_S))
+        after = attempt.dispatch
+        assert after is not None and attempt.outcome.status == Status.OPTIMAL
+        assert check_dispatch(case.scenario, data, after).worst[1] < CHECKER_TOLERANCE
+        np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)
+        flows = [(d.q_flow_kvar**2 @ site.network.r_ohm).sum() for d in (before, after)]
+        less += flows[1] < 0.5 * flows[0]
+        islands += (data.require_physics().reference > 0).any()
+    assert islands >= 3
+    assert less >= 3
 
 
 def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:

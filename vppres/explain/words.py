@@ -1,4 +1,4 @@
-"""Sentences on shadow prices: what one more unit would have bought."""
+"""Words of explanations: what bound, in the report's terms, and figures in sentences."""
 
 from __future__ import annotations
 
@@ -16,6 +16,27 @@ SCARCE: dict[Binding, str] = {
     "grid": "the grid's limit",
     "": "nothing",
 }
+
+DRIVERS = {
+    "energy": "stored energy",
+    "power": "battery power",
+    "inverter": "inverter rating",
+    "voltage": "voltage limit",
+    "grid": "grid limit",
+    "priority": "priority",
+    "switching_rule": "switching rule",
+    "price": "price",
+    "preparation": "preparation",
+    "surplus": "PV surplus",
+    "supply": "supply of the island",
+    "mismatch": "island's mismatch",
+    "plan": "plan of the day",
+    "rule": "rule of the controller",
+    "fallback": "fallback",
+    "dark": "dark island",
+    "unexplained": "not explained",
+}
+"""What the drivers of ``explanations`` are called in the report."""
 
 
 def figure(value: float) -> str:

@@ -14,11 +14,11 @@ from vppres.day.metrics import line_current_a, line_loading, service_by_customer
 from vppres.day.reliability import reliability_by_tier
 from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
+from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
 from vppres.report.events import named
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import number
-from vppres.report.sections.narrative import DRIVERS
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
 NAMES_SHOWN = 5

@@ -120,7 +120,7 @@ def in_network(task: WindowTask, served: Flags) -> Candidate | None:
     """Cheapest dispatch of a served set in the network, with the true discs."""
     form = cost_form(task.sides, network=True)
     found = cheapest(task, "network_cost", served, form)
-    return found and (with_tie_breakers(task, found) or found)
+    return found and polished(task, found)
 
 
 def cheapest(
@@ -143,7 +143,7 @@ def cheapest(
 def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
     data = task.data.for_service(found.dispatch.served)
-    attempt = _polished(task, data, found.dispatch)
+    attempt = _by_tie_breakers(task, data, found.dispatch)
     task.certificate.note("tie_breakers", attempt.outcome)
     if attempt.dispatch is None:
         return None
@@ -151,7 +151,26 @@ def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     return replace(found, dispatch=attempt.dispatch, terms=terms, in_network=True)
 
 
-def _polished(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:
+def polished(task: WindowTask, found: Candidate) -> Candidate:
+    """A dispatch of the network with the tie-breakers, or with the least reactive power.
+
+    What only minimises cost has any reactive power that the discs allow. Its losses would be the
+    next pass's in physical mode, and from there it may never agree with AC.
+    """
+    return with_tie_breakers(task, found) or with_least_reactive(task, found)
+
+
+def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate:
+    """A dispatch with the least reactive power that its active power needs."""
+    data = task.data.for_service(found.dispatch.served)
+    attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
+    task.certificate.note("reactive_power", attempt.outcome)
+    assert attempt.dispatch is not None
+    terms = evaluate(task.site, data, attempt.dispatch)
+    return replace(found, dispatch=attempt.dispatch, terms=terms)
+
+
+def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:
     """The tie-breakers, in a large window without the buses at which nothing happens.
 
     If one of those then exceeds its limits, all of them are needed.

@@ -7,12 +7,12 @@ from typing import Any
 import pandas as pd
 
 from vppres.day.trajectory import Trajectory
-from vppres.explain.words import figure, money
+from vppres.explain.words import DRIVERS, figure, money
 from vppres.report.clock import Clock
 from vppres.report.pages import embedded
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 from vppres.report.sections.explain_figure import draw_worth
-from vppres.report.sections.narrative import DRIVERS, episodes
+from vppres.report.sections.narrative import episodes
 
 Row = dict[str, Any]
 

@@ -9,29 +9,8 @@ from operator import itemgetter
 import pandas as pd
 
 from vppres.day.trajectory import Trajectory
-from vppres.explain.words import figure, money
+from vppres.explain.words import DRIVERS, figure, money
 from vppres.report.clock import Clock
-
-DRIVERS = {
-    "energy": "stored energy",
-    "power": "battery power",
-    "inverter": "inverter rating",
-    "voltage": "voltage limit",
-    "grid": "grid limit",
-    "priority": "priority",
-    "switching_rule": "switching rule",
-    "price": "price",
-    "preparation": "preparation",
-    "surplus": "PV surplus",
-    "supply": "supply of the island",
-    "mismatch": "island's mismatch",
-    "plan": "plan of the day",
-    "rule": "rule of the controller",
-    "fallback": "fallback",
-    "dark": "dark island",
-    "unexplained": "not explained",
-}
-"""What the drivers of ``explanations`` are called in the report."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,13 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import in_network, least_reactive, net_modes, with_tie_breakers
+from vppres.solve.dispatch import (
+    in_network,
+    net_modes,
+    polished,
+    with_least_reactive,
+    with_tie_breakers,
+)
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
 from vppres.solve.network.at_hand import plainly_carried
@@ -270,19 +276,4 @@ class InNetwork:
         if not fits:
             return None
         carried = Candidate.of(task.site, data, netted, 0.0, in_network=True)
-        polished = None if task.is_large else with_tie_breakers(task, carried)
-        return polished or self._with_least_reactive(carried)
-
-    def _with_least_reactive(self, found: Candidate) -> Candidate:
-        """A dispatch with the least reactive power that its active power needs.
-
-        In physical mode it stays as it is: the next pass finds losses and reactive power anew.
-        """
-        task = self.task
-        if task.data.physical:
-            return found
-        data = task.data.for_service(found.dispatch.served)
-        attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
-        task.certificate.note("reactive_power", attempt.outcome)
-        assert attempt.dispatch is not None
-        return Candidate.of(task.site, data, attempt.dispatch, 0.0, in_network=True)
+        return with_least_reactive(task, carried) if task.is_large else polished(task, carried)

@@ -14,13 +14,17 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 
 
 class ReactiveModel:
-    """Minimise the reactive part of f4 and f5 of a step in the paper's mode.
+    """Minimise the reactive part of f4 and f5 of a step.
+
+    The voltage is held where the dispatch holds it: at the grid's bus, in an island of physical
+    mode at its battery's.
 
     Parameters
     ----------
@@ -44,6 +48,8 @@ class ReactiveModel:
         self.Q_batt_max = cp.Parameter(batteries, name="Q_batt_max", nonneg=True)
         self.Q_grid_max = cp.Parameter(name="Q_grid_max", nonneg=True)
         self.u_min, self.u_max = (cp.Parameter(net.n_buses, name=n) for n in ("u_min", "u_max"))
+        self.held = cp.Parameter(net.n_buses, name="held", nonneg=True)
+        self.u_held = cp.Parameter(name="u_held", nonneg=True)
         self.problem = cp.Problem(self._objective(), self._constraints())
         require_dpp(self.problem, "reactive power of a step")
 
@@ -62,7 +68,7 @@ class ReactiveModel:
     def _constraints(self) -> list[cp.Constraint]:
         """Balance and voltage of every bus, limits of inverters and of the grid."""
         site = self.site
-        net = self.site.network
+        net = site.network
         slack = sp.csr_array(([1.0], ([0], [0])), shape=(net.n_buses, 1))
         given = (
             site.pv_bus @ self.Q_pv
@@ -72,7 +78,7 @@ class ReactiveModel:
         drop = 2.0 * cp.multiply(net.x_pu2_per_kvar, self.Q_flow)
         return [
             given + net.incidence @ self.Q_flow == self.Q_load,
-            self.u[0] == net.v_slack_pu**2,
+            self.held @ self.u == self.u_held,
             100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
             self.u >= self.u_min,
             self.u <= self.u_max,
@@ -87,15 +93,25 @@ class ReactiveModel:
         net = self.site.network
         u = net.u_pu2(dispatch.v_pu[t])
         load = site.customer_bus @ (data.load_kw[t] * dispatch.served[t] * site.customers.q_per_p)
-        write(self.Q_load, load if data.drawn is None else load + data.drawn.kvar[t])
+        if data.drawn is not None:
+            load = load + data.drawn.kvar[t]
+        rating = site.batteries.s_max_kva
+        held = 0
+        if data.physics is not None:
+            load = load + at_far_ends(data.physics.loss_kvar)[t]
+            rating = rating - data.physics.headroom_kw[t]
+            held = int(data.physics.reference[t])
+        write(self.Q_load, load)
+        write(self.held, np.eye(net.n_buses)[held])
+        write(self.u_held, u[held])
         write(self.rise, data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t])
         of_pv_kw = dispatch.pv_self_kw[t] + dispatch.pv_export_kw[t]
         write(self.Q_pv_max, _left(site.pv.s_max_kva, of_pv_kw, dispatch.pv_q_kvar[t]))
         net_kw = dispatch.charge_kw[t] - dispatch.discharge_kw[t]
-        write(self.Q_batt_max, _left(site.batteries.s_max_kva, net_kw, dispatch.batt_q_kvar[t]))
+        write(self.Q_batt_max, _left(rating, net_kw, dispatch.batt_q_kvar[t]))
         write(self.Q_grid_max, data.grid_q_max_kvar(site)[t])
-        write(self.u_min, np.append(u[0], np.minimum(u[1:], net.u_min_pu2[1:])))
-        write(self.u_max, np.append(u[0], np.maximum(u[1:], net.u_max_pu2[1:])))
+        write(self.u_min, np.minimum(u, net.u_min_pu2))
+        write(self.u_max, np.maximum(u, net.u_max_pu2))
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the solution of the last solve in step ``t``."""

@@ -18,7 +18,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
-from vppres.solve.dispatch import with_tie_breakers
+from vppres.solve.dispatch import polished
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -103,14 +103,14 @@ def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
 
 
 def _carried(task: WindowTask, terms: NetworkTerms, whole: Floats) -> Candidate | None:
-    """The best dispatch of a set and its modes, with the tie-breakers if they find one."""
+    """The best dispatch of a set and its modes, with reactive power that it needs."""
     outcome, dispatch = terms.dispatch(whole, task.answer_by())
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None
     data = task.data.for_service(dispatch.served)
     found = Candidate.of(task.site, data, dispatch, np.inf, in_network=True)
-    return with_tie_breakers(task, found) or found
+    return polished(task, found)
 
 
 class NetworkTerms(NetworkProgram):
