@@ -50,7 +50,7 @@ SEARCH_OF_MODES = MappingProxyType(
     }
 )
 """Options of the search for set and modes. Of HiGHS's problems within the problem the one round its
-best answer (RINS) is kept: with all of them, or with none, a search takes twice as long."""
+best answer (RINS) is kept: without it searches take 1.4 times as long, with all of them 1.7."""
 
 ROUNDS = 3
 """How often batteries are searched, each time at the prices of the cuts before: later rounds add
@@ -157,14 +157,18 @@ def _battery_of_columns(task: WindowTask, first: Mapping[str, int], program: Pro
 def _with_cuts(
     program: Program, linear: ProgramSolution, battery: Wholes, modes: Wholes, end: Deadline
 ) -> tuple[Program, ProgramSolution]:
-    """A program and its linear solution with cuts of batteries more, until none has any."""
+    """A program and its linear solution with cuts of batteries more, as long as there are any."""
     for _ in range(ROUNDS):
         if linear.status != Status.OPTIMAL:
             break
         batteries = Feeders(program.by_shares(), linear, battery, modes)
-        searches = (batteries.search(int(n), end, EFFORT) for n in batteries.fractional)
-        cuts = [found.cut for found in searches if found.cut is not None]
-        if not cuts or end.passed:
+        cuts = []
+        for number in batteries.fractional:
+            if end.passed:
+                break
+            found = batteries.search(int(number), end, EFFORT)
+            cuts += [] if found.cut is None else [found.cut]
+        if not cuts:
             break
         rows = Rows.joined(cuts)
         program = program.with_range(rows.matrix.tocsc(), rows.lower, rows.upper)

@@ -28,7 +28,7 @@ CLOSE = 0.03
 
 FEW_ROWS = MappingProxyType({**NO_JUMPS, "presolve": "off"})
 """Options of the search for the next set to try: of a few dense rows, one for each set before,
-presolve removes nothing, and took up to two thirds of the time."""
+presolve took up to two thirds of the time."""
 
 TOLERANCE = 1e-6
 """Feasibility tolerance of the solver: what a share or a whole number may be off by."""
