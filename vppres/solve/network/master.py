@@ -421,8 +421,8 @@ class NetworkMaster:
 
         The others, most of them, make every node of a search slower and seldom bind in one.
         """
-        found = sum(len(rows.lower) for rows in self.network.found)
-        return np.asarray(linear.row_dual[len(linear.row_dual) - found :] != 0.0)
+        known = len(linear.row_dual) - self.network.limits
+        return np.asarray(linear.row_dual[known:] != 0.0)
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
@@ -447,9 +447,9 @@ class NetworkMaster:
         watch = Stopwatch()
         x = self.model.at["x"]
         best = None
-        bound = -np.inf
         size = -1
         program = self._enough(units_min)
+        bound = self._least_by_shares(program, deadline)
         while (
             known_gbp - bound > gap_gbp and not deadline.passed and len(self.network.found) > size
         ):
@@ -474,6 +474,22 @@ class NetworkMaster:
         ended = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
+
+    def _least_by_shares(self, program: Program, deadline: Deadline) -> float:
+        """Least cost of shares of customers, in GBP; limits that have a price there become known.
+
+        Most of what a search without them finds would violate them. Those that its other solutions
+        violate on the way would only slow it.
+        """
+        before = self.network.limits
+        shares = self._until_carried(self.network.loaded(program), deadline)
+        if shares.status != Status.OPTIMAL:
+            return -np.inf
+        kept = self._priced(shares)
+        kept[:before] = True
+        if len(kept) > before:
+            self.network.found = [Rows.joined(self.network.found).part(kept)]
+        return shares.value
 
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units."""

@@ -116,6 +116,11 @@ class NetworkProgram:
             rows=sp.csc_array(program.rows @ parts),
         )
 
+    @property
+    def limits(self) -> int:
+        """How many limits of the network are known."""
+        return sum(len(rows.lower) for rows in self.found)
+
     def _limits(self, found: list[Rows]) -> Rows:
         """Rows on the model's columns as rows on the program's."""
         rows = Rows.joined(found)

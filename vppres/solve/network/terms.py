@@ -182,11 +182,6 @@ class NetworkTerms(NetworkProgram):
         most_out = self.data.export_max_kw(self.site)
         return [batteries, (at["P_grid"][:, 0], most_in, at["P_out"][:, 0], most_out)]
 
-    @property
-    def limits(self) -> int:
-        """How many limits of the network are known."""
-        return sum(len(rows.lower) for rows in self.found)
-
     def shares(self, deadline: Deadline) -> ProgramSolution:
         """The best value of F of shares of customers, with all limits that they violate."""
         return self.until_carried(self.loaded(self.program), deadline, DISC)
