@@ -188,18 +188,18 @@ class CheapestDispatch:
         known = self.network.found
         anew = self.network.is_large and self._import_has_a_price
         limits = [] if anew else known
-        begin = None
+        self.network.found = list(limits)
+        solver = self.network.loaded(program)
+        if self.network.is_large:
+            self._begin(solver, deadline)
         for inside in shares:
-            self.network.found = list(limits)
-            solver = self.network.loaded(program)
-            if self.network.is_large:
-                begin = self._begun(solver, begin, deadline)
+            self.network.let_out(solver, inside)
             answer = self.network.until_carried(solver, deadline, EXACT_DISC, inside)
-            within = self.network.found
-            stricter = len(within) > len(limits)
-            self.network.found = known  # tangents within the discs hold for no other problem
+            stricter = len(self.network.found) > len(limits)
             if answer.status == Status.OPTIMAL or not stricter:
                 break
+        within = self.network.found
+        self.network.found = known  # tangents within the discs hold for no other problem
         return Within(answer, inside, solver, within)
 
     def _go_on(self, found: Within, deadline: Deadline) -> Within:
@@ -245,22 +245,15 @@ class CheapestDispatch:
             self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.model.price[1]).max(initial=0.0))
         )
 
-    def _begun(
-        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
-    ) -> highspy.HighsBasis:
-        """Let a solver of a set's cost begin at a basis, or find the one without tangents.
+    def _begin(self, solver: highspy.Highs, deadline: Deadline) -> None:
+        """Solve a set's cost without tangents, from where it is near.
 
         Where import has its price, idle batteries are near. Where nothing costs anything, presolve
         leaves next to nothing, and steps from any basis are many.
         """
-        if begin is not None:
-            solver.setBasis(begin)
-            return begin
         if self._import_has_a_price:
             self.network.start(solver)
         ProgramSolution.of(solver, deadline)
-        found: highspy.HighsBasis = solver.getBasis()
-        return found
 
     def _one_way(self, found: Within, served: Flags, deadline: Deadline) -> Within:
         """The optimum without what goes two ways at once, if anything does."""

@@ -231,7 +231,7 @@ class InNetwork:
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             done = known.limits.met(known.bound, found.value) or self.task.deadline.passed
-            if done or self.task.is_huge:
+            if done or self.task.is_huge or not self._closable(found):
                 break
         served = (found.service - UNITS_TOLERANCE) / unit
         if by_counts and np.ceil(served) > np.ceil(enough):
@@ -242,6 +242,15 @@ class InNetwork:
         if one_way is not None:
             cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
         known.cost_bound_gbp = cost_gbp
+
+    def _closable(self, found: Candidate) -> bool:
+        """Whether any bound on cost, none of which exceeds a known cost, may certify a dispatch.
+
+        Large windows, whose bounds take a second, ask for no other where a unit of service is open.
+        """
+        known = self.task.certificate
+        least = known.worth(known.service_bound, found.terms.f2)
+        return not self.task.is_large or known.limits.met(least, found.value)
 
     def _bound(self, name: str, outcome: Outcome) -> float:
         """A stage's lower bound on cost in GBP."""

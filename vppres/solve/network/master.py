@@ -15,7 +15,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Patience, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
-from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, LARGE_INSIDE, CheapestDispatch
+from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -58,6 +58,14 @@ COST_ASKED = 100
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
+
+FREE_TRIES = 6
+"""How many of them serve with a grid whom they like: these prove that there is none, mostly after
+two to five, and of 70 windows of 1,021 buses they found a set in none."""
+
+WELL_INSIDE = 6e-4
+"""Share by which the first dispatch of the best set of a large window lies within the discs. At
+``DISC`` one in four has none, and the next dispatch takes as long again."""
 
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
@@ -249,7 +257,7 @@ class NetworkMaster:
             return
         for over, finer in pairwise(DISCS):
             self._reach(known, cuts, held, deadline, over)
-            inside = LARGE_INSIDE[:1] if over == DISC else INSIDE
+            inside = (WELL_INSIDE,) if over == DISC else INSIDE
             if known.best is None or not verify or self._has_dispatch(known.best, inside):
                 return
             carried = self._tried(self.root[0], known.best, finer, -np.inf, self.deadline)
@@ -289,8 +297,8 @@ class NetworkMaster:
         in the dark the balance does. The others follow.
         """
         found = None
-        for said in (held, np.full(len(held), np.nan)):
-            for _ in range(TRIES):
+        for said, tries in ((held, TRIES), (np.full(len(held), np.nan), FREE_TRIES)):
+            for _ in range(tries):
                 found = cuts.with_units(units, known.shares, said, deadline)
                 if not found.status.has_answer:
                     break

@@ -121,6 +121,27 @@ class NetworkProgram:
         """How many limits of the network are known."""
         return sum(len(rows.lower) for rows in self.found)
 
+    def _add(self, solver: highspy.Highs, found: list[Rows], inside: float) -> None:
+        """Add limits on the model's columns to a solver, and to those that are known."""
+        if found:
+            rows = replace(self._limits(found), inside=inside)
+            self.found.append(rows)
+            add(solver, rows)
+
+    def let_out(self, solver: highspy.Highs, inside: float) -> None:
+        """Move known tangents that lie further inside their discs out to a share, in a solver too.
+
+        It goes on from where it was, which is near where it will end.
+        """
+        end = len(self.program.lower)
+        for number, rows in enumerate(self.found):
+            begin, end = end, end + len(rows.lower)
+            if rows.inside > inside:
+                out = rows.let_out(inside)
+                self.found[number] = out
+                which = np.arange(begin, end, dtype=np.int32)
+                solver.changeRowsBounds(len(which), which, out.lower, out.upper)
+
     def _limits(self, found: list[Rows]) -> Rows:
         """Rows on the model's columns as rows on the program's."""
         rows = Rows.joined(found)
@@ -201,16 +222,13 @@ class NetworkProgram:
                 return answer
             before = answer.value
             x = self.columns(answer)
-            found = [
-                *self.model.voltage_rows(x, VOLTAGE_PU2),
-                *self.model.disc_rows(x, over, inside, few),
-            ]
-            if not found:
+            voltages = self.model.voltage_rows(x, VOLTAGE_PU2)
+            tangents = self.model.disc_rows(x, over, inside, few)
+            if not voltages and not tangents:
                 return answer
             if deadline.passed:
                 self.unfinished = x
                 return replace(answer, status=Status.NO_ANSWER)
-            rows = self._limits(found)
-            self.found.append(rows)
-            add(solver, rows)
+            self._add(solver, voltages, 0.0)
+            self._add(solver, tangents, inside)
             self.begun = solver.getBasis()

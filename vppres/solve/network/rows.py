@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -14,11 +14,15 @@ from vppres.solve.programs import Program
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows ``lower <= matrix @ x <= upper``."""
+    """Rows ``lower <= matrix @ x <= upper``.
+
+    ``inside`` is the share by which they lie inside discs, if they are tangents of these.
+    """
 
     matrix: sp.csr_array
     lower: Floats
     upper: Floats
+    inside: float = 0.0
 
     @classmethod
     def of(
@@ -52,9 +56,11 @@ class Rows:
         """The same rows of a program with more columns behind."""
         m = self.matrix
         shape = (m.shape[0], size)
-        return Rows(
-            sp.csr_array((m.data, m.indices, m.indptr), shape=shape), self.lower, self.upper
-        )
+        return replace(self, matrix=sp.csr_array((m.data, m.indices, m.indptr), shape=shape))
+
+    def let_out(self, inside: float) -> Rows:
+        """Tangents of the same discs that lie inside by another share."""
+        return replace(self, upper=self.upper * (1.0 - inside) / (1.0 - self.inside), inside=inside)
 
     @classmethod
     def joined(cls, parts: list[Rows]) -> Rows:
