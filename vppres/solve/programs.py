@@ -79,6 +79,11 @@ SEARCH_FOR_CHEAPER = MappingProxyType(
 """Options for a search that begins with a set as good in all but its cost: another is seldom much
 cheaper, and HiGHS's problem within the problem took a third of the time."""
 
+SEARCH_WITH_RULES = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": True})
+"""Options for a search for sets with switching rules: good ones are hard to find there. Of 24
+windows it left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
+them, and all 24 together were worth 0.3 % more."""
+
 NEAR_NODES = 100
 """Nodes of a search near a linear solution."""
 

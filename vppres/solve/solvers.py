@@ -18,7 +18,12 @@ from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
-from vppres.solve.programs import NO_JUMPS, SEARCH_FOR_CHEAPER, SEARCH_OF_SETS
+from vppres.solve.programs import (
+    NO_JUMPS,
+    SEARCH_FOR_CHEAPER,
+    SEARCH_OF_SETS,
+    SEARCH_WITH_RULES,
+)
 from vppres.solve.result import Outcome, Status
 
 INTERIOR_POINTS = "clarabel"
@@ -77,6 +82,8 @@ class SolverSpec:
         Options of the solver for a search for sets, whose time goes into the proof.
     of_cheaper : mapping
         The same for a search for a set that is only cheaper than one that is known.
+    with_rules : mapping
+        The same for a search for sets that switching rules make hard to find.
     of_modes : mapping
         The same for a search for modes of known sets, whose rounding finds answers at once.
     """
@@ -89,6 +96,7 @@ class SolverSpec:
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
     of_cheaper: Mapping[str, Any] = field(default_factory=dict)
+    with_rules: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -162,6 +170,7 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_ended,
             of_sets=SEARCH_OF_SETS,
             of_cheaper=SEARCH_FOR_CHEAPER,
+            with_rules=SEARCH_WITH_RULES,
             of_modes=NO_JUMPS,
         ),
         SolverSpec(

@@ -47,6 +47,10 @@ MANY_STEPS = 20
 MANY_BINARIES = 150
 """Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
 
+MANY_WITH_RULES = 600
+"""Binaries from which on a search for service with rules looks for sets on its way too: with fewer
+it ends with a proof before it has use for them."""
+
 NEAR_SHARE = 0.1
 """Share of the time left in which it is looked for."""
 
@@ -124,7 +128,12 @@ class Binaries:
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s
-        outcome = search_for_set(self.model, self.model.grid_problem, self.spec, open_units, left_s)
+        many = self.data.switching is not None and self.model.x.size >= MANY_WITH_RULES
+        options = self.spec.with_rules if many else {}
+        problem = self.model.grid_problem
+        outcome = search_for_set(
+            self.model, problem, self.spec, open_units, left_s, options=options
+        )
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))

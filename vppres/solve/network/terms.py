@@ -27,6 +27,7 @@ from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     DIRECT,
     SEARCH_OF_SETS,
+    SEARCH_WITH_RULES,
     Program,
     ProgramSolution,
     columns_of_alike,
@@ -198,7 +199,8 @@ class NetworkTerms(NetworkProgram):
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         counted = with_sums(program, alike)
-        solver = counted.loaded(SET_GAP * gap / self.unit, more=SEARCH_OF_SETS)
+        options = SEARCH_OF_SETS if self.data.switching is None else SEARCH_WITH_RULES
+        solver = counted.loaded(SET_GAP * gap / self.unit, more=options)
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
