@@ -27,7 +27,9 @@ from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.fleet.masters import search_for_set
+from vppres.solve.cache import shared_cache
+from vppres.solve.deadline import Deadline
+from vppres.solve.fleet.masters import Binaries, search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
@@ -317,3 +319,25 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", model.x.size + 1)
     search_for_set(model, model.problem, highs, *asked, first=nobody)
     assert began[3] == highs.of_sets  # the last that it is asked with: no set
+
+
+@pytest.mark.parametrize(("many", "looks"), [(1, True), (10_000, False)])
+def test_many_binaries_with_rules_look_for_sets_on_the_way(
+    monkeypatch: pytest.MonkeyPatch, many: int, looks: bool
+) -> None:
+    case = hard_window("rules", 1)
+    highs = find_solver("highs")
+    asked = []
+
+    def noted(*arguments: Any) -> Outcome:
+        asked.append(arguments[5])
+        return run(*arguments)
+
+    monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
+    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_WITH_RULES", many)
+    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", 1)
+    master = Binaries(shared_cache(case.site), case.data, highs, Deadline(20.0), lumped=True)
+    outcome, served = master.service(1e-3)
+    assert outcome.status == Status.OPTIMAL
+    assert served is not None
+    assert asked[-1]["mip_heuristic_run_rins"] is looks

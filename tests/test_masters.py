@@ -31,6 +31,7 @@ from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.decide import at_hand, network_master, worth_asking_tie_breakers
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import NetworkMaster
@@ -49,7 +50,7 @@ from vppres.solve.programs import (
     stacked,
     with_sums,
 )
-from vppres.solve.result import SolveLimits, Status
+from vppres.solve.result import Outcome, SolveLimits, Status
 from vppres.solve.solvers import find_solver
 from vppres.solve.task import WindowTask
 
@@ -436,6 +437,49 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     assert dispatch is not None
     # Everything is free here: only what has a value is a reason to pass the sun on.
     assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("small", [0, 2000])
+def test_a_dispatch_goes_on_where_its_tangents_are_let_out(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, small: int
+) -> None:
+    """What has no dispatch well within the discs has the one that is found at once closer to them.
+
+    With nine tenths of the discs gone nobody can be supplied in the dark.
+    """
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", small)
+    site = Site.of(packaged)
+    data = day_window(packaged, 10, 4, 0.3)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    served = master.service(Deadline(TIME_S), verify=False)[1]
+    assert served is not None
+
+    def cheapest(*shares: float) -> Outcome:
+        found = CheapestDispatch(site, data, master.network)
+        return found.of(served, Deadline(TIME_S), shares)[0]
+
+    assert cheapest(0.9).status == Status.INFEASIBLE
+    at_once = cheapest(3e-4)
+    assert at_once.status == Status.OPTIMAL
+    assert cheapest(0.9, 3e-4).value == pytest.approx(at_once.value, rel=1e-6)
+
+
+def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
+    packaged: Scenario,
+) -> None:
+    heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
+    data = day_window(heavy, 17, 3, 0.3)
+    site = Site.of(heavy)
+    known, everything = (
+        NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)) for _ in range(2)
+    )
+    units = known.most_units - 1.0
+    assert everything.most_units == known.most_units
+    bound = known._least_by_shares(known._enough(units), Deadline(TIME_S))
+    again = ProgramSolution.of(known.network.loaded(known._enough(units)), Deadline(TIME_S))
+    least = everything.least_cost(units)
+    assert bound == pytest.approx(again.value) == pytest.approx(least.value)
+    assert known.network.limits < everything.network.limits
 
 
 @pytest.mark.monolith

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import cvxpy as cp
@@ -129,7 +128,7 @@ class Binaries:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s
         many = self.data.switching is not None and self.model.x.size >= MANY_WITH_RULES
-        options = self.spec.with_rules if many else {}
+        options = self.spec.with_rules if many else None
         problem = self.model.grid_problem
         outcome = search_for_set(
             self.model, problem, self.spec, open_units, left_s, options=options
@@ -151,7 +150,7 @@ class Binaries:
         left_s = self.deadline.left_s
         if not integer:
             return run(model.cost_problem, self.spec, 0.0, left_s), None
-        options = {} if self.best is None else self.spec.of_cheaper
+        options = None if self.best is None else self.spec.of_cheaper
         outcome = search_for_set(
             model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best, options=options
         )
@@ -170,13 +169,13 @@ def search_for_set(
     time_s: float,
     scale: float = 1.0,
     first: Flags | None = None,
-    options: Mapping[str, Any] = MappingProxyType({}),
+    options: Mapping[str, Any] | None = None,
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, or with one near the linear set.
 
     ``problem`` is one of the model's, ``scale`` a factor in its objective as in ``run``. A search
     of few binaries begins with nothing, and has the solver's options for any set; others have
-    these where ``options`` has none.
+    these where ``options`` is None.
     """
     x = model.x
     if x.size < MANY_BINARIES:
@@ -190,7 +189,7 @@ def search_for_set(
             served = near[columns[x.name()] + np.arange(x.size)]
             first = served.reshape(x.shape, order="F") > 0.5
     start = None if first is None else Start(x, first)
-    more = options or spec.of_sets
+    more = spec.of_sets if options is None else options
     outcome = run(problem, spec, gap_abs, deadline.left_s, scale, more, start)
     return replace(outcome, solve_s=deadline.spent_s)
 

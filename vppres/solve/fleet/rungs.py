@@ -165,7 +165,7 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
     left_s = task.search.left_s
-    options = {} if task.data.switching is None else task.spec.with_rules
+    options = None if task.data.switching is None else task.spec.with_rules
     outcome = search_for_set(model, model.problem, task.spec, gap, left_s, scale, first, options)
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:

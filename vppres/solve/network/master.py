@@ -61,7 +61,7 @@ TRIES = 12
 
 FREE_TRIES = 6
 """How many of them serve with a grid whom they like: these prove that there is none, mostly after
-two to five, and of 70 windows of 1,021 buses they found a set in none."""
+two to five, and of 72 windows of 1,021 buses they found a set in none."""
 
 WELL_INSIDE = 6e-4
 """Share by which the first dispatch of the best set of a large window lies within the discs. At
