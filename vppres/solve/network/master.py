@@ -60,8 +60,8 @@ TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
 
 FREE_TRIES = 6
-"""How many of them serve with a grid whom they like: these prove that there is none, mostly after
-two to five, and of 72 windows of 1,021 buses they found a set in none."""
+"""The same of sets that serve with a grid whom they like: where there is none of so many units, two
+to five of them proved it in windows of 1,021 buses, and of 72 windows they found one in none."""
 
 WELL_INSIDE = 6e-4
 """Share by which the first dispatch of the best set of a large window lies within the discs. At
