@@ -100,14 +100,19 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     places = _columns(task, first, "delta")
     battery = _battery_of_columns(task, first, program)
     program, linear = _with_cuts(program, linear, battery, places.ravel(), end)
-    bound = -linear.value * gap if linear.status == Status.OPTIMAL else relaxed
-    search = with_sums(program, list(places.T)).loaded(SET_GAP, more=SEARCH_OF_MODES)
+    by_cuts = -linear.value * gap if linear.status == Status.OPTIMAL else relaxed
+    bound = min(by_cuts, task.certificate.bound)
+    enough = SET_GAP - bound / gap
+    counted = with_sums(program, list(places.T))
+    search = counted.loaded(SET_GAP, enough=enough, more=SEARCH_OF_MODES)
     answer = ProgramSolution.of(search, task.search)
     if np.isfinite(answer.bound):
         bound = min(bound, -answer.bound * gap)
     if not answer.status.has_answer:
         return Apart(Outcome(answer.status, np.nan, bound, watch.spent_s, DIRECT), None, {})
-    outcome = Outcome(answer.status, -answer.value * gap, bound, watch.spent_s, DIRECT)
+    # What is within the gap of a bound that was known before has ended the search too.
+    status = Status.OPTIMAL if answer.value <= enough else answer.status
+    outcome = Outcome(status, -answer.value * gap, bound, watch.spent_s, DIRECT)
     binaries = {
         v.name(): np.round(answer.x[_places(first, v.name(), v.shape)])
         for v in model.problem.variables()

@@ -218,17 +218,16 @@ class NetworkTerms(NetworkProgram):
     def dispatch(self, chosen: Floats, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """The best dispatch of a set and its turns within the discs, whose limits are found.
 
-        With the set its rules are met, and what it draws is known.
+        A set that the discs allow no dispatch with these turns may have one with others. With the
+        set its rules are met, and what it draws is known.
         """
         watch = Stopwatch()
+        found = self._held(chosen, deadline)
+        if found.status == Status.INFEASIBLE:
+            chosen = self._with_other_turns(chosen, deadline)
+            found = self._held(chosen, deadline)
         x = self.model.at["x"]
         served = chosen[: x.size].reshape(x.shape) > 0.5
-        held = replace(
-            self.program, x_lower=self.program.x_lower.copy(), x_upper=self.program.x_upper.copy()
-        )
-        held.x_lower[self.chosen] = chosen
-        held.x_upper[self.chosen] = chosen
-        found = self.until_carried(self.loaded(held), deadline, EXACT_DISC)
         if self.data.switching is not None:
             data = replace(self.data.for_service(served), switching=None)
             plain = NetworkTerms(self.site, self.model.reactance, data, None, self.unit)
@@ -236,6 +235,25 @@ class NetworkTerms(NetworkProgram):
         outcome = Outcome(found.status, self.worth(found.value), np.inf, watch.spent_s, DIRECT)
         done = found.status == Status.OPTIMAL
         return outcome, self.model.dispatch(self.columns(found), served) if done else None
+
+    def _held(self, chosen: Floats, deadline: Deadline) -> ProgramSolution:
+        """The best dispatch with the first so many of the chosen binaries held."""
+        columns = self.chosen[: len(chosen)]
+        lower = self.program.x_lower.copy()
+        upper = self.program.x_upper.copy()
+        lower[columns] = chosen
+        upper[columns] = chosen
+        held = replace(self.program, x_lower=lower, x_upper=upper)
+        return self.until_carried(self.loaded(held), deadline, EXACT_DISC)
+
+    def _with_other_turns(self, chosen: Floats, deadline: Deadline) -> Floats:
+        """A set with the turns that prevail where it may do both at once; the same without any."""
+        served = chosen[: self.model.at["x"].size]
+        both = self._held(served, deadline)
+        if both.status != Status.OPTIMAL:
+            return chosen
+        turns = [both.x[first] > both.x[second] for first, _, second, _ in self._turns()]
+        return np.concatenate([served, *turns]).astype(float)
 
 
 def _with_turns(program: Program, pairs: list[Turns]) -> Program:
