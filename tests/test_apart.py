@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import highspy
 import numpy as np
 import pytest
 
@@ -30,8 +33,11 @@ from vppres.solve.apart import falls_apart, solve_apart, with_room_both_ways
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import with_modes
+from vppres.solve.fleet.modes import Apart, modes_apart
 from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.task import WindowTask
 from vppres.studies.sweep_parameters import scenario_changes
 
 RANDOM = [(seed, stressed) for stressed in (False, True) for seed in range(60)]
@@ -180,6 +186,33 @@ def test_each_battery_bounds_what_it_can_lose(monkeypatch: pytest.MonkeyPatch) -
     assert not any(stage.startswith("modes_apart") for stage in whole.stages)
     assert answer.objective <= whole.bound + 1e-6
     assert whole.objective <= answer.bound + 1e-6
+
+
+def test_a_search_for_modes_ends_at_a_bound_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own bound may never get there: it ran till the time limit with the best set in hand."""
+    hard = hard_window("surplus", 12)
+    best = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+    ends = []
+
+    def searched(solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
+        answer = ProgramSolution.of(solver, deadline)
+        if solver.getLp().integrality_:
+            ends.append(solver.getModelStatus())
+        return answer
+
+    def knowing(task: WindowTask, *more: Any) -> Apart | None:
+        task.certificate.bound_by(best.objective)
+        with monkeypatch.context() as patched:
+            patched.setattr("vppres.solve.fleet.modes.ProgramSolution", searches)
+            return modes_apart(task, *more)
+
+    searches = SimpleNamespace(of=searched)
+    monkeypatch.setattr("vppres.solve.fleet.rungs.modes_apart", knowing)
+    again = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+    assert ends == [highspy.HighsModelStatus.kObjectiveTarget]
+    assert again.status == Status.OPTIMAL
+    assert "modes_apart[highs]" in again.stages
+    assert again.objective == pytest.approx(best.objective, rel=1e-4)
 
 
 def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:

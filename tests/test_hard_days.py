@@ -32,6 +32,8 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.masters import Binaries, search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.reactance import Reactance
+from vppres.solve.network.terms import NetworkTerms
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver, run
 
@@ -232,6 +234,22 @@ def test_all_terms_in_the_network_know_switching_rules(seed: int) -> None:
     assert ladder.objective == pytest.approx(monolith.objective, abs=1e-4)
     assert ladder.bound >= monolith.objective - 1e-6
     assert monolith.bound >= ladder.objective - 1e-6
+
+
+@pytest.mark.parametrize("seed", [7, 21])
+def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> None:
+    case = random_window(seed, stressed=True)
+    site = Site.of(case.scenario)
+    gap = 1e-3
+    terms = NetworkTerms(site, shared_cache(site).table(Reactance), case.data, None, gap)
+    _, chosen = terms.search(gap, Deadline(20.0))
+    found, _ = terms.dispatch(chosen, Deadline(20.0))
+    wrong = np.append(chosen[: case.data.load_kw.size], 1.0 - chosen[case.data.load_kw.size :])
+    assert terms._held(wrong, Deadline(20.0)).status == Status.INFEASIBLE
+    mended, dispatch = terms.dispatch(wrong, Deadline(20.0))
+    assert dispatch is not None
+    assert mended.value == pytest.approx(found.value, abs=1e-6)
+    assert not ((dispatch.charge_kw > 1e-6) & (dispatch.discharge_kw > 1e-6)).any()
 
 
 # Rules in the network.
