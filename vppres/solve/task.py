@@ -32,6 +32,10 @@ NETWORK_RESERVE = 0.2
 """Share of the time limit that is kept for the network: a search without it that took all the time
 would find or prove what then could not be reported."""
 
+COST_SHARE = 0.25
+"""Share of the time left for a cheaper set where only its cost is open: far less is at stake than
+the gap, and most such searches find nothing."""
+
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3
 """What the way to the first answer may take beyond the time limit, all of its steps together:

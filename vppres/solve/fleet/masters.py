@@ -61,11 +61,13 @@ battery of the best efficiencies says too little, and the search begins with eve
 class Master(Protocol):
     """Finds served sets and bounds of a window in a relaxation without the network.
 
-    ``unit`` is the weights' grid, ``prefix`` begins the names of its stages.
+    ``unit`` is the weights' grid, ``prefix`` begins the names of its stages. Searches end at the
+    deadline, which whoever asks may set anew.
     """
 
     prefix: str
     unit: float
+    deadline: Deadline
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, within the window's gap in units, and a set that has it."""

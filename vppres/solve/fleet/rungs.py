@@ -26,7 +26,7 @@ from vppres.solve.fleet.modes import modes_apart
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
-from vppres.solve.task import WindowTask
+from vppres.solve.task import COST_SHARE, WindowTask
 
 NOTHING_LOST = 1e-6
 """Share of the gap by which the service of everyone may be missed: rounding of its sum."""
@@ -109,9 +109,13 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     needed = known.least_service_of_better()
     admitted = max(needed, best.service - ADMITTED_UNITS * unit)
     everyone = known.service_bound - admitted < EVERYONE_UNITS * unit
+    whole_time = master.deadline
+    if known.certified:
+        master.deadline = whole_time.part(COST_SHARE)
     outcome, served = master.cost(
         (admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2, cost_gap_gbp(best.terms.f2)
     )
+    master.deadline = whole_time
     known.note(f"{master.prefix}cost_level", outcome)
     if not outcome.status.has_answer:
         return

@@ -30,7 +30,7 @@ from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.network.sets import TOLERANCE
 from vppres.solve.result import Outcome
-from vppres.solve.task import WindowTask
+from vppres.solve.task import COST_SHARE, WindowTask
 
 SERVICE_SHARE = 0.5
 """Share of the time left for the search of a set: the other half is for its dispatch, its bound on
@@ -39,14 +39,12 @@ cost and, where the window is small, the whole problem."""
 HUGE_SERVICE_SHARE = 0.45
 """The same in a huge window, whose dispatch takes longer than the search: at 10,000 buses 50 s."""
 
-FLEET_SHARE = 0.1
+FLEET_SHARE = 0.03
 """Share of the time left for the fleet's least cost, a bound that only narrows the certificate."""
 
-LEAST_FLEET_S = 1.0
-"""What it may take of a short limit, as far as there is so much left."""
-
-COST_SHARE = 0.25
-"""Share of the time left for a cheaper set, whose search ends at a number of nodes."""
+LEAST_FLEET_S = 0.3
+"""What it may take of a short limit, as far as there is so much left: what is open after that was
+open after a second too."""
 
 HALF_UNIT = 0.5
 """Units of service by which the network's bound must lie below the fleet's set to say that it
