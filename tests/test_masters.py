@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +25,14 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
+from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import keep_dispatch, least_reactive, with_tie_breakers
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
+from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.decide import at_hand, network_master, worth_asking_tie_breakers
@@ -52,7 +55,7 @@ from vppres.solve.programs import (
 )
 from vppres.solve.result import Outcome, SolveLimits, Status
 from vppres.solve.solvers import find_solver
-from vppres.solve.task import WindowTask
+from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 
 SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
 """Window 54 has weights without a grid, to which counts do not apply."""
@@ -384,6 +387,53 @@ def test_binaries_close_what_counts_leave_open(monkeypatch: pytest.MonkeyPatch) 
     assert "binary_service[highs]" in answer.stages
     assert answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(before.objective, abs=SolveLimits().gap_abs)
+
+
+@pytest.mark.parametrize(("status", "searches"), [(Status.GAP_OPEN, 1), (Status.OPTIMAL, 3)])
+def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, status: Status, searches: int
+) -> None:
+    data = day_window(packaged, 12, 6, 0.5)
+    counts = Counts(demand_model(Site.of(packaged), 6, lumped=True), data, Deadline(TIME_S))
+    found = counts._carried(counts._most_by_shares(~counts.unlimited), counts.deadline)
+    cuts = len(counts.cuts)
+    assert cuts >= 2
+    asked = []
+
+    def search() -> object:
+        asked.append(len(counts.cuts))
+        return replace(found, status=status)
+
+    # The fleet refuses the set twice.
+    answers = iter([(Status.OPTIMAL, [cut]) for cut in counts.cuts[:2]])
+    monkeypatch.setattr(counts, "_separated", lambda _: next(answers, (Status.OPTIMAL, [])))
+    ended = counts._carried(search, counts.deadline)
+    assert asked == [cuts + k for k in range(searches)]
+    assert ended.status == (Status.OPTIMAL if searches > 1 else Status.NO_ANSWER)
+
+
+@pytest.mark.parametrize("certified", [True, False])
+def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, certified: bool
+) -> None:
+    left_s = []
+    cost = Counts.cost
+
+    def timed(self: Counts, *given: Any) -> object:
+        left_s.append(self.deadline.left_s)
+        return cost(self, *given)
+
+    monkeypatch.setattr(Counts, "cost", timed)
+    monkeypatch.setattr(Certificate, "certified", certified)
+    data = day_window(packaged, 10, 8, 0.5)
+    limits = SolveLimits(time_s=100.0)
+    task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
+    counts = Counts(demand_of(task.cache, data, lumped=True), data, task.search)
+    service_then_cost(task, counts)
+    search_s = 100.0 * (1.0 - NETWORK_RESERVE)
+    share = COST_SHARE if certified else 1.0
+    assert left_s[0] == pytest.approx(share * search_s, abs=5.0)
+    assert counts.deadline is task.search
 
 
 def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> None:
