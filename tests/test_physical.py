@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from experiments.hard_days import hard_day, hard_window
 from experiments.islands import claims_of, imbalance_kw, random_day
 from experiments.random_feeders import Window, random_scenario, random_window
 from tests.support.agreement import assert_agree, both_methods
@@ -49,7 +50,7 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.programs import Program
-from vppres.solve.result import Status, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 DAYS = tuple(range(14))
@@ -368,6 +369,40 @@ def lossy_day(tiny: Scenario) -> tuple[Scenario, Observation]:
         day.batteries.eta_discharge,
     )
     return day, seen
+
+
+@pytest.mark.parametrize("stored", [0.3, 0.8])
+def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: float) -> None:
+    """Each pass found other turns as good, and a step was refused for a surplus of 20 kW."""
+    hard = hard_day("small_former", 7203)
+    day, b = hard.scenario, hard.scenario.batteries
+    forecast = Forecaster(day, hard.errors, 7203).at(10, range(10, 16))
+    soc = b.soc_min + stored * (b.soc_max - b.soc_min)
+    seen = Observation(10, forecast, soc, b.eta_charge, b.eta_discharge)
+    planner = ConvergedPlanner(WindowSolver(Site.of(day)))
+    plan = planner.plan(seen)
+    assert plan.status == Status.OPTIMAL
+    assert plan.passes < planner.passes
+    site = planner.solver.site
+    whole = WindowData.of(seen, site, "none")
+    data = lossless(whole, physics_of(site, whole, planner.headroom))
+    points = planner.ac_points(data, plan.dispatch)
+    off_kw = points.loss_kw.sum(axis=1) - plan.loss_kw
+    assert np.abs(off_kw).max() <= LOSS_TOLERANCE_KW
+
+
+def test_turns_of_a_plan_before_are_kept_where_they_allow_a_dispatch() -> None:
+    hard = hard_window("surplus", 12)
+    solver = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0))
+    plan = solver.solve(hard.data).dispatch
+    kept = solver.solve_served(hard.data, plan.served, plan)
+    assert kept is not None
+    assert not (kept.dispatch.charge_kw * (plan.charge_kw <= plan.discharge_kw) > 1e-6).any()
+    assert not (kept.dispatch.discharge_kw * (plan.charge_kw > plan.discharge_kw) > 1e-6).any()
+    turned = replace(plan, charge_kw=plan.discharge_kw, discharge_kw=plan.charge_kw)
+    other = solver.solve_served(hard.data, plan.served, turned)
+    assert other is not None
+    assert other.objective == pytest.approx(kept.objective, rel=1e-3)
 
 
 def test_set_that_losses_leave_no_dispatch_is_decided_again(tiny: Scenario) -> None:

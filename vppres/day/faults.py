@@ -16,6 +16,7 @@ import numpy as np
 from numpy.random import Generator
 
 from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.core.arrays import Flags, Floats
@@ -284,11 +285,13 @@ class FaultySolver(WindowSolver):
         solution = self._solver.solve(data, within_s)
         return solution if fault is None else _garbled(solution, fault, self.site)
 
-    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
+    def solve_served(
+        self, data: WindowData, served: Flags, before: Dispatch | None = None
+    ) -> WindowSolution | None:
         """Dispatch of a served set, or a failure."""
         fault = self._injector.solver_fault()
         _fail(fault)
-        solution = self._solver.solve_served(data, served)
+        solution = self._solver.solve_served(data, served, before)
         if fault is None or solution is None:
             return solution
         return _garbled(solution, fault, self.site)

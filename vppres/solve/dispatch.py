@@ -116,6 +116,23 @@ def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:
         task.certificate.keep(with_tie_breakers(task, found) or in_network(task, served))
 
 
+def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
+    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if that is the best.
+
+    Where it earns to import and export at once, the step's direction would have to be held too.
+    """
+    served = before.served
+    if task.data.both_ways_earn or not task.obeys_rules(served):
+        return
+    turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
+    data = task.data.for_service(served)
+    attempt = with_modes(task.cache, data, served, turns, task.answer_by())
+    task.certificate.note("cost", attempt.outcome)
+    if attempt.dispatch is not None:
+        found = Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
+        task.certificate.keep(with_tie_breakers(task, found))
+
+
 def in_network(task: WindowTask, served: Flags) -> Candidate | None:
     """Cheapest dispatch of a served set in the network, with the true discs."""
     form = cost_form(task.sides, network=True)

@@ -26,6 +26,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem, SolverLostError
 from vppres.core.parent import command
@@ -481,9 +482,11 @@ class IsolatedSolver(WindowSolver):
         solution: WindowSolution = self._ask("solve", data, within_s, within_s=within_s)
         return solution
 
-    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
+    def solve_served(
+        self, data: WindowData, served: Flags, before: Dispatch | None = None
+    ) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none."""
-        solution: WindowSolution | None = self._ask("solve_served", data, served)
+        solution: WindowSolution | None = self._ask("solve_served", data, served, before)
         return solution
 
     def least_slack(self, data: WindowData) -> float:

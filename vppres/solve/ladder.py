@@ -14,6 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
@@ -29,7 +30,7 @@ from vppres.solve.apart import (
 from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network
+from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
@@ -192,10 +193,18 @@ class WindowSolver:
         return task.solution()
 
     @one_at_a_time
-    def solve_served(self, data: WindowData, served: Flags) -> WindowSolution | None:
-        """Cheapest dispatch of a served set in the network, None if it has none; no bound."""
+    def solve_served(
+        self, data: WindowData, served: Flags, before: Dispatch | None = None
+    ) -> WindowSolution | None:
+        """Cheapest dispatch of a served set in the network, None if it has none; no bound.
+
+        It keeps the batteries' turns of a plan ``before`` for that set, where these allow one.
+        """
         task = self._task(data, self.limits)
-        keep_dispatch_in_network(task, served)
+        if before is not None:
+            keep_with_turns(task, before)
+        if not task.certificate.answered:
+            keep_dispatch_in_network(task, served)
         return task.solution() if task.certificate.answered else None
 
     @one_at_a_time
