@@ -117,12 +117,13 @@ def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:
 
 
 def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
-    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if that is the best.
+    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if it has one.
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
     served = before.served
-    if task.data.both_ways_earn or not task.obeys_rules(served):
+    without_turns = len(task.site.batteries) == 0 or task.data.both_ways_earn
+    if without_turns or not task.obeys_rules(served):
         return
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
     data = task.data.for_service(served)
