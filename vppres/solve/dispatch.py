@@ -126,12 +126,24 @@ def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
     if without_turns or not task.obeys_rules(served):
         return
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
-    data = task.data.for_service(served)
-    attempt = with_modes(task.cache, data, served, turns, task.answer_by())
-    task.certificate.note("cost", attempt.outcome)
-    if attempt.dispatch is not None:
-        found = Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
+    found = cheapest_with_modes(task, served, turns)
+    if found is not None:
         task.certificate.keep(with_tie_breakers(task, found))
+
+
+def cheapest_with_modes(
+    task: WindowTask, served: Flags, modes: Mapping[str, Floats]
+) -> Candidate | None:
+    """Cheapest dispatch without the network of a served set with binaries held, by their names.
+
+    What other modes leave open of its cost is not known.
+    """
+    data = task.data.for_service(served)
+    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
+    task.certificate.note("cost", attempt.outcome)
+    if attempt.dispatch is None:
+        return None
+    return Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
 
 
 def in_network(task: WindowTask, served: Flags) -> Candidate | None:

@@ -5,15 +5,19 @@ The proofs are in ``docs/method.md``, *Why a bound bounds*.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
-from vppres.solve.certificate import Candidate, cost_gap_gbp
-from vppres.solve.dispatch import keep_dispatch, window_model, with_modes, with_tie_breakers
+from vppres.solve.certificate import cost_gap_gbp
+from vppres.solve.dispatch import (
+    cheapest_with_modes,
+    keep_dispatch,
+    window_model,
+    with_tie_breakers,
+)
 from vppres.solve.fleet.masters import (
     Master,
     fleets_of,
@@ -252,18 +256,7 @@ def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None
     known.note("modes_apart", found.outcome)
     known.bound_by(found.outcome.bound)
     if found.served is not None:
-        _keep_with_modes(task, found.served, found.modes)
-
-
-def _keep_with_modes(task: WindowTask, served: Flags, modes: Mapping[str, Floats]) -> None:
-    """Keep the cheapest dispatch of a set with binaries held, by their names."""
-    data = task.data.for_service(served)
-    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
-    task.certificate.note("cost", attempt.outcome)
-    if attempt.dispatch is not None:
-        # What the search leaves open of cost is not known.
-        found = Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
-        task.certificate.keep(found)
+        known.keep(cheapest_with_modes(task, found.served, found.modes))
 
 
 def _search_modes(task: WindowTask, gap: float) -> bool:
@@ -282,5 +275,5 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
     served = np.asarray(model.v.x_served.value) > 0.5
     binaries = [v for v in model.problem.variables() if v.attributes["boolean"]]
     modes = {v.name(): np.round(v.value) for v in binaries if v.name() != "x_served"}
-    _keep_with_modes(task, served, modes)
+    known.keep(cheapest_with_modes(task, served, modes))
     return outcome.status == Status.OPTIMAL

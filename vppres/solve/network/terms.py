@@ -223,8 +223,11 @@ class NetworkTerms(NetworkProgram):
         """
         watch = Stopwatch()
         found = self._held(chosen, deadline)
+        other = None
         if found.status == Status.INFEASIBLE:
-            chosen = self._with_other_turns(chosen, deadline)
+            other = self._with_other_turns(chosen, deadline)
+        if other is not None:
+            chosen = other
             found = self._held(chosen, deadline)
         x = self.model.at["x"]
         served = chosen[: x.size].reshape(x.shape) > 0.5
@@ -246,12 +249,12 @@ class NetworkTerms(NetworkProgram):
         held = replace(self.program, x_lower=lower, x_upper=upper)
         return self.until_carried(self.loaded(held), deadline, EXACT_DISC)
 
-    def _with_other_turns(self, chosen: Floats, deadline: Deadline) -> Floats:
-        """A set with the turns that prevail where it may do both at once; the same without any."""
+    def _with_other_turns(self, chosen: Floats, deadline: Deadline) -> Floats | None:
+        """A set with the turns that prevail where it may do both; None if that fails too."""
         served = chosen[: self.model.at["x"].size]
         both = self._held(served, deadline)
         if both.status != Status.OPTIMAL:
-            return chosen
+            return None
         turns = [both.x[first] > both.x[second] for first, _, second, _ in self._turns()]
         return np.concatenate([served, *turns]).astype(float)
 
