@@ -262,6 +262,36 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
     return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
 
 
+@pytest.mark.parametrize(
+    ("rules", "idle"),
+    [
+        (SwitchingRules(min_served_h=1.0, min_unserved_h=0.3), True),
+        (SwitchingRules(max_actions_per_customer=3), True),
+        (SwitchingRules(max_actions_per_customer=2), False),
+        (SwitchingRules(min_served_h=1.1), False),
+        (SwitchingRules(min_unserved_h=1.1), False),
+        (SwitchingRules(price_per_action=0.01), False),
+        (SwitchingRules(cold_load_factor=1.5), False),
+        (SwitchingRules(stay_restored=True), False),
+    ],
+)
+def test_rules_that_say_nothing_in_a_window_do_not_join_its_steps(
+    rules: SwitchingRules, idle: bool
+) -> None:
+    day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
+    observation = seen(day, SwitchingState.start(rules, 1.0, 1))
+    assert (observation.rules is None) == idle
+
+
+def test_duties_and_waiting_times_are_rules_yet() -> None:
+    """The end of a restoration's duty, or of a time unserved, reaches into a window of one step."""
+    day = island([[10.0]], [1.0], 21.0)
+    for served, rules in ((True, {"min_served_h": 3.0}), (False, {"min_unserved_h": 3.0})):
+        late = seen(day, state_of(SwitchingRules(**rules), [served], [3.0]))
+        early = seen(day, state_of(SwitchingRules(**rules), [served], [1.0]))
+        assert late.rules is None and early.rules is not None
+
+
 @pytest.mark.parametrize("method", LEVELLED)
 @pytest.mark.parametrize(
     ("energy_kwh", "served", "let_go"), [(15.0, [False, True], True), (35.0, [True, False], False)]

@@ -8,7 +8,7 @@ from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.stored_value import StoredValue
-from vppres.contract.switching import SwitchingState
+from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 
@@ -77,3 +77,14 @@ class Observation:
     def window(self) -> Forecast:
         """Forecast of the steps that are decided together: with a value, of the present one."""
         return self.forecast if self.stored_value is None else self.forecast.first(1)
+
+    @property
+    def rules(self) -> SwitchingData | None:
+        """Switching rules of the window, None where they say nothing in it.
+
+        Steps that only such rules would join are solved one by one.
+        """
+        if self.switching is None:
+            return None
+        rules = self.switching.window(len(self.window.price_gbp_per_kwh))
+        return None if rules.idle else rules

@@ -99,6 +99,18 @@ class SwitchingData:
         return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
 
     @property
+    def idle(self) -> bool:
+        """Whether any service obeys, at no price and with no higher demand.
+
+        Minimum times of one step are no rule, nor is a limit of as many actions as a day has steps.
+        """
+        steps = self.steps
+        free = steps.served == steps.unserved == 1 and not self.served_min.any()
+        enough = self.actions_left >= self.in_day.sum(axis=1)[:, None]
+        unlimited = self.served_max.all() and enough.all()
+        return bool(free and unlimited and steps.cold == 0 and self.price_per_action == 0.0)
+
+    @property
     def in_day(self) -> Flags:
         """Whether a step is in a day, (D, W)."""
         return np.asarray(self.day == np.arange(len(self.actions_left))[:, None])

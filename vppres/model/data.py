@@ -103,7 +103,6 @@ class WindowData:
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
         """The window that an observation shows, linearised at its last AC point."""
         forecast = observation.window
-        switching = observation.switching
         n_steps = len(forecast.price_gbp_per_kwh)
         point = observation.operating_point
         offset = delta_offset(site.network, point, centre)
@@ -118,7 +117,7 @@ class WindowData:
             eta_charge=observation.eta_charge,
             eta_discharge=observation.eta_discharge,
             delta_pu2=np.tile(offset, (n_steps, 1)),
-            switching=None if switching is None else switching.window(n_steps),
+            switching=observation.rules,
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
