@@ -22,6 +22,7 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.control.converged import in_the_dark
+from vppres.core.arrays import Floats
 from vppres.io.python_door import check_scenario
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
@@ -242,7 +243,7 @@ def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> Non
     site = Site.of(case.scenario)
     gap = 1e-3
     terms = NetworkTerms(site, shared_cache(site).table(Reactance), case.data, None, gap)
-    _, chosen = terms.search(gap, Deadline(20.0))
+    _, (chosen, *_) = terms.search(gap, Deadline(20.0))
     found, _ = terms.dispatch(chosen, Deadline(20.0))
     wrong = np.append(chosen[: case.data.load_kw.size], 1.0 - chosen[case.data.load_kw.size :])
     assert terms._held(wrong, Deadline(20.0)).status == Status.INFEASIBLE
@@ -267,6 +268,35 @@ def test_a_window_whose_network_binds_is_searched_there_at_once() -> None:
     served = answer.dispatch.served
     assert not case.data.switching.broken(served).any()
     checked = check_dispatch(case.day.scenario, case.data.for_service(served), answer.dispatch)
+    assert checked.worst[1] < CHECKER_TOLERANCE
+
+
+def test_a_set_found_on_the_way_is_the_answer_where_time_ends_before_one_that_is_carried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = hard_window("rules", 12)
+    whole = WindowSolver(case.site).solve(case.data)
+    searched: list[int] = []
+    search = NetworkTerms.search
+
+    def once(self: NetworkTerms, gap: float, deadline: Deadline) -> tuple[Outcome, list[Floats]]:
+        """The first search alone; the next ends before it has begun."""
+        outcome, sets = search(self, gap, deadline)
+        searched.append(len(sets))
+        if len(searched) == 1:
+            return outcome, sets
+        return replace(outcome, status=Status.NO_ANSWER, bound=np.inf), []
+
+    monkeypatch.setattr(NetworkTerms, "search", once)
+    cut = WindowSolver(case.site).solve(case.data)
+    stages = [stage.replace("[highs]", "") for stage in cut.stages]
+    assert searched[0] > 1
+    assert stages[:3] == ["shares", "network_terms", "network_dispatch:infeasible"]
+    assert not case.data.switching.broken(cut.dispatch.served).any()
+    assert whole.bound >= cut.objective > 0.9 * whole.objective > 0.0
+    checked = check_dispatch(
+        case.day.scenario, case.data.for_service(cut.dispatch.served), cut.dispatch
+    )
     assert checked.worst[1] < CHECKER_TOLERANCE
 
 

@@ -6,7 +6,7 @@ prices of any sign: ``CostRange.least_gbp`` is zero where no price is negative.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,11 @@ class Candidate:
         value = terms.upper_levels(site.weights)
         service = value + site.weights.lambda_grid * terms.f2
         return cls(dispatch, terms, service, value, terms.f2 - slack_gbp, in_network)
+
+    def carried_by(self, site: Site, data: WindowData, dispatch: Dispatch) -> Candidate:
+        """The same set and cost in the network, with a dispatch that carries them."""
+        terms = evaluate(site, data, dispatch)
+        return replace(self, dispatch=dispatch, terms=terms, in_network=True)
 
 
 @dataclass(frozen=True)

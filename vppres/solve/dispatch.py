@@ -177,8 +177,7 @@ def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     task.certificate.note("tie_breakers", attempt.outcome)
     if attempt.dispatch is None:
         return None
-    terms = evaluate(task.site, data, attempt.dispatch)
-    return replace(found, dispatch=attempt.dispatch, terms=terms, in_network=True)
+    return found.carried_by(task.site, data, attempt.dispatch)
 
 
 def polished(task: WindowTask, found: Candidate) -> Candidate:
@@ -196,8 +195,7 @@ def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate:
     attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
     assert attempt.dispatch is not None
-    terms = evaluate(task.site, data, attempt.dispatch)
-    return replace(found, dispatch=attempt.dispatch, terms=terms)
+    return found.carried_by(task.site, data, attempt.dispatch)
 
 
 def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:

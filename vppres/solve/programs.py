@@ -84,6 +84,9 @@ SEARCH_WITH_RULES = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins"
 windows it left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
 them, and all 24 together were worth 0.3 % more."""
 
+WITH_SETS_ON_THE_WAY = MappingProxyType({"mip_improving_solution_save": True})
+"""Option with which a search keeps every answer that was its best for some time."""
+
 NEAR_NODES = 100
 """Nodes of a search near a linear solution."""
 
@@ -287,6 +290,11 @@ class ProgramSolution:
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
+
+
+def sets_on_the_way(solver: highspy.Highs) -> list[Floats]:
+    """Columns of the answers that a search has kept on its way, its last and best first."""
+    return [np.asarray(kept.col_value) for kept in reversed(solver.getSavedMipSolutions())]
 
 
 def add_row(

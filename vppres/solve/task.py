@@ -32,7 +32,7 @@ NETWORK_RESERVE = 0.2
 """Share of the time limit that is kept for the network: a search without it that took all the time
 would find or prove what then could not be reported."""
 
-COST_SHARE = 0.25
+COST_SHARE = 0.1
 """Share of the time left for a cheaper set where only its cost is open: far less is at stake than
 the gap, and most such searches find nothing."""
 

@@ -7,6 +7,7 @@ a few hundred of them in place of every line, bus and side of a polygon, and mee
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,9 +29,11 @@ from vppres.solve.programs import (
     DIRECT,
     SEARCH_OF_SETS,
     SEARCH_WITH_RULES,
+    WITH_SETS_ON_THE_WAY,
     Program,
     ProgramSolution,
     columns_of_alike,
+    sets_on_the_way,
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
@@ -91,21 +94,34 @@ def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
     while task.goes_on:
         limits = terms.limits
         gap = task.gap_so_far
-        outcome, whole = terms.search(gap, task.deadline)
+        outcome, sets = terms.search(gap, task.deadline)
         known.note("network_terms", outcome)
-        if whole is None:
+        if not sets:
             known.prove(outcome)
             return
         known.bound_by(outcome.bound)
-        known.keep(_carried(task, terms, whole))
+        ended = outcome.status == Status.OPTIMAL
+        known.keep(_first_carried(task, terms, sets))
         nothing_new = terms.limits == limits and task.gap_so_far >= AGAIN * gap
-        if outcome.status != Status.OPTIMAL or nothing_new:
+        if not ended or nothing_new:
             return
 
 
-def _carried(task: WindowTask, terms: NetworkTerms, whole: Floats) -> Candidate | None:
-    """The best dispatch of a set and its modes, with reactive power that it needs."""
-    outcome, dispatch = terms.dispatch(whole, task.answer_by())
+def _first_carried(
+    task: WindowTask, terms: NetworkTerms, sets: Sequence[Floats]
+) -> Candidate | None:
+    """The best dispatch of the first of some sets that has one, None if none has.
+
+    Where no search follows that would know the limits which a set violates, those before it are all
+    that there is: they are worth a little less and violate fewer.
+    """
+    dispatches = (_carried(task, terms, chosen) for chosen in sets)
+    return next((found for found in dispatches if found is not None), None)
+
+
+def _carried(task: WindowTask, terms: NetworkTerms, chosen: Floats) -> Candidate | None:
+    """The best dispatch of a set and its turns, with reactive power that it needs."""
+    outcome, dispatch = terms.dispatch(chosen, task.answer_by())
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None
@@ -187,20 +203,21 @@ class NetworkTerms(NetworkProgram):
         """The best value of F of shares of customers, with all limits that they violate."""
         return self.until_carried(self.loaded(self.program), deadline, DISC)
 
-    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, Floats | None]:
+    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, list[Floats]]:
         """The best value of F with the limits found, those of shares included, and its binaries.
 
-        The linear problem comes first: most limits that ever bind have a violation there.
+        After them come those of the sets that were found on the way, the last of them first. The
+        linear problem is solved before: most limits that ever bind have a violation there.
         """
         watch = Stopwatch()
         linear = self.shares(deadline)
         if linear.status != Status.OPTIMAL:
-            return linear.outcome(watch.spent_s), None
+            return linear.outcome(watch.spent_s), []
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         counted = with_sums(program, alike)
         options = SEARCH_OF_SETS if self.data.switching is None else SEARCH_WITH_RULES
-        solver = counted.loaded(SET_GAP * gap / self.unit, more=options)
+        solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
@@ -209,7 +226,7 @@ class NetworkTerms(NetworkProgram):
             watch.spent_s,
             DIRECT,
         )
-        return outcome, np.round(found.x[self.chosen]) if found.status.has_answer else None
+        return outcome, [np.round(x[self.chosen]) for x in sets_on_the_way(solver)]
 
     def worth(self, value: float) -> float:
         """F of a value of the program."""
