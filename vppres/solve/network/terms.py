@@ -49,6 +49,9 @@ tie-breakers need little of it."""
 BINDS = 0.1
 """Share of the window's gap by which the network must lower the bound of shares of customers."""
 
+TRIED_SHARE = 0.5
+"""Share of the time on the way to an answer in which sets found on the way are tried."""
+
 AGAIN = 0.999
 """Share of a gap below which another search to the smaller gap can tell anything new."""
 
@@ -100,10 +103,9 @@ def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
             known.prove(outcome)
             return
         known.bound_by(outcome.bound)
-        ended = outcome.status == Status.OPTIMAL
         known.keep(_first_carried(task, terms, sets))
         nothing_new = terms.limits == limits and task.gap_so_far >= AGAIN * gap
-        if not ended or nothing_new:
+        if outcome.status != Status.OPTIMAL or nothing_new:
             return
 
 
@@ -112,11 +114,15 @@ def _first_carried(
 ) -> Candidate | None:
     """The best dispatch of the first of some sets that has one, None if none has.
 
-    Where no search follows that would know the limits which a set violates, those before it are all
-    that there is: they are worth a little less and violate fewer.
+    Those after the first are worth a little less and violate fewer limits. They have a part of what
+    is left on the way to an answer: where none is carried, one by rule must still be possible.
     """
-    dispatches = (_carried(task, terms, chosen) for chosen in sets)
-    return next((found for found in dispatches if found is not None), None)
+    end = task.answer_by().part(TRIED_SHARE)
+    for chosen in sets:
+        found = _carried(task, terms, chosen)
+        if found is not None or end.passed:
+            return found
+    return None
 
 
 def _carried(task: WindowTask, terms: NetworkTerms, chosen: Floats) -> Candidate | None:
