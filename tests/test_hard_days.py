@@ -22,7 +22,6 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.control.converged import in_the_dark
-from vppres.core.arrays import Floats
 from vppres.io.python_door import check_scenario
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
@@ -34,7 +33,7 @@ from vppres.solve.fleet.masters import Binaries, search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.terms import NetworkTerms
+from vppres.solve.network.terms import NetworkTerms, OnTheWay
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver, run
 
@@ -243,7 +242,9 @@ def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> Non
     site = Site.of(case.scenario)
     gap = 1e-3
     terms = NetworkTerms(site, shared_cache(site).table(Reactance), case.data, None, gap)
-    _, (chosen, *_) = terms.search(gap, Deadline(20.0))
+    outcome, ((value, chosen), *others) = terms.search(gap, Deadline(20.0))
+    assert value == pytest.approx(outcome.value, abs=1e-9)
+    assert all(other.value < value for other in others)
     found, _ = terms.dispatch(chosen, Deadline(20.0))
     wrong = np.append(chosen[: case.data.load_kw.size], 1.0 - chosen[case.data.load_kw.size :])
     assert terms._held(wrong, Deadline(20.0)).status == Status.INFEASIBLE
@@ -279,7 +280,7 @@ def test_a_set_found_on_the_way_is_the_answer_where_time_ends_before_one_that_is
     searched: list[int] = []
     search = NetworkTerms.search
 
-    def once(self: NetworkTerms, gap: float, deadline: Deadline) -> tuple[Outcome, list[Floats]]:
+    def once(self: NetworkTerms, gap: float, deadline: Deadline) -> tuple[Outcome, list[OnTheWay]]:
         """The first search alone; the next ends before it has begun."""
         outcome, sets = search(self, gap, deadline)
         searched.append(len(sets))

@@ -16,8 +16,10 @@ from benchmarks.instances import read_instances, window_data
 from experiments.hard_days import hard_window
 from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
+from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
+from vppres.core.arrays import Flags
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import find_scenario, read_scenario
@@ -474,6 +476,28 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
+
+
+@pytest.mark.parametrize("seed", [1, 17, 28, 43])
+def test_a_set_that_the_network_refuses_loses_those_who_are_in_the_way(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """In small windows too: where the search for service ends with everybody, most remain."""
+    case = random_window(seed, stressed=True)
+    site = Site.of(case.scenario)
+    alone = WindowSolver(site).solve(case.data)
+    service = NetworkMaster.service
+
+    def everybody(self: NetworkMaster, *args: Any, **options: Any) -> tuple[Outcome, Flags]:
+        """The bound of the search, and a set that no dispatch has."""
+        return service(self, *args, **options)[0], np.ones(self.data.load_kw.shape, dtype=bool)
+
+    monkeypatch.setattr(NetworkMaster, "service", everybody)
+    answer = WindowSolver(site).solve(case.data)
+    first = answer.stages.index("network_dispatch[highs]:infeasible")
+    assert answer.stages[first + 1] == "network_dispatch[highs]"
+    assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + 1e-6)
+    assert check_dispatch(case.scenario, case.data, answer.dispatch).worst[1] < CHECKER_TOLERANCE
 
 
 def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> None:

@@ -292,9 +292,10 @@ class ProgramSolution:
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
 
 
-def sets_on_the_way(solver: highspy.Highs) -> list[Floats]:
-    """Columns of the answers that a search has kept on its way, its last and best first."""
-    return [np.asarray(kept.col_value) for kept in reversed(solver.getSavedMipSolutions())]
+def sets_on_the_way(solver: highspy.Highs) -> list[tuple[float, Floats]]:
+    """Values and columns of the answers that a search kept on its way, its last and best first."""
+    kept = reversed(solver.getSavedMipSolutions())
+    return [(float(answer.objective), np.asarray(answer.col_value)) for answer in kept]
 
 
 def add_row(

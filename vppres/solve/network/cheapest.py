@@ -118,7 +118,7 @@ class CheapestDispatch:
         return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
 
     def of_most(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of those of a large window's set who can be served.
+        """Cheapest dispatch of those of a set who can be served.
 
         A set that has none within the discs loses customers who are part of the proof of that.
         """

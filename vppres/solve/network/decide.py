@@ -184,13 +184,13 @@ class InNetwork:
         return self._cheaper(found)
 
     def _dispatched(self, served: Flags) -> Candidate | None:
-        """A set's cheapest dispatch; in a large window that of most of it where it has none.
+        """A set's cheapest dispatch, without rules that of most of it where it has none.
 
-        In a huge one there is time for one of them.
+        In a huge window there is time for one of them.
         """
         task = self.task
         found = None if task.is_huge else self._cheapest(served, self.master.cheapest)
-        if found is None and task.is_large and task.data.switching is None:
+        if found is None and task.data.switching is None:
             return self._cheapest(served, self.master.cheapest_of_most)
         return found
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -58,6 +59,13 @@ AGAIN = 0.999
 # Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
 # the documentation's builder take the tuple for a signature.)
 Turns = tuple[Wholes, Floats, Wholes, Floats]
+
+
+class OnTheWay(NamedTuple):
+    """What a search was worth with some set for some time, and its binaries."""
+
+    value: float
+    chosen: Floats
 
 
 def all_terms_in_network(task: WindowTask) -> None:
@@ -110,7 +118,7 @@ def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
 
 
 def _first_carried(
-    task: WindowTask, terms: NetworkTerms, sets: Sequence[Floats]
+    task: WindowTask, terms: NetworkTerms, sets: Sequence[OnTheWay]
 ) -> Candidate | None:
     """The best dispatch of the first of some sets that has one, None if none has.
 
@@ -118,9 +126,13 @@ def _first_carried(
     is left on the way to an answer: where none is carried, one by rule must still be possible.
     """
     end = task.answer_by().part(TRIED_SHARE)
-    for chosen in sets:
+    best = task.certificate.best
+    least = best.value if best is not None and best.in_network else -np.inf
+    for tried, (value, chosen) in enumerate(sets):
+        if tried and (end.passed or value <= least):
+            return None
         found = _carried(task, terms, chosen)
-        if found is not None or end.passed:
+        if found is not None:
             return found
     return None
 
@@ -209,7 +221,7 @@ class NetworkTerms(NetworkProgram):
         """The best value of F of shares of customers, with all limits that they violate."""
         return self.until_carried(self.loaded(self.program), deadline, DISC)
 
-    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, list[Floats]]:
+    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, list[OnTheWay]]:
         """The best value of F with the limits found, those of shares included, and its binaries.
 
         After them come those of the sets that were found on the way, the last of them first. The
@@ -232,7 +244,8 @@ class NetworkTerms(NetworkProgram):
             watch.spent_s,
             DIRECT,
         )
-        return outcome, [np.round(x[self.chosen]) for x in sets_on_the_way(solver)]
+        sets = sets_on_the_way(solver)
+        return outcome, [OnTheWay(self.worth(value), np.round(x[self.chosen])) for value, x in sets]
 
     def worth(self, value: float) -> float:
         """F of a value of the program."""
