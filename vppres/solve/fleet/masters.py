@@ -24,13 +24,16 @@ from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.programs import compiled, near_linear
-from vppres.solve.result import Outcome
+from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
 
 WHOLE_GAP = 0.99
 """Gap of a search whose objective is a whole number: below one, the best number is known. Where the
 window's gap is many units, the search leaves its share of that open, as the counts do."""
+
+HALF_UNIT = 0.5
+"""Units of service by which one linear problem must lie below another to be told from it."""
 
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
@@ -122,6 +125,11 @@ class Binaries:
         """Whether weights and prices of switching have a grid."""
         return self.unit > 0.0 and whole_price(self.data, self.unit)
 
+    @property
+    def is_long(self) -> bool:
+        """Whether a search for service takes seconds."""
+        return self.data.switching is not None and self.model.x.size >= MANY_WITH_RULES
+
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         self.model.fill(self.data, all_connected=True)
@@ -129,8 +137,7 @@ class Binaries:
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s
-        many = self.data.switching is not None and self.model.x.size >= MANY_WITH_RULES
-        options = self.spec.with_rules if many else None
+        options = self.spec.with_rules if self.is_long else None
         problem = self.model.grid_problem
         outcome = search_for_set(
             self.model, problem, self.spec, open_units, left_s, options=options
@@ -215,7 +222,35 @@ def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
 def _binaries(task: WindowTask, lumped: bool) -> Master | None:
     """The master by binaries, where weights and prices of switching have a grid."""
     master = Binaries(task.cache, task.data, task.spec, task.search, lumped)
-    return master if master.applies else None
+    if not master.applies:
+        return None
+    first = not task.certificate.ran("service")
+    worth_asking = len(fleets_of(task.data)) > 1 and (not first or master.is_long)
+    if lumped and worth_asking and lumped_says_too_much(task):
+        return None
+    return master
+
+
+def lumped_says_too_much(task: WindowTask) -> bool:
+    """Whether shares of customers can be served less by every battery than by all as one.
+
+    Then the best sets of the lumped battery have no dispatch, and one search after the other would
+    say so.
+    """
+    most = [_most_by_shares(task, lumped) for lumped in (True, False)]
+    return most[0] - most[1] > HALF_UNIT
+
+
+def _most_by_shares(task: WindowTask, lumped: bool) -> float:
+    """Most service of shares of customers in units, which bounds that of all sets."""
+    model = relaxation_of(task.cache, task.data, integer=False, lumped=lumped)
+    model.fill(task.data, all_connected=True)
+    outcome = run(model.grid_problem, task.spec, 0.0, task.search.left_s)
+    task.certificate.note("most_by_shares", outcome)
+    if outcome.status != Status.OPTIMAL:
+        return np.inf
+    task.certificate.bound_service(model.grid * outcome.bound)
+    return outcome.bound
 
 
 def _counts(task: WindowTask, lumped: bool) -> Master | None:

@@ -63,10 +63,6 @@ FREE_TRIES = 6
 """The same of sets that serve with a grid whom they like: where there is none of so many units, two
 to five of them proved it in windows of 1,021 buses, and of 72 windows they found one in none."""
 
-WELL_INSIDE = 6e-4
-"""Share by which the first dispatch of the best set of a large window lies within the discs. At
-``DISC`` one in four has none, and the next dispatch takes as long again."""
-
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
 that are as tight find the same set again."""
@@ -257,7 +253,7 @@ class NetworkMaster:
             return
         for over, finer in pairwise(DISCS):
             self._reach(known, cuts, held, deadline, over)
-            inside = (WELL_INSIDE,) if over == DISC else INSIDE
+            inside = INSIDE[:1] if over == DISC else INSIDE
             if known.best is None or not verify or self._has_dispatch(known.best, inside):
                 return
             carried = self._tried(self.root[0], known.best, finer, -np.inf, self.deadline)
