@@ -30,16 +30,16 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import keep_dispatch, least_reactive, with_tie_breakers
-from vppres.solve.fleet.counts import Counts
+from vppres.solve.fleet.counts import SERVICE_NODES, Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
-from vppres.solve.fleet.masters import Binaries, demand_of
+from vppres.solve.fleet.masters import Binaries, _most_by_shares, demand_of
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.decide import at_hand, network_master, worth_asking_tie_breakers
 from vppres.solve.network.injections import Injections
-from vppres.solve.network.master import NetworkMaster
+from vppres.solve.network.master import DISCS, VERIFIED_DISC, NetworkMaster
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import (
@@ -414,6 +414,49 @@ def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
     assert ended.status == (Status.OPTIMAL if searches > 1 else Status.NO_ANSWER)
 
 
+@pytest.mark.parametrize(("steps", "again"), [(6, Status.OPTIMAL), (12, Status.NO_ANSWER)])
+def test_searches_of_a_long_window_share_their_nodes(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, steps: int, again: Status
+) -> None:
+    monkeypatch.setattr("vppres.solve.fleet.counts.ROOT_NODES", SERVICE_NODES)
+    data = day_window(packaged, 10, steps, 0.5)
+    counts = Counts(demand_model(Site.of(packaged), steps, lumped=True), data, Deadline(TIME_S))
+    first, second = (counts._most(~counts.unlimited, counts.deadline) for _ in range(2))
+    assert first.status == Status.OPTIMAL
+    assert second.status == again
+    assert second.bound == first.bound
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("small_former", 153), ("small_former", 173), ("rules", 171)]
+)
+def test_a_lumped_fleet_that_says_too_much_is_asked_for_no_more_sets(
+    monkeypatch: pytest.MonkeyPatch, kind: str, seed: int
+) -> None:
+    window = hard_window(kind, seed)
+    answer = WindowSolver(window.site).solve(window.data)
+    shares = answer.stages.index("most_by_shares[highs]")
+    assert answer.stages[shares + 1] == "most_by_shares[highs]"
+    assert "cost[highs]:infeasible" not in answer.stages[shares:]
+    monkeypatch.setattr("vppres.solve.fleet.masters.lumped_says_too_much", lambda _: False)
+    asked = WindowSolver(window.site).solve(window.data)
+    assert "cost[highs]:infeasible" in asked.stages
+    assert answer.status == asked.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(asked.objective, abs=asked.gap_abs + answer.gap_abs)
+
+
+@pytest.mark.parametrize("kind", ["small_former", "rules"])
+def test_shares_of_customers_are_served_no_more_by_every_battery_than_by_one(kind: str) -> None:
+    window = hard_window(kind, 164)
+    limits = SolveLimits(time_s=TIME_S)
+    task = WindowTask.begin(window.data, ModelCache(window.site), limits, *SPEC)
+    lumped, every = (_most_by_shares(task, lumped) for lumped in (True, False))
+    assert lumped >= every - 1e-6
+    unit = demand_of(task.cache, window.data, lumped=True).relaxation.grid
+    assert task.certificate.bound <= unit * every + 1e-6
+    assert WindowSolver(window.site).solve(window.data).objective <= task.certificate.bound
+
+
 @pytest.mark.parametrize("certified", [True, False])
 def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch, certified: bool
@@ -498,6 +541,28 @@ def test_a_set_that_the_network_refuses_loses_those_who_are_in_the_way(
     assert answer.stages[first + 1] == "network_dispatch[highs]"
     assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + 1e-6)
     assert check_dispatch(case.scenario, case.data, answer.dispatch).worst[1] < CHECKER_TOLERANCE
+
+
+def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    window = hard_window("rules", 158)
+    alone = WindowSolver(window.site).solve(window.data)
+    put_to = []
+    put = NetworkMaster._put_to_discs
+
+    def watched(self: NetworkMaster, *given: Any) -> object:
+        put_to.append(given[-1])
+        return put(self, *given)
+
+    monkeypatch.setattr(NetworkMaster, "_put_to_discs", watched)
+    monkeypatch.setattr("vppres.solve.network.master.DISCS", (0.1, *DISCS[1:]))
+    answer = WindowSolver(window.site).solve(window.data)
+    assert put_to == [VERIFIED_DISC]
+    assert "network_dispatch[highs]:infeasible" not in answer.stages
+    assert alone.status == answer.status == Status.OPTIMAL
+    assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + answer.gap_abs)
+    assert not window.data.switching.broken(answer.dispatch.served).any()
 
 
 def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> None:

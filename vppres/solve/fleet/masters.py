@@ -26,7 +26,7 @@ from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.programs import compiled, near_linear
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
-from vppres.solve.task import WindowTask
+from vppres.solve.task import COST_SHARE, WindowTask
 
 WHOLE_GAP = 0.99
 """Gap of a search whose objective is a whole number: below one, the best number is known. Where the
@@ -275,11 +275,12 @@ def relaxation_of(
     )
 
 
-def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
+def least_cost_one_way(task: WindowTask, units_min: float, certified: bool) -> Outcome | None:
     """Lower bound on the cost of all sets with so many units, where no step imports and exports.
 
     The masters' bounds let it do both, which says next to nothing where that earns. Who is served
     may be shares of customers here. None where it earns nowhere, and another bound is as good.
+    Where the plan is certified without it, it has a share of the time.
     """
     data = task.data
     if not data.both_ways_earn:
@@ -297,8 +298,9 @@ def least_cost_one_way(task: WindowTask, units_min: float) -> Outcome | None:
     )
     model.fill(data)
     write(model.service_min, units_min * model.grid)
-    left_s = task.search.left_s
-    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, left_s, more=task.spec.of_modes)
+    deadline = task.search.part(COST_SHARE) if certified else task.search
+    gap_gbp = ONE_WAY_GAP_GBP
+    return run(model.cost_problem, task.spec, gap_gbp, deadline.left_s, more=task.spec.of_modes)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:

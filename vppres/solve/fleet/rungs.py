@@ -148,7 +148,7 @@ def _cost_level(task: WindowTask, master: Master) -> None:
 
 def _one_way(task: WindowTask, units_min: float) -> float:
     """Bound on cost where the masters' would earn by importing and exporting at once, in GBP."""
-    outcome = least_cost_one_way(task, units_min)
+    outcome = least_cost_one_way(task, units_min, task.certificate.certified)
     if outcome is None:
         return -np.inf
     task.certificate.note("one_way_cost", outcome)

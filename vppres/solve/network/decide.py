@@ -228,7 +228,7 @@ class InNetwork:
         for name, least in (*bounds, ("network_least_cost", self._network_cost)):
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
-            done = known.limits.met(known.bound, found.value) or self.task.deadline.passed
+            done = self._certified(found) or self.task.deadline.passed
             if done or self.task.is_huge or not self._closable(found):
                 break
         served = (found.service - UNITS_TOLERANCE) / unit
@@ -236,10 +236,15 @@ class InNetwork:
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
-        one_way = least_cost_one_way(self.task, min(enough, served))
+        one_way = least_cost_one_way(self.task, min(enough, served), self._certified(found))
         if one_way is not None:
             cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
         known.cost_bound_gbp = cost_gbp
+
+    def _certified(self, found: Candidate) -> bool:
+        """Whether a dispatch is within the gaps of the bound."""
+        known = self.task.certificate
+        return known.limits.met(known.bound, found.value)
 
     def _closable(self, found: Candidate) -> bool:
         """Whether any bound on cost, none of which exceeds a known cost, may certify a dispatch.

@@ -150,7 +150,7 @@ class NetworkMaster:
         """
         watch = Stopwatch()
         x = self.model.at["x"]
-        solver, root = self.root
+        root = self.root[1]
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
@@ -160,7 +160,7 @@ class NetworkMaster:
         if self.network.is_large:
             self._close_large(known, cuts, deadline, verify)
         else:
-            self._close(solver, root, known, cuts, Patience(deadline, PATIENCE_NODES))
+            self._close(known, cuts, deadline)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -171,21 +171,39 @@ class NetworkMaster:
         outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
-    def _close(
+    def _close(self, known: Known, cuts: ServiceCuts, deadline: Deadline) -> None:
+        """Try sets until the best has as much as the bound, or nothing improves any more.
+
+        With rules the best set is put to the discs themselves, in two steps, where it has no
+        dispatch within them: nobody can be left out of it then without breaking them.
+        """
+        binding = self._priced(self.root[1])
+        for over, finer in pairwise(DISCS):
+            binding = self._try_sets(known, cuts, deadline, binding, over)
+            if known.best is None or self.data.switching is None or deadline.passed:
+                return
+            if self._has_dispatch(known.best):
+                return
+            carried = self._put_to_discs(known, cuts, finer)
+            if carried is None:
+                return
+            binding = self._also_priced(binding, carried)
+        self._try_sets(known, cuts, deadline, binding, finer)
+
+    def _try_sets(
         self,
-        solver: highspy.Highs,
-        linear: ProgramSolution,
         known: Known,
         cuts: ServiceCuts,
-        patience: Patience,
-    ) -> None:
-        """Try sets until the best has as much as the bound, or nothing improves any more.
+        deadline: Deadline,
+        binding: Flags,
+        over: float,
+    ) -> Flags:
+        """Try sets within discs that are exceeded so far; returns the limits that have bound.
 
         Prices know sets that are carried in part, which rules may forbid: there all sets come from
         the search with binaries.
         """
-        x = self.model.at["x"].ravel()
-        binding = self._priced(self.root[1])
+        patience = Patience(deadline, PATIENCE_NODES)
         rounds = 0
         while not known.closed() and not patience.passed:
             rounds = rounds + 1
@@ -193,21 +211,26 @@ class NetworkMaster:
             if self.data.switching is not None or rounds > ROUNDS:
                 found = self._searched(binding, known.bound, known.best, patience)
             else:
-                found = cuts.most(linear.x[x], enough + 1.0, patience.end, most_nodes=TRIED_NODES)
+                found = cuts.most(known.shares, enough + 1.0, patience.end, most_nodes=TRIED_NODES)
             known.take(found)
             if known.closed():
-                return
-            solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), known.tried)
-            linear = self._until_carried(solver, self.deadline, worth=enough)
+                break
+            linear = self._tried(self.root[0], known.tried, over, enough)
             if linear.status != Status.OPTIMAL:
-                return
+                break
             self._cut(linear, cuts)
+            known.shares = self._shares(linear)
             known.improve(*self._carried(linear))
             nodes = patience.nodes + ROUND_NODES
             patience.saw(known.most, known.bound, nodes)
             # These forbid the set that was tried, if it is not carried in full.
-            priced = self._priced(linear)
-            binding = priced | np.pad(binding, (0, len(priced) - len(binding)))
+            binding = self._also_priced(binding, linear)
+        return binding
+
+    def _also_priced(self, binding: Flags, linear: ProgramSolution) -> Flags:
+        """Limits that have bound, and those with a price in a linear solution."""
+        priced = self._priced(linear)
+        return priced | np.pad(binding, (0, len(priced) - len(binding)))
 
     def _by_feeders(self, cuts: ServiceCuts, deadline: Deadline) -> Floats:
         """Lower the first bound by feeders' own searches; returns whom they serve with a grid.
@@ -256,13 +279,24 @@ class NetworkMaster:
             inside = INSIDE[:1] if over == DISC else INSIDE
             if known.best is None or not verify or self._has_dispatch(known.best, inside):
                 return
-            carried = self._tried(self.root[0], known.best, finer, -np.inf, self.deadline)
-            if carried.status != Status.OPTIMAL:
+            if self._put_to_discs(known, cuts, finer) is None:
                 return
-            self._cut(carried, cuts)
-            known.shares = self._shares(carried)
-            known.best, known.most = self._carried(carried)
         self._reach(known, cuts, held, deadline, finer)
+
+    def _put_to_discs(self, known: Known, cuts: ServiceCuts, over: float) -> ProgramSolution | None:
+        """Put the best set to discs so near the true ones; the best is what they carry of it then.
+
+        None where that was not solved.
+        """
+        assert known.best is not None
+        carried = self._tried(self.root[0], known.best, over, -np.inf, self.deadline)
+        if carried.status != Status.OPTIMAL:
+            return None
+        self._cut(carried, cuts)
+        known.shares = self._shares(carried)
+        known.best, known.most = None, -np.inf
+        known.improve(*self._carried(carried))
+        return carried
 
     def _reach(
         self, known: Known, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
@@ -510,7 +544,9 @@ class NetworkMaster:
         """Cheapest dispatch of those of a set who can be served, of a window without rules."""
         return CheapestDispatch(self.site, self.data, self.network).of_most(served, deadline)
 
-    def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+    def cheapest(
+        self, served: Flags, deadline: Deadline, inside: tuple[float, ...] = ()
+    ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
         With the set its rules are met, and what it draws is known.
@@ -523,16 +559,15 @@ class NetworkMaster:
         if data.switching is not None:
             data = replace(data.for_service(served), switching=None)
             network = NetworkProgram(self.site, self.model.reactance, data)
-        return CheapestDispatch(self.site, data, network).of(served, deadline)
-
-    def _has_dispatch(self, best: Floats, inside: tuple[float, ...]) -> bool:
-        """Whether a set has a dispatch by shares within the discs, which is kept."""
-        served = best.reshape(self.model.at["x"].shape) > 0.5
-        found = CheapestDispatch(self.site, self.data, self.network)
-        outcome, dispatch = found.of(served, self.deadline, inside)
+        outcome, dispatch = CheapestDispatch(self.site, data, network).of(served, deadline, inside)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
-        return outcome.status == Status.OPTIMAL
+        return outcome, dispatch
+
+    def _has_dispatch(self, best: Floats, inside: tuple[float, ...] = ()) -> bool:
+        """Whether a set has a dispatch by shares within the discs, which is kept."""
+        served = best.reshape(self.model.at["x"].shape) > 0.5
+        return self.cheapest(served, self.deadline, inside)[0].status == Status.OPTIMAL
 
     def _until_carried(
         self,
