@@ -220,15 +220,16 @@ def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
 
 
 def _binaries(task: WindowTask, lumped: bool) -> Master | None:
-    """The master by binaries, where weights and prices of switching have a grid."""
+    """The master by binaries, where weights and prices of switching have a grid.
+
+    A lumped battery that says too much has none: that is asked where its set by counts has no
+    dispatch, and where a search takes long.
+    """
     master = Binaries(task.cache, task.data, task.spec, task.search, lumped)
     if not master.applies:
         return None
-    first = not task.certificate.ran("service")
-    worth_asking = len(fleets_of(task.data)) > 1 and (not first or master.is_long)
-    if lumped and worth_asking and lumped_says_too_much(task):
-        return None
-    return master
+    asked = lumped and (task.certificate.ran("service") or master.is_long)
+    return None if asked and lumped_says_too_much(task) else master
 
 
 def lumped_says_too_much(task: WindowTask) -> bool:
@@ -237,8 +238,10 @@ def lumped_says_too_much(task: WindowTask) -> bool:
     Then the best sets of the lumped battery have no dispatch, and one search after the other would
     say so.
     """
-    most = [_most_by_shares(task, lumped) for lumped in (True, False)]
-    return most[0] - most[1] > HALF_UNIT
+    if len(fleets_of(task.data)) == 1:
+        return False
+    of_lumped, of_every = (_most_by_shares(task, lumped) for lumped in (True, False))
+    return of_lumped - of_every > HALF_UNIT
 
 
 def _most_by_shares(task: WindowTask, lumped: bool) -> float:
