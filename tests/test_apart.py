@@ -176,13 +176,22 @@ def test_batteries_of_a_watt_give_no_more_than_their_range() -> None:
     np.testing.assert_allclose(half_full_kwh, (b.soc_max - b.soc_min) * second)
 
 
-def test_each_battery_bounds_what_it_can_lose(monkeypatch: pytest.MonkeyPatch) -> None:
-    hard = hard_window("surplus", 12)
-    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+@pytest.mark.parametrize(
+    ("seed", "rules"), [(12, None), (49, SwitchingRules(min_served_h=0.5, min_unserved_h=1.0))]
+)
+def test_each_battery_bounds_what_it_can_lose(
+    seed: int, rules: SwitchingRules | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hard = hard_window("surplus", seed)
+    data = hard.data
+    if rules is not None:
+        state = SwitchingState.start(rules, hard.site.dt_h, len(hard.site.customers))
+        data = replace(data, switching=state.window(data.n_steps))
+    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(data)
     assert answer.status == Status.OPTIMAL
     assert "modes_apart[highs]" in answer.stages
     monkeypatch.setattr("vppres.solve.fleet.rungs.modes_apart", lambda *_: None)
-    whole = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
+    whole = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(data)
     assert not any(stage.startswith("modes_apart") for stage in whole.stages)
     assert answer.objective <= whole.bound + 1e-6
     assert whole.objective <= answer.bound + 1e-6

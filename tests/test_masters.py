@@ -14,7 +14,7 @@ from benchmarks.feeders import with_days
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
 from experiments.hard_days import hard_window
-from experiments.random_feeders import random_window
+from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.dispatch import Dispatch
@@ -546,8 +546,11 @@ def test_a_set_that_the_network_refuses_loses_those_who_are_in_the_way(
 def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    window = hard_window("rules", 158)
-    alone = WindowSolver(window.site).solve(window.data)
+    case = random_window(88, stressed=True)
+    site = Site.of(case.scenario)
+    rules = random_state(88, case.scenario).window(case.data.n_steps)
+    data = replace(case.data, switching=rules)
+    alone = WindowSolver(site).solve(data)
     put_to = []
     put = NetworkMaster._put_to_discs
 
@@ -557,12 +560,12 @@ def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
 
     monkeypatch.setattr(NetworkMaster, "_put_to_discs", watched)
     monkeypatch.setattr("vppres.solve.network.master.DISCS", (0.1, *DISCS[1:]))
-    answer = WindowSolver(window.site).solve(window.data)
+    answer = WindowSolver(site).solve(data)
     assert put_to == [VERIFIED_DISC]
     assert "network_dispatch[highs]:infeasible" not in answer.stages
     assert alone.status == answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + answer.gap_abs)
-    assert not window.data.switching.broken(answer.dispatch.served).any()
+    assert not rules.broken(answer.dispatch.served).any()
 
 
 def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> None:

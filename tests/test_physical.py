@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -391,16 +392,18 @@ def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: floa
     assert np.abs(off_kw).max() <= LOSS_TOLERANCE_KW
 
 
-def test_turns_of_a_plan_before_are_kept_where_they_allow_a_dispatch() -> None:
+@pytest.mark.parametrize("keeps_turns", [True, False])
+def test_turns_of_a_plan_before_are_kept_where_they_allow_a_dispatch(keeps_turns: bool) -> None:
+    """In any case, or because sun is lost in turns here, which would have to be searched for."""
     hard = hard_window("surplus", 12)
     solver = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0))
     plan = solver.solve(hard.data).dispatch
-    kept = solver.solve_served(hard.data, plan.served, plan)
+    kept = solver.solve_served(hard.data, plan.served, plan, keeps_turns)
     assert kept is not None
     assert not (kept.dispatch.charge_kw * (plan.charge_kw <= plan.discharge_kw) > 1e-6).any()
     assert not (kept.dispatch.discharge_kw * (plan.charge_kw > plan.discharge_kw) > 1e-6).any()
     turned = replace(plan, charge_kw=plan.discharge_kw, discharge_kw=plan.charge_kw)
-    other = solver.solve_served(hard.data, plan.served, turned)
+    other = solver.solve_served(hard.data, plan.served, turned, keeps_turns)
     assert other is not None
     assert other.objective == pytest.approx(kept.objective, rel=1e-3)
 
@@ -419,17 +422,26 @@ def test_all_decisions_of_a_window_share_its_time(
     day, seen = lossy_day(tiny)
     solver = WindowSolver(Site.of(day))
     solve, spans = solver.solve, list[float]()
+    solve_served, spans_of_passes = solver.solve_served, list[float]()
 
     def watched(data: WindowData, within_s: float) -> WindowSolution:
         spans.append(within_s)
         return solve(data, within_s)
 
+    def watched_pass(*args: Any, within_s: float, **options: Any) -> WindowSolution | None:
+        spans_of_passes.append(within_s)
+        return solve_served(*args, within_s=within_s, **options)
+
     monkeypatch.setattr(solver, "solve", watched)
+    monkeypatch.setattr(solver, "solve_served", watched_pass)
     ConvergedPlanner(solver, headroom=0.0).plan(seen)
     first_s, second_s = spans
     limit_s = solver.limits.time_s
     assert first_s == pytest.approx(FIRST_SHARE * limit_s, abs=0.1)
     assert 0.5 * limit_s < second_s < limit_s  # what the first one left, of the whole
+    assert spans_of_passes
+    assert spans_of_passes == sorted(spans_of_passes, reverse=True)
+    assert spans_of_passes[0] < limit_s
 
 
 # Options and files.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +26,7 @@ from tests.support.small_windows import (
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
-from vppres.contract.switching import RuleSteps, SwitchingState
+from vppres.contract.switching import RuleSteps, SwitchingData, SwitchingState
 from vppres.control.planner import OnePass, plan_with_rules
 from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.metrics import summarise
@@ -34,6 +35,7 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
 from vppres.model.beyond_paper import switching as switching_rules
+from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.cold_load import ColdLoad
@@ -466,6 +468,47 @@ def test_fewer_moves_cost_no_service(packaged: Scenario) -> None:
 # The rules themselves.
 
 
+@pytest.mark.parametrize("rules", [(1, 1, 1), (1, 1, 3), (2, 1, 2), (2, 1, 4), (3, 2, 2)])
+@pytest.mark.parametrize("left", [0, 1])
+def test_demand_is_higher_just_where_the_state_says_so(
+    tiny: Scenario, rules: tuple[int, int, int], left: int
+) -> None:
+    """Of every service of five steps that obeys the rules, least and most of it in the model."""
+    steps, W = RuleSteps(*rules), 5
+    past = SwitchingData(
+        steps,
+        served_before=np.full(3, left > 0),
+        served_min=np.zeros((W, 3), dtype=bool),
+        served_max=np.ones((W, 3), dtype=bool),
+        actions_left=np.full((1, 3), 10.0),
+        price_per_action=0.0,
+        cold_factor=2.0,
+        cold_before=np.repeat(np.arange(W)[:, None] < left, 3, axis=1),
+        day=np.zeros(W, dtype=int),
+    )
+    x = cp.Parameter((W, 3), nonneg=True)
+    model = SwitchingModel(Site.of(tiny), x, steps)
+    model.fill(replace(window(tiny).first(W), switching=past))
+    cold = model.cold
+    assert cold is not None
+    bounds = [
+        cp.Problem(sense(cp.sum(cold.z)), list(model.constraints.values()))
+        for sense in (cp.Minimize, cp.Maximize)
+    ]
+    obeying = 0
+    for service in itertools.product([False, True], repeat=W):
+        served = np.repeat(np.array(service)[:, None], 3, axis=1)
+        if past.broken(served).any():
+            continue
+        obeying += 1
+        x.value = served.astype(float)
+        truth = past.demand_factor(served) - 1.0
+        for bound in bounds:
+            bound.solve(cp.HIGHS)
+            assert cold.z.value == pytest.approx(truth, abs=1e-6)
+    assert obeying >= 8
+
+
 def test_values_out_of_range_are_named() -> None:
     with pytest.raises(InputError) as error:
         SwitchingRules(min_served_h=-1.0, cold_load_factor=0.5, max_actions_per_customer=-1)
@@ -481,7 +524,7 @@ def test_values_out_of_range_are_named() -> None:
 
 def test_equations_are_those_of_the_page(tiny: Scenario) -> None:
     rows = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)` \| `([\w]+)` \|", PAGE.read_text("utf-8"), re.M)
-    site, steps = Site.of(tiny), RuleSteps(2, 2, 1)
+    site, steps = Site.of(tiny), RuleSteps(1, 2, 2)
     ruled = WindowModel(site, 3, Form(switching=steps))
     added = set(ruled.constraints) - set(WindowModel(site, 3, Form()).constraints)
     assert {name for _, name in rows} == added

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+from abc import ABC, abstractmethod
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +31,7 @@ def bad(data: WindowData) -> WindowData:
     return replace(data, price_gbp_per_kwh=prices)
 
 
-class Failing(WindowSolver):
+class Failing(WindowSolver, ABC):
     """Fails at the window with the bad price."""
 
     def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
@@ -39,9 +40,9 @@ class Failing(WindowSolver):
             self.fail()
         return super().solve(data, within_s)
 
+    @abstractmethod
     def fail(self) -> None:
         """What befalls it."""
-        raise NotImplementedError
 
 
 class Sleeping(Failing):

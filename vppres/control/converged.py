@@ -154,8 +154,14 @@ class ConvergedPlanner:
         points = self.ac_points(data, solution.dispatch)
         while passes < self.passes and not agree(data, solution.dispatch, points, network):
             closer = linearised(data, network, points)
-            before = solution.dispatch if passes > 1 else None
-            again = self.solver.solve_served(closer, solution.dispatch.served, before)
+            before = solution.dispatch
+            again = self.solver.solve_served(
+                closer,
+                before.served,
+                before,
+                keeps_turns=passes > 1,
+                within_s=deadline.left_s,
+            )
             if again is None:
                 if decisions == _MAX_DECISIONS or deadline.passed:
                     break

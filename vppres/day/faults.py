@@ -286,12 +286,17 @@ class FaultySolver(WindowSolver):
         return solution if fault is None else _garbled(solution, fault, self.site)
 
     def solve_served(
-        self, data: WindowData, served: Flags, before: Dispatch | None = None
+        self,
+        data: WindowData,
+        served: Flags,
+        before: Dispatch | None = None,
+        keeps_turns: bool = False,
+        within_s: float = math.inf,
     ) -> WindowSolution | None:
         """Dispatch of a served set, or a failure."""
         fault = self._injector.solver_fault()
         _fail(fault)
-        solution = self._solver.solve_served(data, served, before)
+        solution = self._solver.solve_served(data, served, before, keeps_turns, within_s)
         if fault is None or solution is None:
             return solution
         return _garbled(solution, fault, self.site)

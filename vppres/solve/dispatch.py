@@ -104,31 +104,41 @@ def keep_dispatch(task: WindowTask, served: Flags) -> None:
         task.certificate.keep(cheapest(task, "cost", served, form, modes_later=later))
 
 
-def keep_dispatch_in_network(task: WindowTask, served: Flags) -> None:
+def keep_dispatch_in_network(
+    task: WindowTask, served: Flags, before: Dispatch | None = None
+) -> None:
     """Keep the cheapest dispatch of a served set that the network carries if it is the best.
 
-    The cost without the network is tried first, since most networks carry it.
+    The cost without the network is tried first, since most networks carry it. Where batteries'
+    turns would have to be searched for, those of a plan ``before`` for the set are tried first:
+    others were never worth more by the gap, and took as long to find as the set itself.
     """
     if not task.obeys_rules(served):
         return
-    found = cheapest(task, "cost", served, cost_form(0, network=False))
+    form = cost_form(0, network=False)
+    found = cheapest(task, "cost", served, form, modes_later=before is not None)
+    if before is not None and task.certificate.wasteful:
+        found = _cheapest_with_turns(task, before) or cheapest(task, "cost", served, form)
     if found is not None:
         task.certificate.keep(with_tie_breakers(task, found) or in_network(task, served))
 
 
 def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
-    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if it has one.
+    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if it has one."""
+    found = _cheapest_with_turns(task, before) if task.obeys_rules(before.served) else None
+    if found is not None:
+        task.certificate.keep(with_tie_breakers(task, found))
+
+
+def _cheapest_with_turns(task: WindowTask, before: Dispatch) -> Candidate | None:
+    """Cheapest dispatch without the network of a plan's set with its batteries' turns.
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
-    served = before.served
-    without_turns = len(task.site.batteries) == 0 or task.data.both_ways_earn
-    if without_turns or not task.obeys_rules(served):
-        return
+    if len(task.site.batteries) == 0 or task.data.both_ways_earn:
+        return None
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
-    found = cheapest_with_modes(task, served, turns)
-    if found is not None:
-        task.certificate.keep(with_tie_breakers(task, found))
+    return cheapest_with_modes(task, before.served, turns)
 
 
 def cheapest_with_modes(

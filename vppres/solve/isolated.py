@@ -483,10 +483,16 @@ class IsolatedSolver(WindowSolver):
         return solution
 
     def solve_served(
-        self, data: WindowData, served: Flags, before: Dispatch | None = None
+        self,
+        data: WindowData,
+        served: Flags,
+        before: Dispatch | None = None,
+        keeps_turns: bool = False,
+        within_s: float = math.inf,
     ) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none."""
-        solution: WindowSolution | None = self._ask("solve_served", data, served, before)
+        args = (served, before, keeps_turns, within_s)
+        solution: WindowSolution | None = self._ask("solve_served", data, *args, within_s=within_s)
         return solution
 
     def least_slack(self, data: WindowData) -> float:

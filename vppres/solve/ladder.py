@@ -194,17 +194,33 @@ class WindowSolver:
 
     @one_at_a_time
     def solve_served(
-        self, data: WindowData, served: Flags, before: Dispatch | None = None
+        self,
+        data: WindowData,
+        served: Flags,
+        before: Dispatch | None = None,
+        keeps_turns: bool = False,
+        within_s: float = math.inf,
     ) -> WindowSolution | None:
         """Cheapest dispatch of a served set in the network, None if it has none; no bound.
 
-        It keeps the batteries' turns of a plan ``before`` for that set, where these allow one.
+        Parameters
+        ----------
+        data : WindowData
+            What changes from window to window.
+        served : Flags
+            Who is served, (W, C).
+        before : Dispatch, optional
+            A plan for that set; its batteries' turns stand where others would have to be searched.
+        keeps_turns : bool, optional
+            Whether its turns are kept wherever they allow a dispatch.
+        within_s : float, optional
+            Time that it may take, in s, where that is less than the limit.
         """
-        task = self._task(data, self.limits)
-        if before is not None:
+        task = self._task(data, self.limits.at_most(within_s))
+        if before is not None and keeps_turns:
             keep_with_turns(task, before)
         if not task.certificate.answered:
-            keep_dispatch_in_network(task, served)
+            keep_dispatch_in_network(task, served, before)
         return task.solution() if task.certificate.answered else None
 
     @one_at_a_time

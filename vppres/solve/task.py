@@ -33,8 +33,8 @@ NETWORK_RESERVE = 0.2
 would find or prove what then could not be reported."""
 
 COST_SHARE = 0.1
-"""Share of the time left for a cheaper set where only its cost is open: far less is at stake than
-the gap, and most such searches find nothing."""
+"""Share of the time left for a cheaper set, or a better bound on cost, where the plan is certified
+without: far less is at stake than the gap, and most such searches find nothing."""
 
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3

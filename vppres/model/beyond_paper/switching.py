@@ -148,22 +148,24 @@ def past_actions(m: SwitchingModel) -> Named:
 def cold_load(m: SwitchingModel) -> Named:
     """Demand is higher, z = 1, exactly for whoever is served and was restored in the last K steps.
 
-    Whoever is served now and was not k steps ago was restored in between. Shares of customers meet
-    these rows just where whole ones do in a mixture, which a bound on single restorations leaves
-    open. A restoration before the window counts as long as it lasts.
+    Whoever was restored in the last U steps is still served. Where K is larger, whoever is served
+    now and was not k steps ago was restored in between. Shares of customers meet these rows just
+    where whole ones do in a mixture, which a bound on single restorations leaves open. A
+    restoration before the window counts as long as it lasts.
     """
     cold = m.cold
-    W = m.x.shape[0]
     assert cold is not None
+    W, C = m.x.shape
     K = m.steps.cold
-    first = min(K, W)
-    before = np.ones((first, 1)) @ cp.reshape(m.x_before, (1, m.x.shape[1]), order="C")
-    after = {
-        f"cold_load_after_{k}": cold.z[k:] >= m.x[k:] - m.x[:-k]
-        for k in range(1, min(K, W - 1) + 1)
-    }
-    return after | {
-        "cold_load_after_before": cold.z[:first] >= m.x[:first] - before,
+    U = min(m.steps.served, K)
+    last = min(K, W)
+    rows: Named = {"cold_load_after": cold.z >= _band(W, U) @ m.on}
+    for k in range(U + 1, min(K, W - 1) + 1):
+        rows[f"cold_load_after_{k}"] = cold.z[k:] >= m.x[k:] - m.x[:-k]
+    if last > U:
+        before = np.ones((last - U, 1)) @ cp.reshape(m.x_before, (1, C), order="C")
+        rows["cold_load_after_before"] = cold.z[U:last] >= m.x[U:last] - before
+    return rows | {
         "cold_load_before": cold.z >= m.cold_before + m.x - 1,
         "cold_load_served": cold.z <= m.x,
         "cold_load_restored": cold.z <= _band(W, K) @ m.on + m.cold_before,

@@ -20,20 +20,17 @@ from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
-from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
+from vppres.solve.fleet.counts import HALF_UNIT, LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.programs import compiled, near_linear
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
-from vppres.solve.task import COST_SHARE, WindowTask
+from vppres.solve.task import WindowTask
 
 WHOLE_GAP = 0.99
 """Gap of a search whose objective is a whole number: below one, the best number is known. Where the
 window's gap is many units, the search leaves its share of that open, as the counts do."""
-
-HALF_UNIT = 0.5
-"""Units of service by which one linear problem must lie below another to be told from it."""
 
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
@@ -278,12 +275,11 @@ def relaxation_of(
     )
 
 
-def least_cost_one_way(task: WindowTask, units_min: float, certified: bool) -> Outcome | None:
+def least_cost_one_way(task: WindowTask, units_min: float, deadline: Deadline) -> Outcome | None:
     """Lower bound on the cost of all sets with so many units, where no step imports and exports.
 
     The masters' bounds let it do both, which says next to nothing where that earns. Who is served
     may be shares of customers here. None where it earns nowhere, and another bound is as good.
-    Where the plan is certified without it, it has a share of the time.
     """
     data = task.data
     if not data.both_ways_earn:
@@ -301,9 +297,8 @@ def least_cost_one_way(task: WindowTask, units_min: float, certified: bool) -> O
     )
     model.fill(data)
     write(model.service_min, units_min * model.grid)
-    deadline = task.search.part(COST_SHARE) if certified else task.search
-    gap_gbp = ONE_WAY_GAP_GBP
-    return run(model.cost_problem, task.spec, gap_gbp, deadline.left_s, more=task.spec.of_modes)
+    options = task.spec.of_cheaper
+    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, deadline.left_s, more=options)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:

@@ -104,7 +104,8 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     bound = min(by_cuts, task.certificate.bound)
     enough = SET_GAP - bound / gap
     counted = with_sums(program, list(places.T))
-    search = counted.loaded(SET_GAP, enough=enough, more=SEARCH_OF_MODES)
+    options = SEARCH_OF_MODES if task.data.switching is None else {}
+    search = counted.loaded(SET_GAP, enough=enough, more=options)
     answer = ProgramSolution.of(search, task.search)
     if np.isfinite(answer.bound):
         bound = min(bound, -answer.bound * gap)

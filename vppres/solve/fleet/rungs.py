@@ -148,7 +148,8 @@ def _cost_level(task: WindowTask, master: Master) -> None:
 
 def _one_way(task: WindowTask, units_min: float) -> float:
     """Bound on cost where the masters' would earn by importing and exporting at once, in GBP."""
-    outcome = least_cost_one_way(task, units_min, task.certificate.certified)
+    deadline = task.search.part(COST_SHARE) if task.certificate.certified else task.search
+    outcome = least_cost_one_way(task, units_min, deadline)
     if outcome is None:
         return -np.inf
     task.certificate.note("one_way_cost", outcome)
@@ -248,8 +249,12 @@ def with_modes_of_batteries(task: WindowTask) -> None:
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:
-    """Bound and set by a search of each battery alone; most windows are closed by that."""
-    if task.data.ending or task.data.switching is not None or task.search.passed:
+    """Bound and set by a search of each battery alone; most windows are closed by that.
+
+    With rules few steps are as soon searched at once.
+    """
+    few = task.data.n_steps < LONG_STEPS
+    if task.data.ending or (task.data.switching is not None and few) or task.search.passed:
         return
     form = Form("service", "integer", "integer", network=False)
     model = window_model(task.cache, task.data, form)

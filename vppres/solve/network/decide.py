@@ -236,9 +236,10 @@ class InNetwork:
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
-        one_way = least_cost_one_way(self.task, min(enough, served), self._certified(found))
-        if one_way is not None:
-            cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
+        if not self._certified(found):
+            one_way = least_cost_one_way(self.task, min(enough, served), self.task.search)
+            if one_way is not None:
+                cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
         known.cost_bound_gbp = cost_gbp
 
     def _certified(self, found: Candidate) -> bool:
