@@ -22,6 +22,7 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.control.converged import in_the_dark
+from vppres.core.arrays import Floats
 from vppres.io.python_door import check_scenario
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
@@ -280,7 +281,9 @@ def test_a_set_found_on_the_way_is_the_answer_where_time_ends_before_one_that_is
     searched: list[int] = []
     search = NetworkTerms.search
 
-    def once(self: NetworkTerms, gap: float, deadline: Deadline) -> tuple[Outcome, list[OnTheWay]]:
+    def once(
+        self: NetworkTerms, gap: float, deadline: Deadline, _: Floats | None = None
+    ) -> tuple[Outcome, list[OnTheWay]]:
         """The first search alone; the next ends before it has begun."""
         outcome, sets = search(self, gap, deadline)
         searched.append(len(sets))
@@ -289,6 +292,7 @@ def test_a_set_found_on_the_way_is_the_answer_where_time_ends_before_one_that_is
         return replace(outcome, status=Status.NO_ANSWER, bound=np.inf), []
 
     monkeypatch.setattr(NetworkTerms, "search", once)
+    monkeypatch.setattr("vppres.solve.network.terms._improved_in_blocks", lambda *_: None)
     cut = WindowSolver(case.site).solve(case.data)
     stages = [stage.replace("[highs]", "") for stage in cut.stages]
     assert searched[0] > 1

@@ -16,6 +16,7 @@ from benchmarks.instances import read_instances, window_data
 from experiments.hard_days import hard_window
 from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
+from tests.support.programs import knapsack
 from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
@@ -47,7 +48,6 @@ from vppres.solve.programs import (
     PROOF,
     SMALL_PROOF,
     SUMS_KEPT,
-    Program,
     ProgramSolution,
     begin_with,
     compiled,
@@ -68,22 +68,6 @@ SPEC = find_solver("highs"), 16
 @pytest.fixture(scope="module")
 def packaged() -> Scenario:
     return read_scenario(find_scenario("uk-heatwave-2022"))
-
-
-def knapsack(seed: int, items: int = 30) -> Program:
-    """As much worth as fits into three budgets, as a least of its negative."""
-    rng = np.random.default_rng(seed)
-    none, all_ = np.zeros(items), np.ones(items)
-    uses = rng.integers(20, 100, (3, items)).astype(float)
-    return Program(
-        -rng.integers(20, 100, items).astype(float),
-        none,
-        all_,
-        sp.csc_array(uses),
-        np.full(3, -np.inf),
-        uses.sum(axis=1) / 2.0,
-        np.arange(items),
-    )
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -106,9 +106,13 @@ class SwitchingData:
         """
         steps = self.steps
         free = steps.served == steps.unserved == 1 and not self.served_min.any()
-        enough = self.actions_left >= self.in_day.sum(axis=1)[:, None]
-        unlimited = self.served_max.all() and enough.all()
+        unlimited = self.served_max.all() and self.actions_suffice
         return bool(free and unlimited and steps.cold == 0 and self.price_per_action == 0.0)
+
+    @property
+    def actions_suffice(self) -> bool:
+        """Whether everyone has as many actions left in each day as it has steps."""
+        return bool((self.actions_left >= self.in_day.sum(axis=1)[:, None]).all())
 
     @property
     def in_day(self) -> Flags:

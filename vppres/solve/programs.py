@@ -71,7 +71,9 @@ nothing to branch on: substitution of free columns, equations of two columns, ag
 
 SEARCH_OF_SETS = MappingProxyType({**PROOF, "presolve_rule_off": SUMS_KEPT})
 """Options for a search for sets: the time goes into the proof, and it may branch on how many of a
-weight are served in a step, where the problem or :func:`with_sums` counts them."""
+weight are served in a step, where the problem or :func:`with_sums` counts them. Not for problems
+most of whose columns are held: without its aggregation HiGHS 1.15.1 may write beyond its arrays
+where presolve has removed half of a problem."""
 
 SEARCH_FOR_CHEAPER = MappingProxyType(
     {**SEARCH_OF_SETS, "mip_heuristic_run_root_reduced_cost": False}
@@ -153,6 +155,26 @@ class Program:
     def by_shares(self) -> Program:
         """The program without whole numbers."""
         return replace(self, integer=np.arange(0))
+
+    def of_columns(self, free: Flags, x: Floats) -> Program:
+        """The program of the free columns alone, (n,), all others at their values in ``x``.
+
+        Rows of none of them are left out, and so is what the others cost.
+        """
+        rows = self.rows[:, free]
+        left = np.bincount(rows.indices, minlength=len(self.lower)) > 0
+        held = self.rows[:, ~free] @ x[~free]
+        whole = np.zeros(len(x), dtype=bool)
+        whole[self.integer] = True
+        return Program(
+            self.cost[free],
+            self.x_lower[free],
+            self.x_upper[free],
+            sp.csc_array(rows.tocsr()[left]),
+            (self.lower - held)[left],
+            (self.upper - held)[left],
+            np.flatnonzero(whole[free]),
+        )
 
     @property
     def is_wide(self) -> bool:
@@ -320,7 +342,7 @@ def near_linear(program: Program, gap_abs: float, deadline: Deadline) -> Floats 
     decided = program.integer[is_whole]
     near = replace(program, x_lower=program.x_lower.copy(), x_upper=program.x_upper.copy())
     near.x_lower[decided] = near.x_upper[decided] = np.round(values[is_whole])
-    found = ProgramSolution.of(near.loaded(gap_abs, NEAR_NODES, more=SEARCH_OF_SETS), deadline)
+    found = ProgramSolution.of(near.loaded(gap_abs, NEAR_NODES, more=PROOF), deadline)
     return found.x if found.status.has_answer else None
 
 
@@ -364,6 +386,15 @@ def with_sums(program: Program, groups: Sequence[Wholes]) -> Program:
         rows=sp.csc_array(sp.hstack([program.rows, wider])),
         integer=np.append(program.integer, sums),
     ).with_range(sp.csc_array(equal), zero, zero)
+
+
+def with_values_of_sums(x: Floats, groups: Sequence[Wholes]) -> Floats:
+    """Values of the columns of a program :func:`with_sums` where the others have values ``x``.
+
+    >>> with_values_of_sums(np.array([1.0, 0.0, 1.0]), [np.array([0, 2])]).tolist()
+    [1.0, 0.0, 1.0, 2.0]
+    """
+    return np.append(x, [x[group].sum() for group in groups])
 
 
 def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:

@@ -40,7 +40,7 @@ class ColdDemand:
             name: cp.Parameter((W, width), name=name, nonneg=True)
             for name, width in (("P_cold", C), ("Q_cold", C), ("P_self_cold", P))
         }
-        return cls(cp.Variable((W, C), name="z_cold", nonneg=True), **named)
+        return cls(_zero_to_one((W, C), "z_cold"), **named)
 
     def at_buses(self, site: Site) -> AddedDemand:
         """The added demand at the buses."""
@@ -80,8 +80,8 @@ class SwitchingModel:
         self.x = x
         self.steps = steps
         W, C = x.shape
-        self.on = cp.Variable((W, C), name="y_on", nonneg=True)
-        self.off = cp.Variable((W, C), name="y_off", nonneg=True)
+        self.on = _zero_to_one((W, C), "y_on")
+        self.off = _zero_to_one((W, C), "y_off")
         self.cold = ColdDemand.create(site, W) if steps.cold else None
         self.x_before = cp.Parameter(C, name="x_before", nonneg=True)
         self.x_min = cp.Parameter((W, C), name="x_min", nonneg=True)
@@ -97,6 +97,11 @@ class SwitchingModel:
     def f6_switching(self) -> cp.Expression:
         """Price of the actions; switching off pays for the restoration too."""
         return 2.0 * self.price * cp.sum(self.off)
+
+    @property
+    def follow(self) -> list[cp.Variable]:
+        """Variables that service decides, (W, C) each."""
+        return [self.on, self.off] + ([] if self.cold is None else [self.cold.z])
 
     def fill(self, data: WindowData) -> None:
         """Write the window's rules."""
@@ -185,6 +190,15 @@ def rule_steps(data: WindowData) -> RuleSteps | None:
     """Shape of the window's rules, None without rules."""
     rules: SwitchingData | None = data.switching
     return None if rules is None else rules.steps
+
+
+def _zero_to_one(shape: tuple[int, int], name: str) -> cp.Variable:
+    """A variable that the constraints keep from 0 to 1 in any case.
+
+    Its bounds say so too: where constraints alone kept it below 1, HiGHS's presolve made numbers of
+    the actions' balance that are none, and sometimes never ended, whatever its time limit.
+    """
+    return cp.Variable(shape, name=name, bounds=[0, 1])
 
 
 def _band(n_steps: int, width: int) -> sp.csr_array:

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cvxpy as cp
 import numpy as np
 
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
+from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch, may_end_soon
 from vppres.solve.certificate import cost_gap_gbp
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
@@ -28,8 +31,10 @@ from vppres.solve.fleet.masters import (
 from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.modes import modes_apart
 from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.fleet.steady import steady_sets
+from vppres.solve.programs import compiled
 from vppres.solve.result import Status
-from vppres.solve.solvers import run
+from vppres.solve.solvers import compiled_in_time, run
 from vppres.solve.task import COST_SHARE, WindowTask
 
 NOTHING_LOST = 1e-6
@@ -171,16 +176,33 @@ def _to_its_gap(task: WindowTask, gap: float, search: Callable[[WindowTask, floa
 
 
 def _search_all_terms(task: WindowTask, gap: float) -> bool:
-    """One search with all terms to its share of a gap; whether it ended."""
-    known = task.certificate
+    """One search with all terms to its share of a gap; whether it ended, or need not be.
+
+    With switching rules one that does not end soon begins again with a better set.
+    """
     model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
     model.fill(task.data)
     gap = ALL_TERMS_GAP_SHARE * gap
+    if task.data.switching is not None:
+        if may_end_soon(task.data):
+            ended = _search_set(task, model, gap, task.search.part(SOON_SHARE))
+            if ended or task.certificate.nothing_to_find:
+                return ended
+        _improve_in_blocks(task, model)
+        if task.certificate.certified:
+            return True
+    return _search_set(task, model, gap, task.search)
+
+
+def _search_set(task: WindowTask, model: AggregateModel, gap: float, deadline: Deadline) -> bool:
+    """Search the best set with all terms, to a gap or a deadline; whether it ended."""
+    known = task.certificate
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
-    left_s = task.search.left_s
     options = None if task.data.switching is None else task.spec.with_rules
-    outcome = search_for_set(model, model.problem, task.spec, gap, left_s, scale, first, options)
+    outcome = search_for_set(
+        model, model.problem, task.spec, gap, deadline.left_s, scale, first, options
+    )
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
@@ -188,6 +210,31 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     known.bound_by(outcome.bound)
     keep_dispatch(task, np.asarray(model.x.value) > 0.5)
     return outcome.status == Status.OPTIMAL
+
+
+def _improve_in_blocks(task: WindowTask, model: AggregateModel) -> None:
+    """Improve the best set so far a few steps at a time, or one that the rules allow at once."""
+    known = task.certificate
+    rules = task.data.switching
+    assert rules is not None and model.switching is not None
+    if not compiled_in_time(model.problem, cp.HIGHS, task.search):
+        return
+    watch = Stopwatch()
+    program, first = compiled(model.problem)
+    service, *follow = (
+        (first[v.name()] + np.arange(v.size)).reshape(v.shape, order="F")
+        for v in (model.x, *model.switching.follow)
+    )
+    gap = task.gap_so_far * objective_scale(task.site)
+    deadline = task.search.part(BLOCKS_SHARE)
+    blocks = BlockSearch(program, service, follow, rules, gap, deadline)
+    best = known.best
+    found = blocks.improved(
+        steady_sets(task.site, task.data) if best is None else [best.dispatch.served]
+    )
+    if found is not None:
+        known.note("blocks", found.outcome(watch.spent_s))
+        keep_dispatch(task, found.x[service] > 0.5)
 
 
 def shares(task: WindowTask) -> None:

@@ -32,9 +32,7 @@ class RuleModel:
     def __init__(self, site: Site, n_steps: int, steps: RuleSteps) -> None:
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
         self.rules = SwitchingModel(site, x, steps)
-        self.variables = [x, self.rules.on, self.rules.off]
-        if self.rules.cold is not None:
-            self.variables.append(self.rules.cold.z)
+        self.variables = [x, *self.rules.follow]
         self.problem = cp.Problem(cp.Minimize(0), list(self.rules.constraints.values()))
         require_dpp(self.problem, f"rules of {n_steps} steps")
 

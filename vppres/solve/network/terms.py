@@ -7,7 +7,7 @@ a few hundred of them in place of every line, bus and side of a polygon, and mee
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,12 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Floats, Wholes
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch, may_end_soon
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
+from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -33,9 +35,11 @@ from vppres.solve.programs import (
     WITH_SETS_ON_THE_WAY,
     Program,
     ProgramSolution,
+    begin_with,
     columns_of_alike,
     sets_on_the_way,
     with_sums,
+    with_values_of_sums,
 )
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import WindowTask
@@ -100,21 +104,67 @@ def _terms_of(task: WindowTask) -> NetworkTerms:
 
 
 def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
-    """Search, each time with the limits found, until bound and dispatch meet or time is up."""
+    """Search, each time with the limits found, until bound and dispatch meet or time is up.
+
+    With switching rules one that does not end soon begins again with a better set.
+    """
+    first = None
+    if task.data.switching is not None:
+        soon = task.deadline.part(SOON_SHARE)
+        if may_end_soon(task.data) and _ends_by(soon, task, terms):
+            return
+        first = _improved_in_blocks(task, terms)
+    _ends_by(task.deadline, task, terms, first)
+
+
+def _ends_by(
+    deadline: Deadline, task: WindowTask, terms: NetworkTerms, first: Floats | None = None
+) -> bool:
+    """Whether searches by a deadline leave nothing to another one, the first begun with a set."""
     known = task.certificate
     while task.goes_on:
         limits = terms.limits
         gap = task.gap_so_far
-        outcome, sets = terms.search(gap, task.deadline)
+        outcome, sets = terms.search(gap, deadline, first)
         known.note("network_terms", outcome)
-        if not sets:
+        if not outcome.status.has_answer:
             known.prove(outcome)
-            return
+            return known.nothing_to_find
         known.bound_by(outcome.bound)
         known.keep(_first_carried(task, terms, sets))
-        nothing_new = terms.limits == limits and task.gap_so_far >= AGAIN * gap
-        if outcome.status != Status.OPTIMAL or nothing_new:
-            return
+        if outcome.status != Status.OPTIMAL:
+            return False
+        if terms.limits == limits and task.gap_so_far >= AGAIN * gap:
+            return True
+    return True
+
+
+def _improved_in_blocks(task: WindowTask, terms: NetworkTerms) -> Floats | None:
+    """Values of a program's columns with a set improved a few steps at a time, None without one.
+
+    It begins with the best dispatch's set, or with one that the rules allow at once, and again
+    where the limits that the set violates make it worth less.
+    """
+    known = task.certificate
+    deadline = task.deadline.part(BLOCKS_SHARE)
+    best = known.best
+    tried = steady_sets(task.site, task.data) if best is None else [best.dispatch.served]
+    x = None
+    while not deadline.passed:
+        limits = terms.limits
+        outcome, answer = terms.improved(tried, task.gap_so_far, deadline)
+        known.note("network_blocks", outcome)
+        if answer is None:
+            return x
+        x = answer.x
+        chosen = np.round(x[terms.chosen])
+        found = _carried(task, terms, chosen)
+        known.keep(found)
+        lost = np.inf if found is None else terms.worth(answer.value) - found.value
+        if lost <= task.gap_so_far or terms.limits == limits:
+            return x
+        tried = [terms.served(chosen)]
+    return x
 
 
 def _first_carried(
@@ -221,7 +271,9 @@ class NetworkTerms(NetworkProgram):
         """The best value of F of shares of customers, with all limits that they violate."""
         return self.until_carried(self.loaded(self.program), deadline, DISC)
 
-    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, list[OnTheWay]]:
+    def search(
+        self, gap: float, deadline: Deadline, first: Floats | None = None
+    ) -> tuple[Outcome, list[OnTheWay]]:
         """The best value of F with the limits found, those of shares included, and its binaries.
 
         After them come those of the sets that were found on the way, the last of them first. The
@@ -236,6 +288,8 @@ class NetworkTerms(NetworkProgram):
         counted = with_sums(program, alike)
         options = SEARCH_OF_SETS if self.data.switching is None else SEARCH_WITH_RULES
         solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
+        if first is not None:
+            begin_with(solver, np.arange(len(counted.cost)), with_values_of_sums(first, alike))
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
@@ -246,6 +300,28 @@ class NetworkTerms(NetworkProgram):
         )
         sets = sets_on_the_way(solver)
         return outcome, [OnTheWay(self.worth(value), np.round(x[self.chosen])) for value, x in sets]
+
+    def improved(
+        self, sets: Iterable[Flags], gap: float, deadline: Deadline
+    ) -> tuple[Outcome, Answer | None]:
+        """The best answer found from the first of some sets (W, C) on that the limits allow."""
+        rules = self.data.switching
+        assert rules is not None
+        watch = Stopwatch()
+        program = limited(replace(self.program, integer=self.chosen), self.found)
+        at = self.model.at
+        follow = [at[name] for name in ("on", "off", "cold") if at[name].size]
+        blocks = BlockSearch(program, at["x"], follow, rules, gap / self.unit, deadline)
+        found = blocks.improved(sets)
+        if found is None:
+            return Outcome(Status.NO_ANSWER, np.nan, np.nan, watch.spent_s, DIRECT), None
+        return found.outcome(watch.spent_s), found
+
+    def served(self, chosen: Floats) -> Flags:
+        """Who is served by chosen binaries, (W, C)."""
+        x = self.model.at["x"]
+        served: Flags = chosen[: x.size].reshape(x.shape) > 0.5
+        return served
 
     def worth(self, value: float) -> float:
         """F of a value of the program."""
@@ -265,8 +341,7 @@ class NetworkTerms(NetworkProgram):
         if other is not None:
             chosen = other
             found = self._held(chosen, deadline)
-        x = self.model.at["x"]
-        served = chosen[: x.size].reshape(x.shape) > 0.5
+        served = self.served(chosen)
         if self.data.switching is not None:
             data = replace(self.data.for_service(served), switching=None)
             plain = NetworkTerms(self.site, self.model.reactance, data, None, self.unit)
