@@ -18,7 +18,6 @@ import numpy as np
 
 from vppres.contract.switching import SwitchingData
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.data import WindowData
 from vppres.solve.deadline import Deadline
 from vppres.solve.programs import (
     DIRECT,
@@ -33,9 +32,6 @@ SOON_SHARE = 0.15
 """Share of the time in which a search of all steps at once may end before blocks are tried: most
 windows with rules need less, and blocks would take longer."""
 
-NEVER_SOON = 600
-"""Binaries of service from which on it is not tried before: it takes seconds to begin with."""
-
 BLOCKS_SHARE = 0.6
 """Share of the time left that blocks may take: what a search of all steps at once has not found by
 the rest of it, it seldom finds. Where blocks are small they end by themselves."""
@@ -48,11 +44,6 @@ LENGTHS = (1, 2, 4, 8)
 
 BLOCK_NODES = 10
 """Nodes of a block's search: with a hundred, fewer blocks are searched for hardly better ones."""
-
-
-def may_end_soon(data: WindowData) -> bool:
-    """Whether a search of all steps at once is worth a try before blocks."""
-    return data.load_kw.size < NEVER_SOON
 
 
 class Answer(NamedTuple):

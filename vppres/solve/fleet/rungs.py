@@ -12,7 +12,7 @@ import numpy as np
 
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
-from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch, may_end_soon
+from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch
 from vppres.solve.certificate import cost_gap_gbp
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import (
@@ -184,10 +184,9 @@ def _search_all_terms(task: WindowTask, gap: float) -> bool:
     model.fill(task.data)
     gap = ALL_TERMS_GAP_SHARE * gap
     if task.data.switching is not None:
-        if may_end_soon(task.data):
-            ended = _search_set(task, model, gap, task.search.part(SOON_SHARE))
-            if ended or task.certificate.nothing_to_find:
-                return ended
+        ended = _search_set(task, model, gap, task.search.part(SOON_SHARE))
+        if ended or task.certificate.nothing_to_find:
+            return ended
         _improve_in_blocks(task, model)
         if task.certificate.certified:
             return True

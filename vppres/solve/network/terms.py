@@ -18,7 +18,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch, may_end_soon
+from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
@@ -53,6 +53,9 @@ tie-breakers need little of it."""
 
 BINDS = 0.1
 """Share of the window's gap by which the network must lower the bound of shares of customers."""
+
+NEVER_SOON = 600
+"""Binaries of service from which on no search under switching rules ends soon in the network."""
 
 TRIED_SHARE = 0.5
 """Share of the time on the way to an answer in which sets found on the way are tried."""
@@ -111,7 +114,7 @@ def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
     first = None
     if task.data.switching is not None:
         soon = task.deadline.part(SOON_SHARE)
-        if may_end_soon(task.data) and _ends_by(soon, task, terms):
+        if task.data.load_kw.size < NEVER_SOON and _ends_by(soon, task, terms):
             return
         first = _improved_in_blocks(task, terms)
     _ends_by(task.deadline, task, terms, first)
