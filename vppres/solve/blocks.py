@@ -1,7 +1,7 @@
 """Sets improved in blocks of successive steps, where a search of all steps at once does not end.
 
 Switching rules join every step to the others, and where nothing can be stored hardly anything else
-does: a search of two steps, all other service held, takes a hundredth of a second and finds what
+does: a search of two steps, all other service held, takes hundredths of a second and finds what
 one of twenty steps does not in its time. That is fix-and-optimise (Helber and Sahling, *A
 fix-and-optimize approach for the multi-level capacitated lot sizing problem*,
 doi:10.1016/j.ijpe.2009.08.022). It proves nothing of other sets. ``docs/method.md``, *Sets in

@@ -55,7 +55,8 @@ BINDS = 0.1
 """Share of the window's gap by which the network must lower the bound of shares of customers."""
 
 NEVER_SOON = 600
-"""Binaries of service from which on no search under switching rules ends soon in the network."""
+"""Binaries of service from which on blocks come first in the network: of five searches under
+switching rules by 1,200 to 1,470 only one had a set by then."""
 
 TRIED_SHARE = 0.5
 """Share of the time on the way to an answer in which sets found on the way are tried."""
