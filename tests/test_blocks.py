@@ -20,7 +20,7 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.masters import relaxation_of
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.programs import ProgramSolution, compiled
+from vppres.solve.programs import ProgramSolution, columns_of, compiled
 from vppres.solve.result import Outcome, Status
 
 TIME_S = 20.0
@@ -40,8 +40,7 @@ def blocks_of(case: HardWindow, gap: float) -> BlockSearch:
     program, first = compiled(model.problem)
     assert model.switching is not None
     service, *follow = (
-        (first[v.name()] + np.arange(v.size)).reshape(v.shape, order="F")
-        for v in (model.x, *model.switching.follow)
+        columns_of(first, v.name(), v.shape) for v in (model.x, *model.switching.follow)
     )
     gap *= objective_scale(case.site)
     return BlockSearch(program, service, follow, rules, gap, Deadline(TIME_S))
@@ -54,7 +53,7 @@ def test_blocks_lead_from_a_poor_set_to_nearly_the_best(seed: int) -> None:
     program = blocks.program
     poorest = list(steady_sets(case.site, case.data))[-1:]
     found = blocks.improved(poorest)
-    begun = blocks._answer(poorest[0])
+    begun = blocks.answer_of(poorest[0])
     assert found is not None
     assert begun is not None
     best = ProgramSolution.of(program.loaded(blocks.gap_abs), Deadline(TIME_S))
@@ -122,11 +121,11 @@ def test_where_no_search_ends_blocks_have_an_answer(
         scenario = replace(scenario, network=wide)
     site = Site.of(scenario)
     whole = WindowSolver(site).solve(case.data)
-    monkeypatch.setattr("vppres.solve.fleet.rungs.search_for_set", lambda *_: NO_SEARCH)
+    monkeypatch.setattr("vppres.solve.fleet.all_terms.search_for_set", lambda *_: NO_SEARCH)
     monkeypatch.setattr(
         "vppres.solve.network.terms.NetworkTerms.search", lambda *_: (NO_SEARCH, [])
     )
-    for name in ("worth_no_binaries", "worth_the_whole"):
+    for name in ("worth_an_answer", "worth_the_whole"):
         monkeypatch.setattr(f"vppres.solve.ladder.{name}", lambda _: False)
     cut = WindowSolver(site).solve(case.data)
     stages = [stage.partition("[")[0] for stage in cut.stages]

@@ -30,13 +30,14 @@ from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
-from vppres.solve.fleet.masters import Binaries, search_for_set
+from vppres.solve.fleet.masters import search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.terms import NetworkTerms, OnTheWay
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver, run
+from vppres.solve.task import WindowTask
 
 # The days.
 
@@ -210,7 +211,7 @@ def test_few_customers_over_many_steps_are_searched_by_binaries() -> None:
 def all_terms_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves every rung below the search of all terms in the network out."""
     monkeypatch.setattr("vppres.solve.ladder.climb", lambda _: None)
-    monkeypatch.setattr("vppres.solve.ladder.worth_no_binaries", lambda _: False)
+    monkeypatch.setattr("vppres.solve.ladder.worth_an_answer", lambda _: False)
 
 
 @pytest.mark.usefixtures("all_terms_alone")
@@ -374,23 +375,12 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     assert began[3] == highs.of_sets  # the last that it is asked with: no set
 
 
-@pytest.mark.parametrize(("many", "looks"), [(1, True), (10_000, False)])
-def test_many_binaries_with_rules_look_for_sets_on_the_way(
-    monkeypatch: pytest.MonkeyPatch, many: int, looks: bool
-) -> None:
+def test_windows_with_rules_are_searched_with_options_of_their_own() -> None:
     case = hard_window("rules", 1)
-    highs = find_solver("highs")
-    asked = []
-
-    def noted(*arguments: Any) -> Outcome:
-        asked.append(arguments[5])
-        return run(*arguments)
-
-    monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
-    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_WITH_RULES", many)
-    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", 1)
-    master = Binaries(shared_cache(case.site), case.data, highs, Deadline(20.0), lumped=True)
-    outcome, served = master.service(1e-3)
-    assert outcome.status == Status.OPTIMAL
-    assert served is not None
-    assert asked[-1]["mip_heuristic_run_rins"] is looks
+    for data in (case.data, replace(case.data, switching=None)):
+        cache = shared_cache(case.site)
+        task = WindowTask.begin(data, cache, SolveLimits(), find_solver("highs"), 0)
+        ruled = data.switching is not None
+        assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
+        for options in (task.spec.of_sets, task.spec.of_cheaper):
+            assert ("presolve_rule_off" in options) is not ruled

@@ -33,7 +33,7 @@ def test_steady_sets_obey_the_rules(seed: int) -> None:
 
 def test_a_window_without_a_search_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vppres.solve.ladder.rungs", lambda _: [])
-    for name in ("worth_everyone", "worth_no_binaries", "worth_the_whole"):
+    for name in ("worth_everyone", "worth_an_answer", "worth_the_whole"):
         monkeypatch.setattr(f"vppres.solve.ladder.{name}", lambda _: False)
     for seed in ANSWERED:
         case = hard_window("rules", seed)

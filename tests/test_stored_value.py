@@ -100,7 +100,7 @@ def test_every_master_weighs_later_service(way: str, monkeypatch: pytest.MonkeyP
         "masters_of",
         lambda task: [lambda: make(task, way != "every-battery")],
     )
-    monkeypatch.setattr(ladder, "all_terms", lambda task: None)
+    monkeypatch.setattr(ladder.AllTerms, "search", lambda terms: None)
     rng = np.random.default_rng(4)
     wrong = []
     for seed in range(4):

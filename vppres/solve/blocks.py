@@ -11,7 +11,7 @@ blocks of steps*.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +91,7 @@ class BlockSearch:
 
     def improved(self, sets: Iterable[Flags]) -> Answer | None:
         """The best answer found from the first of some sets (W, C) on that has any."""
-        best = next((answer for answer in map(self._answer, sets) if answer is not None), None)
+        best = next((answer for answer in map(self.answer_of, sets) if answer is not None), None)
         if best is None:
             return None
         lengths = self._lengths()
@@ -110,16 +110,13 @@ class BlockSearch:
         least = 1 if self.rules.actions_suffice else 2
         return [length for length in LENGTHS if least <= length < len(self.service)]
 
-    def _answer(self, served: Flags) -> Answer | None:
+    def answer_of(self, served: Flags) -> Answer | None:
         """What a set is worth, None where it has no answer."""
-        held = self.service.ravel()
-        values = served.ravel().astype(float)
-        lower = self.program.x_lower.copy()
-        upper = self.program.x_upper.copy()
-        if (values < lower[held]).any() or (values > upper[held]).any():
+        least = self.program.x_lower[self.service]
+        most = self.program.x_upper[self.service]
+        if (served < least).any() or (served > most).any():
             return None
-        lower[held] = upper[held] = values
-        program = replace(self.program, x_lower=lower, x_upper=upper)
+        program = self.program.with_held(self.service, served)
         found = ProgramSolution.of(program.loaded(self.gain, more=PROOF), self.deadline)
         return Answer(found.value, found.x) if found.status.has_answer else None
 

@@ -29,7 +29,7 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.network.reactive import ReactiveModel
-from vppres.solve.programs import ProgramSolution, compiled
+from vppres.solve.programs import ProgramSolution, columns_of, compiled
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic, run_for_variables
 from vppres.solve.task import WindowTask
@@ -329,12 +329,9 @@ def _with_modes(
     model = window_model(cache, data, cost_form(0, network=False))
     model.fill(data, served)
     program, first = compiled(model.problem)
-    held = replace(program, x_lower=program.x_lower.copy(), x_upper=program.x_upper.copy())
     for name, values in modes.items():
-        columns = first[name] + np.arange(values.size)
-        held.x_lower[columns] = values.ravel(order="F")
-        held.x_upper[columns] = values.ravel(order="F")
-    found = ProgramSolution.of(held.loaded(), end)
+        program = program.with_held(columns_of(first, name, values.shape), values)
+    found = ProgramSolution.of(program.loaded(), end)
     outcome = found.outcome(watch.spent_s)
     if found.status != Status.OPTIMAL:
         return Attempt(outcome, None)

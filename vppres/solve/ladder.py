@@ -31,14 +31,12 @@ from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
+from vppres.solve.fleet.all_terms import AllTerms
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
-    all_terms,
     everyone_served,
-    matched,
     service_then_cost,
-    shares,
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
@@ -184,10 +182,12 @@ class WindowSolver:
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:
                 steady(task)
-            if worth_no_binaries(task):
+            if worth_an_answer(task):
                 without_binaries(task)
             if worth_the_whole(task):
                 all_terms_in_network(task)
+            if worth_the_whole(task) and not task.certificate.ran("relaxed"):
+                without_binaries(task)
         if worth_the_whole(task):
             with_binaries(task)
         return task.solution()
@@ -254,7 +254,7 @@ def climb(task: WindowTask) -> None:
         everyone_served(task)
     for rung in rungs(task):
         if task.goes_on and not task.search.passed and not task.certificate.wasteful:
-            rung(task)
+            rung()
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
     enter_network(task, master)
@@ -277,22 +277,29 @@ def worth_everyone(task: WindowTask) -> bool:
     return data.switching is None and everyone_in_reach(task.site, data)
 
 
-def rungs(task: WindowTask) -> list[Callable[[WindowTask], None]]:
+def rungs(task: WindowTask) -> list[Callable[[], None]]:
     """Relaxations without the network, in the order in which they are tried.
 
     A dark step without batteries, or with some of next to no power, has to match the sun with whole
     customers, and every kW that it misses is lost: service cannot be told from curtailment there.
-    Without rules exchanges match it; with them the search of all terms at once is the only one, and
-    that in the network where shares of customers say already that it binds.
+    Without rules exchanges match it.
+
+    With rules the search of all terms at once is the only one, and that in the network where shares
+    of customers say already that it binds. One that does not end soon begins again after blocks.
     """
     data = task.data
-    if task.site.batteries.idle:
-        if data.switching is not None and (data.dark & _sunny(data)).any():
-            return [shares, all_terms_where_the_network_binds, all_terms]
-        if data.switching is None and data.n_steps == 1 and data.dark.all():
-            return [matched, all_terms]
-    levels = [partial(_by_levels, make=make) for make in masters_of(task)]
-    return [*levels, all_terms]
+    idle = task.site.batteries.idle
+    terms = AllTerms(task)
+    levels = [partial(_by_levels, task, make) for make in masters_of(task)]
+    if data.switching is None:
+        matched = idle and data.n_steps == 1 and data.dark.all()
+        return [terms.matched, terms.search] if matched else [*levels, terms.search]
+    if not idle:
+        return [*levels, terms.search]
+    if (data.dark & _sunny(data)).any():
+        in_network = partial(all_terms_where_the_network_binds, task)
+        return [terms.shares, in_network, terms.soon, terms.after_blocks]
+    return [*levels, terms.soon, terms.after_blocks]
 
 
 def _sunny(data: WindowData) -> Flags:
@@ -307,12 +314,10 @@ def _by_levels(task: WindowTask, make: Callable[[], Master | None]) -> None:
         service_then_cost(task, master)
 
 
-def worth_no_binaries(task: WindowTask) -> bool:
-    """Whether the whole problem is worth its time without binaries: the last way to an answer."""
+def worth_an_answer(task: WindowTask) -> bool:
+    """Whether the last way to an answer is worth its time: the whole problem without binaries."""
     known = task.certificate
-    if known.nothing_to_find or compiles_nothing(task):
-        return False
-    return not known.answered or worth_the_whole(task)
+    return not (known.answered or known.nothing_to_find or compiles_nothing(task))
 
 
 def compiles_nothing(task: WindowTask) -> bool:

@@ -19,6 +19,7 @@ from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.programs import (
+    CHEAPER_WITH_RULES,
     NO_JUMPS,
     SEARCH_FOR_CHEAPER,
     SEARCH_OF_SETS,
@@ -82,10 +83,10 @@ class SolverSpec:
         Options of the solver for a search for sets, whose time goes into the proof.
     of_cheaper : mapping
         The same for a search for a set that is only cheaper than one that is known.
-    with_rules : mapping
-        The same for a search for sets that switching rules make hard to find.
     of_modes : mapping
         The same for a search for modes of known sets, whose rounding finds answers at once.
+    of_sets_with_rules, of_cheaper_with_rules : mapping
+        Those of windows with switching rules.
     """
 
     name: str
@@ -96,8 +97,14 @@ class SolverSpec:
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
     of_cheaper: Mapping[str, Any] = field(default_factory=dict)
-    with_rules: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
+    of_sets_with_rules: Mapping[str, Any] = field(default_factory=dict)
+    of_cheaper_with_rules: Mapping[str, Any] = field(default_factory=dict)
+
+    def under_rules(self) -> SolverSpec:
+        """The solver with its options for windows with switching rules."""
+        sets, cheaper = self.of_sets_with_rules, self.of_cheaper_with_rules
+        return replace(self, of_sets=sets, of_cheaper=cheaper)
 
     @property
     def installed(self) -> bool:
@@ -170,8 +177,9 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_ended,
             of_sets=SEARCH_OF_SETS,
             of_cheaper=SEARCH_FOR_CHEAPER,
-            with_rules=SEARCH_WITH_RULES,
             of_modes=NO_JUMPS,
+            of_sets_with_rules=SEARCH_WITH_RULES,
+            of_cheaper_with_rules=CHEAPER_WITH_RULES,
         ),
         SolverSpec(
             "scip",

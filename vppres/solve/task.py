@@ -81,6 +81,8 @@ class WindowTask:
         site = cache.site
         cost = CostRange.of(site, data)
         certificate = Certificate(limits, site.weights.lambda_grid, cost)
+        if data.switching is not None:
+            spec = spec.under_rules()
         return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
 
     @property
@@ -161,8 +163,9 @@ class WindowTask:
 
     @property
     def goes_on(self) -> bool:
-        """Whether there is something left to prove and time for it."""
-        return not self.certificate.certified and not self.deadline.passed
+        """Whether there is something left to find or prove and time for it."""
+        known = self.certificate
+        return not (known.certified or known.nothing_to_find or self.deadline.passed)
 
     # The end.
 

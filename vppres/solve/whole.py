@@ -14,7 +14,7 @@ from vppres.solve.dispatch import (
     keep_dispatch_in_network,
     window_model,
 )
-from vppres.solve.fleet.rungs import AGAIN
+from vppres.solve.fleet.all_terms import AGAIN
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask

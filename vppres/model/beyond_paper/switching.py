@@ -129,12 +129,15 @@ def switching_actions(m: SwitchingModel) -> Named:
 def minimum_times(m: SwitchingModel) -> Named:
     """Whoever was switched on in the last U steps is served; likewise for off.
 
-    With U = 1 this still says that nobody is switched on without being served.
+    With U = 1 this still says that nobody is switched on without being served. Steps before the
+    U-th need no row: with the balance each says that nobody is switched off until then who was not
+    served before the window, which the U-th says too.
     """
     W = m.x.shape[0]
+    U_on, U_off = (min(steps, W) for steps in (m.steps.served, m.steps.unserved))
     return {
-        "minimum_served": _band(W, m.steps.served) @ m.on <= m.x,
-        "minimum_unserved": _band(W, m.steps.unserved) @ m.off <= 1 - m.x,
+        "minimum_served": _band(W, U_on)[U_on - 1 :] @ m.on <= m.x[U_on - 1 :],
+        "minimum_unserved": _band(W, U_off)[U_off - 1 :] @ m.off <= 1 - m.x[U_off - 1 :],
     }
 
 

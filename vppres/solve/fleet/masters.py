@@ -23,7 +23,7 @@ from vppres.solve.direct import Start
 from vppres.solve.fleet.counts import HALF_UNIT, LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
-from vppres.solve.programs import compiled, near_linear
+from vppres.solve.programs import columns_of, compiled, near_linear
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
@@ -47,8 +47,7 @@ MANY_BINARIES = 150
 """Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
 
 MANY_WITH_RULES = 600
-"""Binaries from which on a search for service with rules looks for sets on its way too: with fewer
-it ends with a proof before it has use for them."""
+"""Binaries from which on a search for service with rules takes seconds."""
 
 NEAR_SHARE = 0.1
 """Share of the time left in which it is looked for."""
@@ -134,11 +133,8 @@ class Binaries:
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s
-        options = self.spec.with_rules if self.is_long else None
         problem = self.model.grid_problem
-        outcome = search_for_set(
-            self.model, problem, self.spec, open_units, left_s, options=options
-        )
+        outcome = search_for_set(self.model, problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
@@ -192,8 +188,7 @@ def search_for_set(
         program, columns = compiled(problem)
         near = near_linear(program, gap_abs * scale, deadline.part(NEAR_SHARE))
         if near is not None:
-            served = near[columns[x.name()] + np.arange(x.size)]
-            first = served.reshape(x.shape, order="F") > 0.5
+            first = near[columns_of(columns, x.name(), x.shape)] > 0.5
     start = None if first is None else Start(x, first)
     more = spec.of_sets if options is None else options
     outcome = run(problem, spec, gap_abs, deadline.left_s, scale, more, start)

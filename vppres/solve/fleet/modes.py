@@ -25,6 +25,7 @@ from vppres.solve.programs import (
     SUMS_KEPT,
     Program,
     ProgramSolution,
+    columns_of,
     compiled,
     with_sums,
 )
@@ -115,7 +116,7 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     status = Status.OPTIMAL if answer.value <= enough else answer.status
     outcome = Outcome(status, -answer.value * gap, bound, watch.spent_s, DIRECT)
     binaries = {
-        v.name(): np.round(answer.x[_places(first, v.name(), v.shape)])
+        v.name(): np.round(answer.x[columns_of(first, v.name(), v.shape)])
         for v in model.problem.variables()
         if v.attributes["boolean"] and v.name() in first
     }
@@ -123,15 +124,10 @@ def modes_apart(task: WindowTask, model: WindowModel, relaxed: float, gap: float
     return Apart(outcome, served, binaries)
 
 
-def _places(first: Mapping[str, int], name: str, shape: tuple[int, ...]) -> Wholes:
-    """Columns of a variable, in its shape."""
-    return first[name] + np.arange(int(np.prod(shape))).reshape(shape, order="F")
-
-
 def _columns(task: WindowTask, first: Mapping[str, int], name: str) -> Wholes:
     """Columns of a variable of batteries; energies have a row more than the window has steps."""
     rows = task.data.n_steps + (name == "SoC")
-    return _places(first, name, (rows, len(task.site.batteries)))
+    return columns_of(first, name, (rows, len(task.site.batteries)))
 
 
 def _bounded(task: WindowTask, program: Program, first: Mapping[str, int]) -> Program:

@@ -5,50 +5,32 @@ The proofs are in ``docs/method.md``, *Why a bound bounds*.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import cvxpy as cp
 import numpy as np
 
 from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
-from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch
 from vppres.solve.certificate import cost_gap_gbp
-from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
     window_model,
     with_tie_breakers,
 )
+from vppres.solve.fleet.all_terms import search_to_its_gap
 from vppres.solve.fleet.masters import (
     Master,
-    fleets_of,
     least_cost_one_way,
-    relaxation_of,
-    search_for_set,
 )
-from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.modes import modes_apart
-from vppres.solve.fleet.relaxation import AggregateModel
-from vppres.solve.fleet.steady import steady_sets
-from vppres.solve.programs import compiled
 from vppres.solve.result import Status
-from vppres.solve.solvers import compiled_in_time, run
+from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
 
 NOTHING_LOST = 1e-6
 """Share of the gap by which the service of everyone may be missed: rounding of its sum."""
 
-ALL_TERMS_GAP_SHARE = 0.8
-"""Share of the window's gap that the search with all terms at once may leave open: the levels after
-it need little."""
-
 MODES_GAP_SHARE = 0.5
 """The same of the search with the modes of all batteries, which also leaves cost to its gap."""
-
-AGAIN = 0.999
-"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 ADMITTED_UNITS = 0.5
 """Units below the best service down to which cheaper sets are looked for: between two whole
@@ -161,113 +143,6 @@ def _one_way(task: WindowTask, units_min: float) -> float:
     return task.certificate.least_cost_gbp(outcome)
 
 
-def all_terms(task: WindowTask) -> None:
-    """Served set and bound of the relaxation with all terms as weighted, to the gap of F.
-
-    It needs no grid of weights or prices.
-    """
-    _to_its_gap(task, task.gap_so_far, _search_all_terms)
-
-
-def _to_its_gap(task: WindowTask, gap: float, search: Callable[[WindowTask, float], bool]) -> None:
-    """Search to a gap, and again where the answer says that it was more than there is."""
-    if search(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
-        search(task, task.gap_to_best)
-
-
-def _search_all_terms(task: WindowTask, gap: float) -> bool:
-    """One search with all terms to its share of a gap; whether it ended, or need not be.
-
-    With switching rules one that does not end soon begins again with a better set.
-    """
-    model = relaxation_of(task.cache, task.data, integer=True, lumped=fleets_of(task.data)[0])
-    model.fill(task.data)
-    gap = ALL_TERMS_GAP_SHARE * gap
-    if task.data.switching is not None:
-        ended = _search_set(task, model, gap, task.search.part(SOON_SHARE))
-        if ended or task.certificate.nothing_to_find:
-            return ended
-        _improve_in_blocks(task, model)
-        if task.certificate.certified:
-            return True
-    return _search_set(task, model, gap, task.search)
-
-
-def _search_set(task: WindowTask, model: AggregateModel, gap: float, deadline: Deadline) -> bool:
-    """Search the best set with all terms, to a gap or a deadline; whether it ended."""
-    known = task.certificate
-    scale = objective_scale(task.site)
-    first = None if known.best is None else known.best.dispatch.served
-    options = None if task.data.switching is None else task.spec.with_rules
-    outcome = search_for_set(
-        model, model.problem, task.spec, gap, deadline.left_s, scale, first, options
-    )
-    known.note("aggregate", outcome)
-    if not outcome.status.has_answer:
-        known.prove(outcome)
-        return False
-    known.bound_by(outcome.bound)
-    keep_dispatch(task, np.asarray(model.x.value) > 0.5)
-    return outcome.status == Status.OPTIMAL
-
-
-def _improve_in_blocks(task: WindowTask, model: AggregateModel) -> None:
-    """Improve the best set so far a few steps at a time, or one that the rules allow at once."""
-    known = task.certificate
-    rules = task.data.switching
-    assert rules is not None and model.switching is not None
-    if not compiled_in_time(model.problem, cp.HIGHS, task.search):
-        return
-    watch = Stopwatch()
-    program, first = compiled(model.problem)
-    service, *follow = (
-        (first[v.name()] + np.arange(v.size)).reshape(v.shape, order="F")
-        for v in (model.x, *model.switching.follow)
-    )
-    gap = task.gap_so_far * objective_scale(task.site)
-    deadline = task.search.part(BLOCKS_SHARE)
-    blocks = BlockSearch(program, service, follow, rules, gap, deadline)
-    best = known.best
-    found = blocks.improved(
-        steady_sets(task.site, task.data) if best is None else [best.dispatch.served]
-    )
-    if found is not None:
-        known.note("blocks", found.outcome(watch.spent_s))
-        keep_dispatch(task, found.x[service] > 0.5)
-
-
-def shares(task: WindowTask) -> None:
-    """Bound by shares of customers, which says how large the objective is."""
-    _by_shares(task, "shares")
-
-
-def _by_shares(task: WindowTask, stage: str) -> AggregateModel | None:
-    """Bound by shares of customers, all terms as weighted; the solved model, if it has one."""
-    known = task.certificate
-    model = relaxation_of(task.cache, task.data, integer=False, lumped=fleets_of(task.data)[0])
-    model.fill(task.data)
-    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
-    known.note(stage, outcome)
-    if outcome.status != Status.OPTIMAL:
-        known.prove(outcome)
-        return None
-    known.bound_by(outcome.bound)
-    return model
-
-
-def matched(task: WindowTask) -> None:
-    """Customers whose demand takes up the sun of a dark step, bounded by shares of customers."""
-    model = _by_shares(task, "matched")
-    if model is None:
-        return
-    data = task.data
-    site = task.site
-    able = model.p["x_max"].value[0] > 0.5
-    given_kw = float(np.minimum(data.pv_kw[0], site.pv.s_max_kva).sum() - data.network_kw[0])
-    worth = site.customers.weight + site.weights.lambda_curt * data.load_kw[0]
-    keep_dispatch(task, exchanged(worth * able, data.load_kw[0], given_kw)[None, :])
-
-
 def with_modes_of_batteries(task: WindowTask) -> None:
     """Served set, modes of all batteries and bound of the whole problem without the network.
 
@@ -291,7 +166,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
         _one_battery_at_a_time(task, outcome.bound, gap)
     if not task.goes_on:
         return
-    _to_its_gap(task, gap, _search_modes)
+    search_to_its_gap(task, gap, _search_modes)
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:

@@ -156,15 +156,10 @@ class NetworkProgram:
         return answer.x[: self.model.size]
 
     def with_cost(self, columns: Wholes, values: Floats) -> Program:
-        """The program with an objective; its bounds may be changed."""
+        """The program with an objective."""
         cost = np.zeros(len(self.program.cost))
         cost[columns] = values
-        return replace(
-            self.program,
-            cost=cost,
-            x_lower=self.program.x_lower.copy(),
-            x_upper=self.program.x_upper.copy(),
-        )
+        return replace(self.program, cost=cost)
 
     def loaded(self, program: Program) -> highspy.Highs:
         """A solver with the program and the limits that were violated so far."""
@@ -172,11 +167,7 @@ class NetworkProgram:
 
     def of_set(self, served: Floats | Flags) -> Program:
         """Least cost of a set."""
-        x = self.model.at["x"]
-        program = self.with_cost(*self.model.price)
-        program.x_lower[x] = served
-        program.x_upper[x] = served
-        return program
+        return self.with_cost(*self.model.price).with_held(self.model.at["x"], served)
 
     def start(self, solver: highspy.Highs) -> None:
         """Let a solver begin with idle batteries, all PV power and everyone served.

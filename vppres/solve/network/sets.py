@@ -135,13 +135,8 @@ class ServiceCuts:
 
         ``held`` decides whom it serves where it is not NaN: of others nothing is proven then.
         """
-        program = self._program(shares, units)
-        free = np.isnan(held)
-        program = replace(
-            program,
-            x_lower=np.where(free, program.x_lower, held),
-            x_upper=np.where(free, program.x_upper, held),
-        )
+        decided = np.flatnonzero(~np.isnan(held))
+        program = self._program(shares, units).with_held(decided, held[decided])
         just = sp.csc_array(self.units[None, :])
         limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
         solver = program.with_range(just, *limits).loaded(1.0 - 2.0 * NEAR, enough=CLOSE - units)

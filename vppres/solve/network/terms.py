@@ -22,6 +22,7 @@ from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
+from vppres.solve.fleet.all_terms import AGAIN
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import SMALL, NetworkProgram
@@ -30,13 +31,12 @@ from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     DIRECT,
-    SEARCH_OF_SETS,
-    SEARCH_WITH_RULES,
     WITH_SETS_ON_THE_WAY,
     Program,
     ProgramSolution,
     begin_with,
     columns_of_alike,
+    options_of_sets,
     sets_on_the_way,
     with_sums,
     with_values_of_sums,
@@ -60,9 +60,6 @@ switching rules by 1,200 to 1,470 only one had a set by then."""
 
 TRIED_SHARE = 0.5
 """Share of the time on the way to an answer in which sets found on the way are tried."""
-
-AGAIN = 0.999
-"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 # Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
 # the documentation's builder take the tuple for a signature.)
@@ -290,7 +287,7 @@ class NetworkTerms(NetworkProgram):
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         counted = with_sums(program, alike)
-        options = SEARCH_OF_SETS if self.data.switching is None else SEARCH_WITH_RULES
+        options = options_of_sets(self.data.switching is not None)
         solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
         if first is not None:
             begin_with(solver, np.arange(len(counted.cost)), with_values_of_sums(first, alike))
@@ -356,12 +353,7 @@ class NetworkTerms(NetworkProgram):
 
     def _held(self, chosen: Floats, deadline: Deadline) -> ProgramSolution:
         """The best dispatch with the first so many of the chosen binaries held."""
-        columns = self.chosen[: len(chosen)]
-        lower = self.program.x_lower.copy()
-        upper = self.program.x_upper.copy()
-        lower[columns] = chosen
-        upper[columns] = chosen
-        held = replace(self.program, x_lower=lower, x_upper=upper)
+        held = self.program.with_held(self.chosen[: len(chosen)], chosen)
         return self.until_carried(self.loaded(held), deadline, EXACT_DISC)
 
     def _with_other_turns(self, chosen: Floats, deadline: Deadline) -> Floats | None:
