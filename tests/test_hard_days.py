@@ -375,12 +375,15 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     assert began[3] == highs.of_sets  # the last that it is asked with: no set
 
 
-def test_windows_with_rules_are_searched_with_options_of_their_own() -> None:
+@pytest.mark.parametrize("stored", [True, False])
+@pytest.mark.parametrize("ruled", [True, False])
+def test_rules_and_batteries_decide_how_sets_are_searched(ruled: bool, stored: bool) -> None:
+    """Sums to branch on are left to HiGHS where rules and batteries make a root take long."""
     case = hard_window("rules", 1)
-    for data in (case.data, replace(case.data, switching=None)):
-        cache = shared_cache(case.site)
-        task = WindowTask.begin(data, cache, SolveLimits(), find_solver("highs"), 0)
-        ruled = data.switching is not None
-        assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
-        for options in (task.spec.of_sets, task.spec.of_cheaper):
-            assert ("presolve_rule_off" in options) is not ruled
+    count = 3 if stored else 0
+    site = Site.of(replace(case.day.scenario, batteries=battery(count=count)))
+    data = case.data if ruled else replace(case.data, switching=None)
+    task = WindowTask.begin(data, shared_cache(site), SolveLimits(), find_solver("highs"), 0)
+    assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
+    for options in (task.spec.of_sets, task.spec.of_cheaper):
+        assert ("presolve_rule_off" in options) is not (ruled and stored)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import cvxpy as cp
 import highspy
@@ -82,13 +82,17 @@ SEARCH_FOR_CHEAPER = MappingProxyType(
 cheaper, and HiGHS's problem within the problem took a third of the time."""
 
 SEARCH_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_rins": True})
-"""Options for a search for sets with switching rules: good ones are hard to find there. Of 24
-windows one left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
-them, and all 24 together were worth 0.3 % more. Its presolve may replace any whole number: most
-rows are those of rules, and 51 windows took 9 % less time than with sums to branch on."""
+"""Options for a search for sets with switching rules and batteries. Good sets are hard to find: of
+24 windows one left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
+them, and all 24 together were worth 0.3 % more. Few nodes follow a root that takes long, and longer
+with sums to branch on: 51 windows took 9 % more time with them."""
 
 CHEAPER_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
 """The same for a search that begins with a set as good in all but its cost."""
+
+SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": True})
+"""Options for a search for sets with switching rules where nothing can be stored: many nodes are
+needed there, and sums to branch on. Of 13 windows three more stayed open without them."""
 
 WITH_SETS_ON_THE_WAY = MappingProxyType({"mip_improving_solution_save": True})
 """Option with which a search keeps every answer that was its best for some time."""
@@ -364,9 +368,20 @@ def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -
     solver.setSolution(columns.size, columns.ravel().astype(np.int32), values.ravel().astype(float))
 
 
-def options_of_sets(with_rules: bool) -> Mapping[str, Any]:
-    """Options for a search for sets, with switching rules or without."""
-    return SEARCH_WITH_RULES if with_rules else SEARCH_OF_SETS
+class SetOptions(NamedTuple):
+    """Options of HiGHS for a search for sets, and for one for a cheaper set."""
+
+    of_sets: Mapping[str, Any]
+    of_cheaper: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, with_rules: bool, stored: bool) -> SetOptions:
+        """Those of a window, with switching rules or not, with batteries that store or without."""
+        if not with_rules:
+            return cls(SEARCH_OF_SETS, SEARCH_FOR_CHEAPER)
+        if stored:
+            return cls(SEARCH_WITH_RULES, CHEAPER_WITH_RULES)
+        return cls(SEARCH_UNSTORED, SEARCH_FOR_CHEAPER)
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

@@ -19,11 +19,10 @@ from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.programs import (
-    CHEAPER_WITH_RULES,
     NO_JUMPS,
     SEARCH_FOR_CHEAPER,
     SEARCH_OF_SETS,
-    SEARCH_WITH_RULES,
+    SetOptions,
 )
 from vppres.solve.result import Outcome, Status
 
@@ -85,8 +84,6 @@ class SolverSpec:
         The same for a search for a set that is only cheaper than one that is known.
     of_modes : mapping
         The same for a search for modes of known sets, whose rounding finds answers at once.
-    of_sets_with_rules, of_cheaper_with_rules : mapping
-        Those of windows with switching rules.
     """
 
     name: str
@@ -98,13 +95,13 @@ class SolverSpec:
     of_sets: Mapping[str, Any] = field(default_factory=dict)
     of_cheaper: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
-    of_sets_with_rules: Mapping[str, Any] = field(default_factory=dict)
-    of_cheaper_with_rules: Mapping[str, Any] = field(default_factory=dict)
 
-    def under_rules(self) -> SolverSpec:
-        """The solver with its options for windows with switching rules."""
-        sets, cheaper = self.of_sets_with_rules, self.of_cheaper_with_rules
-        return replace(self, of_sets=sets, of_cheaper=cheaper)
+    def for_window(self, with_rules: bool, stored: bool) -> SolverSpec:
+        """The solver with its options for a window with switching rules or batteries that store."""
+        if not self.of_sets:
+            return self
+        of_sets, of_cheaper = SetOptions.of(with_rules, stored)
+        return replace(self, of_sets=of_sets, of_cheaper=of_cheaper)
 
     @property
     def installed(self) -> bool:
@@ -178,8 +175,6 @@ SOLVERS: dict[str, SolverSpec] = {
             of_sets=SEARCH_OF_SETS,
             of_cheaper=SEARCH_FOR_CHEAPER,
             of_modes=NO_JUMPS,
-            of_sets_with_rules=SEARCH_WITH_RULES,
-            of_cheaper_with_rules=CHEAPER_WITH_RULES,
         ),
         SolverSpec(
             "scip",

@@ -81,8 +81,7 @@ class WindowTask:
         site = cache.site
         cost = CostRange.of(site, data)
         certificate = Certificate(limits, site.weights.lambda_grid, cost)
-        if data.switching is not None:
-            spec = spec.under_rules()
+        spec = spec.for_window(data.switching is not None, not site.batteries.idle)
         return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
 
     @property

@@ -27,9 +27,9 @@ from vppres.solve.programs import (
     DIRECT,
     Program,
     ProgramSolution,
+    SetOptions,
     begin_with,
     columns_of_alike,
-    options_of_sets,
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
@@ -453,7 +453,8 @@ class NetworkMaster:
     @property
     def _options(self) -> Mapping[str, Any]:
         """Options of the searches with binaries."""
-        return options_of_sets(self.data.switching is not None)
+        stored = not self.site.batteries.idle
+        return SetOptions.of(self.data.switching is not None, stored).of_sets
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""

@@ -34,9 +34,9 @@ from vppres.solve.programs import (
     WITH_SETS_ON_THE_WAY,
     Program,
     ProgramSolution,
+    SetOptions,
     begin_with,
     columns_of_alike,
-    options_of_sets,
     sets_on_the_way,
     with_sums,
     with_values_of_sums,
@@ -57,6 +57,12 @@ BINDS = 0.1
 NEVER_SOON = 600
 """Binaries of service from which on blocks come first in the network: of five searches under
 switching rules by 1,200 to 1,470 only one had a set by then."""
+
+ROOT_SHARES = 20.0
+"""Times that shares of customers take to solve which a search's root may take."""
+
+ALONE_SHARE = 0.9
+"""Share of the time left that blocks have where no search follows: the rest is for a dispatch."""
 
 TRIED_SHARE = 0.5
 """Share of the time on the way to an answer in which sets found on the way are tried."""
@@ -92,9 +98,11 @@ def all_terms_where_the_network_binds(task: WindowTask) -> None:
     if task.data.load_kw.size > SMALL:
         return
     terms = _terms_of(task)
+    known = task.certificate
     shares = terms.shares(task.deadline)
-    nearly = task.certificate.bound - BINDS * task.gap_so_far
+    nearly = known.bound - BINDS * task.gap_so_far
     if shares.status == Status.OPTIMAL and terms.worth(shares.value) < nearly:
+        known.bound_by(terms.worth(shares.value))
         _search_until_carried(task, terms)
 
 
@@ -107,14 +115,21 @@ def _terms_of(task: WindowTask) -> NetworkTerms:
 def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
     """Search, each time with the limits found, until bound and dispatch meet or time is up.
 
-    With switching rules one that does not end soon begins again with a better set.
+    With switching rules and nothing to store one that does not end soon begins again with a better
+    set. HiGHS does not look at its time at a search's root: one that would not come beyond it is
+    left out, and blocks have its time.
     """
     first = None
-    if task.data.switching is not None:
+    if task.data.switching is not None and task.site.batteries.idle:
         soon = task.deadline.part(SOON_SHARE)
         if task.data.load_kw.size < NEVER_SOON and _ends_by(soon, task, terms):
             return
-        first = _improved_in_blocks(task, terms)
+        left_s = (1.0 - BLOCKS_SHARE) * task.deadline.left_s
+        in_vain = left_s < ROOT_SHARES * terms.shares_s
+        blocks = task.deadline.part(ALONE_SHARE if in_vain else BLOCKS_SHARE)
+        first = _improved_in_blocks(task, terms, blocks)
+        if in_vain:
+            return
     _ends_by(task.deadline, task, terms, first)
 
 
@@ -140,14 +155,13 @@ def _ends_by(
     return True
 
 
-def _improved_in_blocks(task: WindowTask, terms: NetworkTerms) -> Floats | None:
+def _improved_in_blocks(task: WindowTask, terms: NetworkTerms, deadline: Deadline) -> Floats | None:
     """Values of a program's columns with a set improved a few steps at a time, None without one.
 
     It begins with the best dispatch's set, or with one that the rules allow at once, and again
     where the limits that the set violates make it worth less.
     """
     known = task.certificate
-    deadline = task.deadline.part(BLOCKS_SHARE)
     best = known.best
     tried = steady_sets(task.site, task.data) if best is None else [best.dispatch.served]
     x = None
@@ -228,6 +242,7 @@ class NetworkTerms(NetworkProgram):
         self.site = site
         self.data = data
         self.unit = unit
+        self.shares_s = 0.0
         self.lost = site.weights.lambda_curt * site.dt_h * float(data.pv_kw.sum())
         self.program = _with_turns(replace(self.program, cost=self._cost() / unit), self._turns())
         turns = np.arange(self.model.size, len(self.program.cost))
@@ -270,7 +285,10 @@ class NetworkTerms(NetworkProgram):
 
     def shares(self, deadline: Deadline) -> ProgramSolution:
         """The best value of F of shares of customers, with all limits that they violate."""
-        return self.until_carried(self.loaded(self.program), deadline, DISC)
+        watch = Stopwatch()
+        found = self.until_carried(self.loaded(self.program), deadline, DISC)
+        self.shares_s = watch.spent_s
+        return found
 
     def search(
         self, gap: float, deadline: Deadline, first: Floats | None = None
@@ -287,7 +305,8 @@ class NetworkTerms(NetworkProgram):
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         counted = with_sums(program, alike)
-        options = options_of_sets(self.data.switching is not None)
+        stored = not self.site.batteries.idle
+        options = SetOptions.of(self.data.switching is not None, stored).of_sets
         solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
         if first is not None:
             begin_with(solver, np.arange(len(counted.cost)), with_values_of_sums(first, alike))
