@@ -16,7 +16,6 @@ from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.masters import (
-    MANY_WITH_RULES,
     fleets_of,
     relaxation_of,
     search_for_set,
@@ -34,6 +33,9 @@ GAP_SHARE = 0.8
 
 AGAIN = 0.999
 """Share of a gap below which another search to the smaller gap can tell anything new."""
+
+MANY = 600
+"""Binaries from which on a search takes a second and more."""
 
 SAYS_MORE = 0.1
 """Share of the window's gap by which a lumped battery must raise the bound of shares of customers
@@ -91,15 +93,17 @@ class AllTerms:
         """Search by a deadline, with every battery where a lumped one says too much.
 
         That is asked after a search with the lumped one, or before it where that takes seconds.
+        Where batteries would waste energy, their modes come next, and no other search.
         """
-        data = self.task.data
-        if data.switching is not None and data.load_kw.size >= MANY_WITH_RULES:
+        task = self.task
+        if task.data.load_kw.size >= MANY:
             self.lumped = self.lumped and not self._lumped_says_too_much
         search = partial(self._search, deadline=deadline)
-        search_to_its_gap(self.task, self.task.gap_so_far, search)
-        if self.task.goes_on and self.lumped and self._lumped_says_too_much:
+        search_to_its_gap(task, task.gap_so_far, search)
+        again = task.goes_on and not task.certificate.wasteful
+        if again and self.lumped and self._lumped_says_too_much:
             self.lumped = False
-            search_to_its_gap(self.task, self.task.gap_so_far, search)
+            search_to_its_gap(task, task.gap_so_far, search)
 
     @cached_property
     def _lumped_says_too_much(self) -> bool:
