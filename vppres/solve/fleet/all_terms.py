@@ -1,6 +1,6 @@
 """All terms at once, without the network: the relaxation that needs no grid of weights or prices.
 
-``docs/method.md``, *All terms at once*.
+``docs/method.md``, *The ladder*.
 """
 
 from __future__ import annotations
@@ -139,8 +139,9 @@ class AllTerms:
         model.fill(task.data)
         return model
 
-    def _search(self, task: WindowTask, gap: float, deadline: Deadline) -> bool:
+    def _search(self, gap: float, deadline: Deadline) -> bool:
         """One search to its share of a gap, or to a deadline; whether it ended."""
+        task = self.task
         known = task.certificate
         model = self._of_customers()
         scale = objective_scale(task.site)
@@ -183,9 +184,7 @@ class AllTerms:
             keep_dispatch(task, found.x[service] > 0.5)
 
 
-def search_to_its_gap(
-    task: WindowTask, gap: float, search: Callable[[WindowTask, float], bool]
-) -> None:
+def search_to_its_gap(task: WindowTask, gap: float, search: Callable[[float], bool]) -> None:
     """Search to a gap, and again where the answer says that it was more than there is."""
-    if search(task, gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
-        search(task, task.gap_to_best)
+    if search(gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
+        search(task.gap_to_best)

@@ -5,6 +5,8 @@ The proofs are in ``docs/method.md``, *Why a bound bounds*.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from vppres.model.forms import Form
@@ -166,7 +168,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
         _one_battery_at_a_time(task, outcome.bound, gap)
     if not task.goes_on:
         return
-    search_to_its_gap(task, gap, _search_modes)
+    search_to_its_gap(task, gap, partial(_search_modes, task))
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:

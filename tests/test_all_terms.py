@@ -1,0 +1,62 @@
+"""All terms at once without the network: which fleet is searched, and when that is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.agreement import assert_agree, both_methods
+from tests.support.small_windows import DARK, battery, two_buses, window
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+
+ONE_FULL = (0.85, 0.15), (6.0, 80.0)
+"""States and powers in kW of two batteries, of which the strong one is empty."""
+BOTH_FULL = (0.8, 0.8), (43.0, 43.0)
+
+
+def without_grid(
+    soc: tuple[float, float], power_kw: tuple[float, float]
+) -> tuple[Scenario, WindowData]:
+    """Nine customers whose weights have no grid, for three dark hours."""
+    rng = np.random.default_rng(14)
+    load = rng.uniform(2.0, 9.0, 9)
+    scenario = two_buses([load] * 3, rng.uniform(0.1, 1.0, 9), [DARK] * 3)
+    fleet = replace(battery(count=2), soc_initial=np.array(soc), p_max_kw=np.array(power_kw))
+    scenario = replace(scenario, batteries=fleet)
+    return scenario, window(scenario)
+
+
+def stages_of(scenario: Scenario, data: WindowData) -> list[str]:
+    """Stages of a window that the monolith agrees with, up to the last search."""
+    answers = both_methods(Site.of(scenario), data)
+    assert_agree(scenario, data, answers)
+    names = [stage.partition("[")[0] for stage in answers[0].stages]
+    return [name for name in names if name in ("shares", "aggregate")]
+
+
+@pytest.mark.parametrize(
+    ("many", "stages"),
+    [
+        (1, ["shares", "shares", "aggregate"]),
+        (1_000, ["aggregate", "shares", "shares", "aggregate"]),
+    ],
+)
+def test_where_one_battery_says_too_much_every_battery_is_searched(
+    monkeypatch: pytest.MonkeyPatch, many: int, stages: list[str]
+) -> None:
+    monkeypatch.setattr("vppres.solve.fleet.all_terms.MANY", many)
+    assert stages_of(*without_grid(*ONE_FULL)) == stages
+
+
+@pytest.mark.parametrize(
+    ("many", "stages"), [(1, ["shares", "shares", "aggregate"]), (1_000, ["aggregate"])]
+)
+def test_one_battery_is_enough_where_all_can_give_as_much(
+    monkeypatch: pytest.MonkeyPatch, many: int, stages: list[str]
+) -> None:
+    monkeypatch.setattr("vppres.solve.fleet.all_terms.MANY", many)
+    assert stages_of(*without_grid(*BOTH_FULL)) == stages
