@@ -284,8 +284,9 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
     customers, and every kW that it misses is lost: service cannot be told from curtailment there.
     Without rules exchanges match it.
 
-    With rules the search of all terms at once is the only one, and that in the network where shares
-    of customers say already that it binds. One that does not end soon begins again after blocks.
+    With rules the search of all terms at once is the only one there, and that in the network where
+    shares of customers say already that it binds. Where rules meet nothing stored, one that does
+    not end soon begins again after blocks.
     """
     data = task.data
     idle = task.site.batteries.idle

@@ -15,6 +15,8 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import NumericalError
+from vppres.model.data import WindowData
+from vppres.model.site import Site
 from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import LEAST_S, Deadline, Patience
 from vppres.solve.result import Outcome, Status
@@ -375,13 +377,13 @@ class SetOptions(NamedTuple):
     of_cheaper: Mapping[str, Any]
 
     @classmethod
-    def of(cls, with_rules: bool, stored: bool) -> SetOptions:
-        """Those of a window, with switching rules or not, with batteries that store or without."""
-        if not with_rules:
+    def of(cls, site: Site, data: WindowData) -> SetOptions:
+        """Those of a window: by its switching rules, and by whether anything can be stored."""
+        if data.switching is None:
             return cls(SEARCH_OF_SETS, SEARCH_FOR_CHEAPER)
-        if stored:
-            return cls(SEARCH_WITH_RULES, CHEAPER_WITH_RULES)
-        return cls(SEARCH_UNSTORED, SEARCH_FOR_CHEAPER)
+        if site.batteries.idle:
+            return cls(SEARCH_UNSTORED, SEARCH_FOR_CHEAPER)
+        return cls(SEARCH_WITH_RULES, CHEAPER_WITH_RULES)
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

@@ -14,6 +14,8 @@ import numpy as np
 from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.errors import InputError, Problem
+from vppres.model.data import WindowData
+from vppres.model.site import Site
 from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
@@ -96,11 +98,11 @@ class SolverSpec:
     of_cheaper: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
 
-    def for_window(self, with_rules: bool, stored: bool) -> SolverSpec:
-        """The solver with its options for a window with switching rules or batteries that store."""
+    def for_window(self, site: Site, data: WindowData) -> SolverSpec:
+        """The solver with the options that a window asks for, if it is told any."""
         if not self.of_sets:
             return self
-        of_sets, of_cheaper = SetOptions.of(with_rules, stored)
+        of_sets, of_cheaper = SetOptions.of(site, data)
         return replace(self, of_sets=of_sets, of_cheaper=of_cheaper)
 
     @property

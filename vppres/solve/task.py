@@ -81,7 +81,7 @@ class WindowTask:
         site = cache.site
         cost = CostRange.of(site, data)
         certificate = Certificate(limits, site.weights.lambda_grid, cost)
-        spec = spec.for_window(data.switching is not None, not site.batteries.idle)
+        spec = spec.for_window(site, data)
         return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
 
     @property

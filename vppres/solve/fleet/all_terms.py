@@ -15,11 +15,7 @@ from vppres.model.numerics import objective_scale
 from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, BlockSearch
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import keep_dispatch
-from vppres.solve.fleet.masters import (
-    fleets_of,
-    relaxation_of,
-    search_for_set,
-)
+from vppres.solve.fleet.masters import fleets_of, relaxation_of, search_for_set
 from vppres.solve.fleet.matching import exchanged
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.fleet.steady import steady_sets

@@ -453,8 +453,7 @@ class NetworkMaster:
     @property
     def _options(self) -> Mapping[str, Any]:
         """Options of the searches with binaries."""
-        stored = not self.site.batteries.idle
-        return SetOptions.of(self.data.switching is not None, stored).of_sets
+        return SetOptions.of(self.site, self.data).of_sets
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""

@@ -59,7 +59,7 @@ NEVER_SOON = 600
 switching rules by 1,200 to 1,470 only one had a set by then."""
 
 ROOT_SHARES = 20.0
-"""Times that shares of customers take to solve which a search's root may take."""
+"""Times that shares of customers take to solve which a search must have to get past its root."""
 
 ALONE_SHARE = 0.9
 """Share of the time left that blocks have where no search follows: the rest is for a dispatch."""
@@ -305,8 +305,7 @@ class NetworkTerms(NetworkProgram):
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         counted = with_sums(program, alike)
-        stored = not self.site.batteries.idle
-        options = SetOptions.of(self.data.switching is not None, stored).of_sets
+        options = SetOptions.of(self.site, self.data).of_sets
         solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
         if first is not None:
             begin_with(solver, np.arange(len(counted.cost)), with_values_of_sums(first, alike))
