@@ -12,6 +12,12 @@ from tests.support.small_windows import DARK, battery, two_buses, window
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve.cache import shared_cache
+from vppres.solve.dispatch import keep_dispatch
+from vppres.solve.fleet.all_terms import search_to_its_gap
+from vppres.solve.result import SolveLimits
+from vppres.solve.solvers import find_solver
+from vppres.solve.task import WindowTask
 
 ONE_FULL = (0.85, 0.15), (6.0, 80.0)
 """States and powers in kW of two batteries, of which the strong one is empty."""
@@ -60,3 +66,38 @@ def test_one_battery_is_enough_where_all_can_give_as_much(
 ) -> None:
     monkeypatch.setattr("vppres.solve.fleet.all_terms.MANY", many)
     assert stages_of(*without_grid(*BOTH_FULL)) == stages
+
+
+# How close.
+
+
+@pytest.mark.parametrize(
+    ("thought", "left", "searches"),
+    [
+        (1.0, 0.7, 1),  # As close as it was asked for.
+        (20.0, 0.3, 1),  # Asked for too little, and close enough by chance.
+        (20.0, 0.7, 2),  # Certified, but what is left for tie-breakers has been used.
+        (20.0, 5.0, 2),
+    ],
+)
+def test_what_a_search_leaves_is_a_share_of_the_gap_that_there_is(
+    thought: float, left: float, searches: int
+) -> None:
+    """Gaps in those of the plan: what was thought before it was known, what the search leaves."""
+    share = 0.5
+    scenario, data = without_grid(*BOTH_FULL)
+    cache = shared_cache(Site.of(scenario))
+    task = WindowTask.begin(data, cache, SolveLimits(), find_solver("highs"), 16)
+    asked: list[float] = []
+
+    def search(gap: float) -> bool:
+        asked.append(gap)
+        keep_dispatch(task, np.zeros(data.load_kw.shape, dtype=bool))
+        best = task.certificate.best
+        assert best is not None
+        task.certificate.bound_by(best.value + min(left * task.gap_to_best, gap))
+        return True
+
+    true_gap = task.limits.gap_at(0.0)
+    search_to_its_gap(task, thought * true_gap, share, search)
+    assert asked == pytest.approx([share * thought * true_gap, share * true_gap][:searches])

@@ -95,11 +95,11 @@ class AllTerms:
         if task.data.load_kw.size >= MANY:
             self.lumped = self.lumped and not self._lumped_says_too_much
         search = partial(self._search, deadline=deadline)
-        search_to_its_gap(task, task.gap_so_far, search)
+        search_to_its_gap(task, task.gap_so_far, GAP_SHARE, search)
         again = task.goes_on and not task.certificate.wasteful
         if again and self.lumped and self._lumped_says_too_much:
             self.lumped = False
-            search_to_its_gap(task, task.gap_so_far, search)
+            search_to_its_gap(task, task.gap_so_far, GAP_SHARE, search)
 
     @cached_property
     def _lumped_says_too_much(self) -> bool:
@@ -136,13 +136,12 @@ class AllTerms:
         return model
 
     def _search(self, gap: float, deadline: Deadline) -> bool:
-        """One search to its share of a gap, or to a deadline; whether it ended."""
+        """One search to a gap, or to a deadline; whether it ended."""
         task = self.task
         known = task.certificate
         model = self._of_customers()
         scale = objective_scale(task.site)
         first = None if known.best is None else known.best.dispatch.served
-        gap *= GAP_SHARE
         outcome = search_for_set(
             model, model.problem, task.spec, gap, deadline.left_s, scale, first
         )
@@ -180,7 +179,17 @@ class AllTerms:
             keep_dispatch(task, found.x[service] > 0.5)
 
 
-def search_to_its_gap(task: WindowTask, gap: float, search: Callable[[float], bool]) -> None:
-    """Search to a gap, and again where the answer says that it was more than there is."""
-    if search(gap) and task.goes_on and task.gap_to_best < AGAIN * gap:
-        search(task.gap_to_best)
+def search_to_its_gap(
+    task: WindowTask, gap: float, share: float, search: Callable[[float], bool]
+) -> None:
+    """Search to a share of a gap, and again where the answer says that it was more than there is.
+
+    The rest is left to the levels that follow: where service and curtailment nearly cancel, even
+    tie-breakers take a large part of it.
+    """
+    known = task.certificate
+    if not search(share * gap) or known.best is None or task.deadline.passed:
+        return
+    smaller = task.gap_to_best
+    if smaller < AGAIN * gap and known.bound - known.best.value > share * smaller:
+        search(share * smaller)

@@ -161,14 +161,13 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
     known = task.certificate
     known.note("modes_relaxed", outcome)
-    gap = task.gap_to_best
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.bound)
-        gap = task.limits.gap_at(known.bound)
-        _one_battery_at_a_time(task, outcome.bound, gap)
+        _one_battery_at_a_time(task, outcome.bound, task.limits.gap_at(known.bound))
     if not task.goes_on:
         return
-    search_to_its_gap(task, gap, partial(_search_modes, task))
+    search = partial(_search_modes, task)
+    search_to_its_gap(task, task.gap_so_far, MODES_GAP_SHARE, search)
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:
@@ -193,12 +192,11 @@ def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None
 
 
 def _search_modes(task: WindowTask, gap: float) -> bool:
-    """One search for set and modes to its share of a gap; whether it ended."""
+    """One search for set and modes to a gap; whether it ended."""
     known = task.certificate
     form = Form("service", "integer", "integer", network=False)
     model = window_model(task.cache, task.data, form)
     model.fill(task.data)
-    gap = MODES_GAP_SHARE * gap
     outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
     known.note("modes", outcome)
     if not outcome.status.has_answer:
