@@ -215,7 +215,7 @@ class AggregateModel:
         if not self.grid:
             return self.problem
         units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
-        penalty = cp.Variable(name="penalty", integer=True, nonneg=True)
+        penalty = cp.Variable(name="penalty", integer=self.x.attributes["boolean"], nonneg=True)
         total = cp.sum(self.x @ units) - penalty
         if self.switching is not None:
             # A whole number too, or the problem is not used: see whole_price.
