@@ -59,11 +59,10 @@ class ReactiveModel:
         w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
-        flows = cp.sum_squares(cp.multiply(np.sqrt(site.network.r_ohm), self.Q_flow))
-        used = cp.sum_squares(cp.multiply(1.0 / site.pv.s_max_kva, self.Q_pv)) + cp.sum_squares(
-            cp.multiply(1.0 / site.batteries.s_max_kva, self.Q_batt)
-        )
-        return cp.Minimize(scale * (w.lambda_l * flows + w.lambda_q * used))
+        flows = _squares(scale * w.lambda_l * site.network.r_ohm, self.Q_flow)
+        of_pv = _squares(scale * w.lambda_q / site.pv.s_max_kva**2, self.Q_pv)
+        of_batteries = _squares(scale * w.lambda_q / site.batteries.s_max_kva**2, self.Q_batt)
+        return cp.Minimize(flows + of_pv + of_batteries)
 
     def _constraints(self) -> list[cp.Constraint]:
         """Balance and voltage of every bus, limits of inverters and of the grid."""
@@ -82,9 +81,12 @@ class ReactiveModel:
             100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
             self.u >= self.u_min,
             self.u <= self.u_max,
-            cp.abs(self.Q_pv) <= self.Q_pv_max,
-            cp.abs(self.Q_batt) <= self.Q_batt_max,
-            cp.abs(self.Q_grid) <= self.Q_grid_max,
+            self.Q_pv <= self.Q_pv_max,
+            self.Q_pv >= -self.Q_pv_max,
+            self.Q_batt <= self.Q_batt_max,
+            self.Q_batt >= -self.Q_batt_max,
+            self.Q_grid <= self.Q_grid_max,
+            self.Q_grid >= -self.Q_grid_max,
         ]
 
     def fill(self, data: WindowData, dispatch: Dispatch, t: int) -> None:
@@ -127,6 +129,13 @@ class ReactiveModel:
             arrays[name] = getattr(dispatch, name).copy()
             arrays[name][t] = values
         return replace(dispatch, **arrays)
+
+
+def _squares(weight: Floats, x: cp.Variable) -> cp.Expression:
+    """``sum(weight * x**2)`` in one matrix: cvxpy makes no variables and equations for that."""
+    if not x.size:
+        return cp.Constant(0.0)
+    return cp.quad_form(x, sp.diags_array(weight), assume_PSD=True)
 
 
 def _left(s_max_kva: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
