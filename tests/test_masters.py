@@ -590,6 +590,43 @@ def test_a_dispatch_goes_on_where_its_tangents_are_let_out(
     assert cheapest(0.9, 3e-4).value == pytest.approx(at_once.value, rel=1e-6)
 
 
+@pytest.mark.parametrize("first", [10, 18])
+def test_a_large_dispatch_is_near_what_serves_its_set(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
+    """Primal steps from there lead where the way from nothing leads, with and without a price."""
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    heavy = replace(packaged, load_kw=packaged.load_kw * 1.3)
+    site = Site.of(heavy)
+    data = day_window(heavy, first, 4, 0.3)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    served = master.service(Deadline(TIME_S), verify=False)[1]
+    assert served is not None
+    near = master._near
+    assert near is not None
+    answers = [
+        CheapestDispatch(site, data, master.network, begin).of(served, Deadline(TIME_S))[0]
+        for begin in (near, None)
+    ]
+    assert [answer.status for answer in answers] == [Status.OPTIMAL] * 2
+    assert answers[0].value == pytest.approx(answers[1].value, rel=1e-6, abs=1e-3)
+
+
+def test_a_basis_without_all_limits_is_not_near(
+    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    heavy = replace(packaged, load_kw=packaged.load_kw * 1.3)
+    site = Site.of(heavy)
+    data = day_window(heavy, 10, 4, 0.3)
+    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    assert master._near is not None
+    before = master.network.limits
+    assert master.least_cost(master.most_units - 1.0).status == Status.OPTIMAL
+    assert (master._near is None) == (master.network.limits > before)
+    assert master.network.limits > before
+
+
 def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
     packaged: Scenario,
 ) -> None:

@@ -81,6 +81,9 @@ class CheapestDispatch:
         The window.
     network : NetworkProgram
         Its problem, with the limits that are known.
+    near : HighsBasis, optional
+        Basis of a solution with these limits that serves such a set: few primal steps lead from it
+        to the cheapest dispatch.
     """
 
     def __init__(
@@ -88,11 +91,13 @@ class CheapestDispatch:
         site: Site,
         data: WindowData,
         network: NetworkProgram,
+        near: highspy.HighsBasis | None = None,
     ) -> None:
         self.site = site
         self.data = data
         self.network = network
         self.model = network.model
+        self.near = near
 
     def of(
         self, served: Flags, deadline: Deadline, shares: tuple[float, ...] = ()
@@ -133,18 +138,19 @@ class CheapestDispatch:
                 break
             served = served & ~left_out
             self._hold(found.solver, self.model.at["x"][left_out], 0.0)
-            self._by_primal_steps(found.solver, deadline)
+            # Its costs were perturbed on the way: from here dual steps may take a minute at 10,000
+            # buses.
+            self._by_primal_steps(found.solver, self.network.begun, deadline)
             found = self._go_on(found, deadline)
         found = self._one_way(found, served, deadline)
         return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
 
-    def _by_primal_steps(self, solver: highspy.Highs, deadline: Deadline) -> None:
-        """Let a solver of an infeasible problem, changed since, begin where its last solve began.
-
-        Dual steps may take a minute there at 10,000 buses: HiGHS's costs were perturbed on the way.
-        """
-        if self.network.begun is not None:
-            solver.setBasis(self.network.begun)
+    def _by_primal_steps(
+        self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
+    ) -> None:
+        """Solve by primal steps from a basis; dual ones go on from there where limits follow."""
+        if begin is not None:
+            solver.setBasis(begin)
         solver.setOptionValue("simplex_strategy", PRIMAL)
         ProgramSolution.of(solver, deadline)
         solver.setOptionValue("simplex_strategy", DUAL)
@@ -180,22 +186,16 @@ class CheapestDispatch:
     def _within_discs(
         self, program: Program, deadline: Deadline, shares: tuple[float, ...]
     ) -> Within:
-        """The optimum of a set's program within the discs, by one share after the other.
-
-        In a large window limits that the search for the set has found are left behind where the
-        way begins anew: few of them bind, and they are found again.
-        """
+        """The optimum of a set's program within the discs, by one share after the other."""
         known = self.network.found
-        anew = self.network.is_large and self._import_has_a_price
-        limits = [] if anew else known
-        self.network.found = list(limits)
+        self.network.found = list(known)
         solver = self.network.loaded(program)
-        if self.network.is_large:
-            self._begin(solver, deadline)
+        if self.near is not None:
+            self._by_primal_steps(solver, self.near, deadline)
         for inside in shares:
             self.network.let_out(solver, inside)
             answer = self.network.until_carried(solver, deadline, EXACT_DISC, inside)
-            stricter = len(self.network.found) > len(limits)
+            stricter = len(self.network.found) > len(known)
             if answer.status == Status.OPTIMAL or not stricter:
                 break
         within = self.network.found
@@ -214,12 +214,6 @@ class CheapestDispatch:
         """Hold columns of a solver at a value."""
         held = np.full(columns.size, value)
         solver.changeColsBounds(len(held), columns.ravel().astype(np.int32), held, held)
-
-    @property
-    def _import_has_a_price(self) -> bool:
-        """Whether import that is possible costs anything."""
-        columns, price = self.model.price
-        return bool((price * self.network.program.x_upper[columns]).any())
 
     def _wastes(self, answer: ProgramSolution, served: Flags) -> bool:
         """Whether a solution loses PV power that its inverters could pass on.
@@ -244,16 +238,6 @@ class CheapestDispatch:
         return float(
             self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.model.price[1]).max(initial=0.0))
         )
-
-    def _begin(self, solver: highspy.Highs, deadline: Deadline) -> None:
-        """Solve a set's cost without tangents, from where it is near.
-
-        Where import has its price, idle batteries are near. Where nothing costs anything, presolve
-        leaves next to nothing, and steps from any basis are many.
-        """
-        if self._import_has_a_price:
-            self.network.start(solver)
-        ProgramSolution.of(solver, deadline)
 
     def _one_way(self, found: Within, served: Flags, deadline: Deadline) -> Within:
         """The optimum without what goes two ways at once, if anything does."""

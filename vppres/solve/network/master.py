@@ -549,7 +549,8 @@ class NetworkMaster:
         self, served: Flags, deadline: Deadline
     ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of those of a set who can be served, of a window without rules."""
-        return CheapestDispatch(self.site, self.data, self.network).of_most(served, deadline)
+        way = CheapestDispatch(self.site, self.data, self.network, self._near)
+        return way.of_most(served, deadline)
 
     def cheapest(
         self, served: Flags, deadline: Deadline, inside: tuple[float, ...] = ()
@@ -561,15 +562,26 @@ class NetworkMaster:
         if self._dispatched is not None and (self._dispatched[0] == served).all():
             _, outcome, dispatch = self._dispatched
             return outcome, dispatch
-        data = self.data
-        network = self.network
-        if data.switching is not None:
-            data = replace(data.for_service(served), switching=None)
+        if self.data.switching is None:
+            way = CheapestDispatch(self.site, self.data, self.network, self._near)
+        else:
+            data = replace(self.data.for_service(served), switching=None)
             network = NetworkProgram(self.site, self.model.reactance, data)
-        outcome, dispatch = CheapestDispatch(self.site, data, network).of(served, deadline, inside)
+            way = CheapestDispatch(self.site, data, network)
+        outcome, dispatch = way.of(served, deadline, inside)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
         return outcome, dispatch
+
+    @property
+    def _near(self) -> highspy.HighsBasis | None:
+        """Basis at which the set that was tried last is served, in a large window.
+
+        None where other problems have found limits that its solver does not know.
+        """
+        solver = self.root[0]
+        knows_all = solver.getNumRow() == len(self.network.program.lower) + self.network.limits
+        return solver.getBasis() if self.network.is_large and knows_all else None
 
     def _has_dispatch(self, best: Floats, inside: tuple[float, ...] = ()) -> bool:
         """Whether a set has a dispatch by shares within the discs, which is kept."""
