@@ -579,9 +579,11 @@ class NetworkMaster:
 
         None where other problems have found limits that its solver does not know.
         """
+        if not self.network.is_large:
+            return None
         solver = self.root[0]
         knows_all = solver.getNumRow() == len(self.network.program.lower) + self.network.limits
-        return solver.getBasis() if self.network.is_large and knows_all else None
+        return solver.getBasis() if knows_all else None
 
     def _has_dispatch(self, best: Floats, inside: tuple[float, ...] = ()) -> bool:
         """Whether a set has a dispatch by shares within the discs, which is kept."""
