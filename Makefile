@@ -13,7 +13,7 @@ BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 
 # uv installs the lock file in seconds; where it does not run, pip does the same in a minute. Neither
-# compiles files: three in four are never imported.
+# compiles files: most are never imported.
 UV ?= $(shell uv --version >/dev/null 2>&1 && echo uv)
 MAKE_VENV = $(if $(UV),$(UV) venv --quiet --seed --python $(PYTHON),$(PYTHON) -m venv) $(VENV)
 INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
@@ -46,7 +46,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(INSTALL) --no-deps --no-build-isolation -e .
 	touch $@
 
-# The pages take a core for a minute, the tests two for longer: pytest's last line comes last.
+# The pages take a core for 90 s, the tests two for longer: pytest's last line comes last.
 test: $(STAMP)  ## lint, types, documentation, doctests and tests
 	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types
 	@$(MAKE) --no-print-directory -j $(JOBS) pages pytest

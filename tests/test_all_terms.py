@@ -14,7 +14,6 @@ from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import shared_cache
 from vppres.solve.dispatch import keep_dispatch
-from vppres.solve.fleet.all_terms import search_to_its_gap
 from vppres.solve.result import SolveLimits
 from vppres.solve.solvers import find_solver
 from vppres.solve.task import WindowTask
@@ -99,5 +98,5 @@ def test_what_a_search_leaves_is_a_share_of_the_gap_that_there_is(
         return True
 
     true_gap = task.limits.gap_at(0.0)
-    search_to_its_gap(task, thought * true_gap, share, search)
+    assert task.search_to_its_gap(thought * true_gap, share, search)
     assert asked == pytest.approx([share * thought * true_gap, share * true_gap][:searches])

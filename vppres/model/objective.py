@@ -71,11 +71,23 @@ def weighted_squares(weight: Floats, x: cp.Expression) -> cp.Expression:
     210.0
     """
     if isinstance(x, reshape):
-        entries = np.repeat(weight, x.shape[0])
-        return cp.quad_form(x.args[0], sp.diags_array(entries), assume_PSD=True)
+        return squares_of_list(np.repeat(weight, x.shape[0]), x.args[0])
     if x.size > MOST_SQUARES:
         return cp.sum_squares(cp.multiply(np.broadcast_to(np.sqrt(weight), x.shape), x))
     return cp.sum(cp.multiply(np.broadcast_to(weight, x.shape), cp.square(x)))
+
+
+def squares_of_list(weight: Floats, x: cp.Expression) -> cp.Expression:
+    """``sum(weight * x**2)`` of a list (n,) in one matrix: cvxpy makes no variables for that.
+
+    Examples
+    --------
+    >>> float(squares_of_list(np.array([1.0, 10.0]), cp.Variable(2, value=np.ones(2))).value)
+    11.0
+    """
+    if not x.size:
+        return cp.Constant(0.0)
+    return cp.quad_form(x, sp.diags_array(weight), assume_PSD=True)
 
 
 def f5_reactive(site: Site, v: Variables, p: Parameters) -> cp.Expression:

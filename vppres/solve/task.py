@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,6 +36,9 @@ would find or prove what then could not be reported."""
 COST_SHARE = 0.1
 """Share of the time left for a cheaper set, or a better bound on cost, where the plan is certified
 without: far less is at stake than the gap, and most such searches find nothing."""
+
+AGAIN = 0.999
+"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3
@@ -165,6 +169,22 @@ class WindowTask:
         """Whether there is something left to find or prove and time for it."""
         known = self.certificate
         return not (known.certified or known.nothing_to_find or self.deadline.passed)
+
+    def search_to_its_gap(self, gap: float, share: float, search: Callable[[float], bool]) -> bool:
+        """Search to a share of a gap, and again where the answer says that there is less of it.
+
+        Solvers stop at an absolute gap, and how large the objective is may not be known before. The
+        rest of the gap is left to the levels that follow: where service and curtailment nearly
+        cancel, even tie-breakers take a large part of it. Says whether the last search ended.
+        """
+        known = self.certificate
+        ended = search(share * gap)
+        if not ended or known.best is None or self.deadline.passed:
+            return ended
+        smaller = self.gap_to_best
+        if smaller < AGAIN * gap and known.bound - known.best.value > share * smaller:
+            return search(share * smaller)
+        return ended
 
     # The end.
 

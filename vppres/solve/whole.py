@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from vppres.solve.dispatch import (
     keep_dispatch_in_network,
     window_model,
 )
-from vppres.solve.fleet.all_terms import AGAIN
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
@@ -69,17 +69,8 @@ def with_binaries(task: WindowTask) -> None:
 
 
 def _search(task: WindowTask, name: str, form: Form) -> bool:
-    """Search the whole problem in a form until it is as close as its own objective asks for.
-
-    Solvers stop at an absolute gap, and how much can be served is not known before: where it turns
-    out to be less than was thought, the search is done again to the gap of that. Says whether the
-    last one ended.
-    """
-    gap = task.gap_to_best
-    done = _solve(task, name, form, gap)
-    if done and task.goes_on and task.gap_to_best < AGAIN * gap:
-        return _solve(task, name, form, task.gap_to_best)
-    return done
+    """Search the whole problem in a form until it is as close as its own objective asks for."""
+    return task.search_to_its_gap(task.gap_to_best, 1.0, partial(_solve, task, name, form))
 
 
 def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:

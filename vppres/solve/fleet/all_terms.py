@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property, partial
 
 import cvxpy as cp
@@ -26,9 +25,6 @@ from vppres.solve.task import WindowTask
 
 GAP_SHARE = 0.8
 """Share of the window's gap that a search may leave open: the levels after it need little."""
-
-AGAIN = 0.999
-"""Share of a gap below which another search to the smaller gap can tell anything new."""
 
 MANY = 600
 """Binaries from which on a search takes a second and more."""
@@ -95,11 +91,11 @@ class AllTerms:
         if task.data.load_kw.size >= MANY:
             self.lumped = self.lumped and not self._lumped_says_too_much
         search = partial(self._search, deadline=deadline)
-        search_to_its_gap(task, task.gap_so_far, GAP_SHARE, search)
+        task.search_to_its_gap(task.gap_so_far, GAP_SHARE, search)
         again = task.goes_on and not task.certificate.wasteful
         if again and self.lumped and self._lumped_says_too_much:
             self.lumped = False
-            search_to_its_gap(task, task.gap_so_far, GAP_SHARE, search)
+            task.search_to_its_gap(task.gap_so_far, GAP_SHARE, search)
 
     @cached_property
     def _lumped_says_too_much(self) -> bool:
@@ -177,19 +173,3 @@ class AllTerms:
         if found is not None:
             known.note("blocks", found.outcome(watch.spent_s))
             keep_dispatch(task, found.x[service] > 0.5)
-
-
-def search_to_its_gap(
-    task: WindowTask, gap: float, share: float, search: Callable[[float], bool]
-) -> None:
-    """Search to a share of a gap, and again where the answer says that it was more than there is.
-
-    The rest is left to the levels that follow: where service and curtailment nearly cancel, even
-    tie-breakers take a large part of it.
-    """
-    known = task.certificate
-    if not search(share * gap) or known.best is None or task.deadline.passed:
-        return
-    smaller = task.gap_to_best
-    if smaller < AGAIN * gap and known.bound - known.best.value > share * smaller:
-        search(share * smaller)

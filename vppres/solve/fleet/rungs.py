@@ -18,7 +18,6 @@ from vppres.solve.dispatch import (
     window_model,
     with_tie_breakers,
 )
-from vppres.solve.fleet.all_terms import search_to_its_gap
 from vppres.solve.fleet.masters import (
     Master,
     least_cost_one_way,
@@ -166,8 +165,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
         _one_battery_at_a_time(task, outcome.bound, task.limits.gap_at(known.bound))
     if not task.goes_on:
         return
-    search = partial(_search_modes, task)
-    search_to_its_gap(task, task.gap_so_far, MODES_GAP_SHARE, search)
+    task.search_to_its_gap(task.gap_so_far, MODES_GAP_SHARE, partial(_search_modes, task))
 
 
 def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:

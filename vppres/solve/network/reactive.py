@@ -17,6 +17,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp, write
+from vppres.model.objective import squares_of_list
 from vppres.model.site import Site
 
 
@@ -59,9 +60,11 @@ class ReactiveModel:
         w = self.site.weights
         heaviest = max(w.lambda_l, w.lambda_q) or 1.0
         scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
-        flows = _squares(scale * w.lambda_l * site.network.r_ohm, self.Q_flow)
-        of_pv = _squares(scale * w.lambda_q / site.pv.s_max_kva**2, self.Q_pv)
-        of_batteries = _squares(scale * w.lambda_q / site.batteries.s_max_kva**2, self.Q_batt)
+        flows = squares_of_list(scale * w.lambda_l * site.network.r_ohm, self.Q_flow)
+        of_pv = squares_of_list(scale * w.lambda_q / site.pv.s_max_kva**2, self.Q_pv)
+        of_batteries = squares_of_list(
+            scale * w.lambda_q / site.batteries.s_max_kva**2, self.Q_batt
+        )
         return cp.Minimize(flows + of_pv + of_batteries)
 
     def _constraints(self) -> list[cp.Constraint]:
@@ -129,13 +132,6 @@ class ReactiveModel:
             arrays[name] = getattr(dispatch, name).copy()
             arrays[name][t] = values
         return replace(dispatch, **arrays)
-
-
-def _squares(weight: Floats, x: cp.Variable) -> cp.Expression:
-    """``sum(weight * x**2)`` in one matrix: cvxpy makes no variables and equations for that."""
-    if not x.size:
-        return cp.Constant(0.0)
-    return cp.quad_form(x, sp.diags_array(weight), assume_PSD=True)
 
 
 def _left(s_max_kva: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:

@@ -22,7 +22,6 @@ from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
-from vppres.solve.fleet.all_terms import AGAIN
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import SMALL, NetworkProgram
@@ -42,7 +41,7 @@ from vppres.solve.programs import (
     with_values_of_sums,
 )
 from vppres.solve.result import Outcome, Status
-from vppres.solve.task import WindowTask
+from vppres.solve.task import AGAIN, WindowTask
 
 DISC = 1e-4
 """Share of its radius by which a disc may be exceeded in a search."""
