@@ -176,7 +176,7 @@ def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPat
         scenario_key="controller.headroom",
     )
     monkeypatch.setattr("vppres.scenario.option_table.OPTIONS", (*OPTIONS, row))
-    section = schema._option_section("ControllerSection", "controller", "Words.")
+    section = schema._model.__wrapped__("[controller]")
     found = json.loads(json.dumps(section.model_json_schema()))["properties"]["headroom"]
     assert found == {
         "default": 0.1,

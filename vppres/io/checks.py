@@ -103,7 +103,7 @@ def check_known(table: Table, field: str, known: Collection[str], message: str) 
     ]
 
 
-def check_parts(table: Table, customers: Mapping[int, schema.CustomerRow]) -> list[Problem]:
+def check_parts(table: Table, customers: Mapping[int, schema.Row]) -> list[Problem]:
     """Identifiers that the parts of customers in several parts, or of their PV systems, will have.
 
     The parts of ``C7`` are ``C7/1``, ``C7/2`` and so on.
@@ -178,7 +178,7 @@ def check_one_pv_each(pv: Table) -> list[Problem]:
     return problems
 
 
-def check_pv_ratings(file: str, rows: dict[int, schema.PVRow]) -> list[Problem]:
+def check_pv_ratings(file: str, rows: dict[int, schema.Row]) -> list[Problem]:
     """PV systems larger than their inverter.
 
     What a customer uses of its own PV power is an equality in the model, so power that the
@@ -198,7 +198,7 @@ def check_pv_ratings(file: str, rows: dict[int, schema.PVRow]) -> list[Problem]:
     ]
 
 
-def check_batteries(file: str, rows: dict[int, schema.BatteryRow]) -> list[Problem]:
+def check_batteries(file: str, rows: dict[int, schema.Row]) -> list[Problem]:
     """Ratings and state-of-charge limits that contradict each other."""
     problems = []
     for row, battery in rows.items():
@@ -257,7 +257,7 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
     )
 
 
-def check_one_export_limit(file: schema.ScenarioFile | None, system: Table | None) -> list[Problem]:
+def check_one_export_limit(file: schema.Section | None, system: Table | None) -> list[Problem]:
     """Whether the export has its limit in one place only."""
     if file is None or file.network.export_limit_kw is None or system is None:
         return []

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pandas as pd
+from pydantic import Field
 
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
@@ -14,6 +15,14 @@ from vppres.io.series import time_of
 from vppres.io.tables import CHECK_PATH, Table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.outage_warnings import OutageWarning
+
+
+class OutageRow(schema.Row):
+    """An outage that was, over the half-open interval from `start` to `end`."""
+
+    start: str = Field(description="beginning of the outage, ISO 8601 with time zone")
+    end: str = Field(description="end of the outage, ISO 8601 with time zone")
+
 
 Interval = tuple[pd.Timestamp, pd.Timestamp]
 
@@ -27,7 +36,7 @@ def read_outage_log(file: str | Path) -> list[Interval]:
         With every problem of the file.
     """
     table, problems = read_table(Path(file), CHECK_PATH)
-    rows, found = read_rows(table, schema.OutageRow)
+    rows, found = read_rows(table, OutageRow)
     problems += found
     outages: dict[int, Interval] = {}
     for line, row in rows.items():
@@ -58,9 +67,7 @@ def read_warning_file(file: str | Path) -> list[OutageWarning]:
     return list(messages.values())
 
 
-def _times(
-    table: Table, line: int, row: schema.OutageRow
-) -> tuple[list[pd.Timestamp], list[Problem]]:
+def _times(table: Table, line: int, row: OutageRow) -> tuple[list[pd.Timestamp], list[Problem]]:
     """Beginning and end of a row."""
     times = []
     problems = []

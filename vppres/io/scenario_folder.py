@@ -61,11 +61,11 @@ class _Folder:
 class _Rows:
     """The sound rows of each table, by line of the file."""
 
-    lines: dict[int, schema.LineRow]
-    buses: dict[int, schema.BusRow]
-    customers: dict[int, schema.CustomerRow]
-    pv: dict[int, schema.PVRow]
-    batteries: dict[int, schema.BatteryRow]
+    lines: dict[int, schema.Row]
+    buses: dict[int, schema.Row]
+    customers: dict[int, schema.Row]
+    pv: dict[int, schema.Row]
+    batteries: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
 
 
@@ -345,7 +345,7 @@ def _assemble(
     )
 
 
-def _source(section: schema.SourceSection) -> Source:
+def _source(section: schema.Section) -> Source:
     deviation = SourceDeviation(**section.deviation.model_dump())
     return Source(section.name, section.kind, tuple(section.notes), deviation)
 
@@ -356,9 +356,9 @@ def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str,
 
 
 def _network(
-    section: schema.NetworkSection,
-    rows: Mapping[int, schema.LineRow],
-    buses: Mapping[int, schema.BusRow],
+    section: schema.Section,
+    rows: Mapping[int, schema.Row],
+    buses: Mapping[int, schema.Row],
     read_bus: Callable[[str], BusId],
 ) -> Network:
     columns = _columns(rows, schema.LineRow)
@@ -373,7 +373,7 @@ def _network(
 
 
 def _customers(
-    rows: Mapping[int, schema.CustomerRow],
+    rows: Mapping[int, schema.Row],
     tiers: dict[str, float],
     read_bus: Callable[[str], BusId],
 ) -> Customers:
@@ -385,15 +385,13 @@ def _customers(
     return Customers(**columns)
 
 
-def _pv(rows: Mapping[int, schema.PVRow], read_bus: Callable[[str], BusId]) -> PVSystems:
+def _pv(rows: Mapping[int, schema.Row], read_bus: Callable[[str], BusId]) -> PVSystems:
     columns = _columns(rows, schema.PVRow)
     columns["bus"] = [read_bus(row.bus) if row.bus else None for row in rows.values()]
     return PVSystems(**columns)
 
 
-def _batteries(
-    rows: Mapping[int, schema.BatteryRow], read_bus: Callable[[str], BusId]
-) -> Batteries:
+def _batteries(rows: Mapping[int, schema.Row], read_bus: Callable[[str], BusId]) -> Batteries:
     columns = _columns(rows, schema.BatteryRow)
     columns["bus"] = [read_bus(text) for text in columns["bus"]]
     columns["soc_initial"] = [

@@ -35,11 +35,11 @@ class Settings:
     The other files are checked against what is there, so that one reading finds all problems.
     """
 
-    file: schema.ScenarioFile | None
+    file: schema.Section | None
     grid: TimeGrid | None
     slack_bus: str | None
     tiers: dict[str, float] | None
-    files: schema.FilesSection
+    files: schema.Section
 
 
 def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
@@ -47,7 +47,7 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     document, problems = _read_toml(folder / SCENARIO_FILE)
     if problems:
         return Settings(None, None, None, None, schema.FilesSection()), problems
-    file: schema.ScenarioFile | None = None
+    file: schema.Section | None = None
     try:
         file = schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
@@ -70,7 +70,7 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     ), problems
 
 
-def check_length(time: schema.TimeSection) -> list[Problem]:
+def check_length(time: schema.Section) -> list[Problem]:
     """A time grid too long, or too far away, to be meant."""
     days = minutes_to_h(time.step_minutes) * time.steps / 24
     if not 1970 <= time.start.year < 2200:
@@ -96,7 +96,7 @@ def check_length(time: schema.TimeSection) -> list[Problem]:
     return []
 
 
-def check_voltages(network: schema.NetworkSection) -> list[Problem]:
+def check_voltages(network: schema.Section) -> list[Problem]:
     """Voltage limits that contradict each other or exclude the slack bus."""
     problems = []
     for low, high in (("v_min_pu", "v_max_pu"), ("v_min_ac_pu", "v_max_ac_pu")):
@@ -125,7 +125,7 @@ def check_voltages(network: schema.NetworkSection) -> list[Problem]:
     return problems
 
 
-def check_outages(outages: list[schema.OutageSection], grid: TimeGrid) -> list[Problem]:
+def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem]:
     """Outages that end before they begin, leave the day, or cut a step."""
     problems = []
     day = f"The day is {iso(grid.start)} to {iso(grid.end)}, in steps of {grid.step_minutes:g} min."
@@ -187,7 +187,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
         ]
 
 
-def _grid(time: schema.TimeSection) -> TimeGrid:
+def _grid(time: schema.Section) -> TimeGrid:
     return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps, time.zone)
 
 

@@ -33,9 +33,7 @@ def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[P
     return found, problems + few(range(len(wrong)), lambda i: wrong[i])
 
 
-def _times(
-    file: str, line: int, row: schema.WarningRow
-) -> tuple[dict[str, pd.Timestamp], list[Problem]]:
+def _times(file: str, line: int, row: schema.Row) -> tuple[dict[str, pd.Timestamp], list[Problem]]:
     """The times of a row by their columns; an empty cell is none."""
     found = {}
     problems = []
