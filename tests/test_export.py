@@ -37,7 +37,7 @@ from vppres.live.measurement import Measurement
 from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
-from vppres.physics.powerflow import shared_power_flow
+from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.exporting import LIMIT_TOLERANCE_KW
 from vppres.plant.plant import Plant
@@ -245,7 +245,7 @@ def ac_export_kw(day: Scenario, battery_kw: Sequence[float]) -> tuple[float, flo
     plant = Plant(day)
     state = plant.initial_state()
     wanted = decision(day, battery_kw=battery_kw)
-    done = realise(plant, shared_power_flow(day.network), 0, wanted, state)
+    done = realise(plant, ACPowerFlow(day.network), 0, wanted, state)
     realised = done.realised
     return (
         -done.ac.p_slack_kw,

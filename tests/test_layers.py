@@ -18,7 +18,7 @@ LIBRARY_HOMES = {
     "clarabel": {"solve"},
     "cvxpy": {"model", "solve"},
     "highspy": {"solve"},
-    "pandapower": {"feeders", "physics"},
+    "pandapower": {"feeders"},
     "typer": {"cli"},
     "matplotlib": {"report", "studies"},
     "fastapi": {"service"},

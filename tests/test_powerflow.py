@@ -14,9 +14,13 @@ import pandas as pd
 import pytest
 
 import vppres
+from tests.support.command_line import call
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, VerificationError
-from vppres.physics import nose
+from vppres.feeders.cross_check import as_pandapower, cross_check
+from vppres.io.find import load_scenario
+from vppres.physics import nose, powerflow
+from vppres.physics.admittances import Admittances, admittances_of
 from vppres.physics.newton import Newton
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
 from vppres.scenario.network import Network
@@ -280,6 +284,94 @@ def test_answers_are_pandapower_s_to_the_last_bit(case: Case, reference: int) ->
             (ours.q_slack_kvar, 1e3 * net.res_ext_grid.q_mvar),
         ):
             assert np.abs(found - np.asarray(theirs)).max() <= LAST_BIT
+
+
+def with_transformers(n_buses: int, seed: int) -> Network:
+    """A random feeder with taps, charging, leakage, capacitors, fixed demand and a series capacitor."""
+    rng = np.random.default_rng(seed)
+    n_lines = n_buses - 1
+    parent = np.array([int(rng.integers(max(0, i - 6), i)) for i in range(1, n_buses)])
+    x_ohm = rng.uniform(0.05, 0.8, n_lines)
+    x_ohm[n_lines // 2] *= -0.1
+    return Network(
+        parent,
+        np.arange(1, n_buses),
+        rng.uniform(0.02, 0.5, n_lines),
+        x_ohm,
+        slack_bus=0,
+        base_kv=20.0,
+        v_slack_pu=1.02,
+        ratio=np.where(rng.random(n_lines) < 0.2, rng.uniform(0.95, 1.05, n_lines), 1.0),
+        b_us=rng.uniform(0.0, 40.0, n_lines),
+        g_us=rng.uniform(0.0, 2.0, n_lines),
+        drawing_bus=np.arange(0, n_buses, 5),
+        p_shunt_kw=rng.uniform(0.0, 3.0, len(range(0, n_buses, 5))),
+        q_shunt_kvar=rng.uniform(-80.0, 20.0, len(range(0, n_buses, 5))),
+        p_fixed_kw=rng.uniform(0.0, 20.0, len(range(0, n_buses, 5))),
+        q_fixed_kvar=rng.uniform(-5.0, 5.0, len(range(0, n_buses, 5))),
+    )
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        pytest.param(case33()[0], id="33 buses"),
+        pytest.param(case33(RECONFIGURED)[0], id="33 reconfigured"),
+        pytest.param(with_shunts()[0], id="69 with shunts"),
+        pytest.param(with_transformers(12, 0), id="12 with transformers"),
+        pytest.param(with_transformers(150, 1), id="150 with transformers"),
+        pytest.param(load_scenario("uk-heatwave-2022").network, id="packaged, 33 buses"),
+        pytest.param(load_scenario("two-outages-cigre-mv").network, id="packaged, CIGRE"),
+    ],
+)
+def test_admittances_are_pandapower_s_to_the_last_bit(network: Network) -> None:
+    net = as_pandapower(network)
+    pp.runpp(net, tolerance_mva=np.inf, calculate_voltage_angles=False, numba=False)
+    theirs = net._ppc["internal"]
+    ours = admittances_of(network)
+    for found, name in ((ours.bus, "Ybus"), (ours.sending, "Yf"), (ours.receiving, "Yt")):
+        assert np.abs((found - theirs[name]).toarray()).max() <= LAST_BIT
+        # Sums over a row are rounded in the order in which it is kept.
+        assert found.indices.tolist() == theirs[name].indices.tolist()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_transformers_charging_and_shunts_are_pandapower_s(seed: int) -> None:
+    network = with_transformers(60, seed)
+    rng = np.random.default_rng(seed)
+    p_kw = rng.uniform(-80.0, 60.0, network.n_buses)
+    q_kvar = rng.uniform(-30.0, 10.0, network.n_buses)
+    net = pandapower_net(network, 0)
+    net.load["p_mw"] = (network.p_fixed_kw - p_kw) / 1e3
+    net.load["q_mvar"] = (network.q_fixed_kvar - q_kvar) / 1e3
+    pp.runpp(net, tolerance_mva=1e-9, calculate_voltage_angles=False, numba=False)
+    ours = ACPowerFlow(network).solve(p_kw, q_kvar)
+    assert ours.v_pu == pytest.approx(net.res_bus.vm_pu * network.bus_ratio, abs=1e-9)
+    assert ours.p_from_kw == pytest.approx(1e3 * net.res_line.p_from_mw, abs=1e-4)
+    source_kw = 1e3 * net.res_ext_grid.p_mw[0]
+    assert ours.p_slack_kw == pytest.approx(source_kw, abs=1e-4)
+
+
+@pytest.mark.parametrize("scenario", ["uk-heatwave-2022", "two-outages-cigre-mv"])
+def test_the_cross_check_agrees(scenario: str) -> None:
+    found = cross_check(load_scenario(scenario))
+    assert found.agrees
+    assert found.steps >= 2
+    assert found.difference_pu is not None
+    assert found.difference_pu < 1e-9
+
+
+def test_the_cross_check_notices_a_wrong_impedance(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(network: Network) -> Admittances:
+        return admittances_of(replace(network, r_ohm=1.001 * network.r_ohm))
+
+    monkeypatch.setattr(powerflow, "admittances_of", wrong)
+    found = cross_check(load_scenario("uk-heatwave-2022"))
+    assert not found.agrees
+    assert str(found).startswith("The AC power flow differs from pandapower's by 7e-05 pu in 4 ")
+    done = call("validate", "uk-heatwave-2022", "--power-flow")
+    assert done.exit_code == 1
+    assert str(found) in done.stdout
 
 
 def test_a_solve_does_not_depend_on_the_one_before() -> None:

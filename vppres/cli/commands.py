@@ -13,6 +13,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -47,11 +48,13 @@ from vppres.cli.tables import (
     sweep_table,
     validation_text,
 )
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem, VerificationError
 
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
+    from vppres.feeders.cross_check import CrossCheck
     from vppres.report.drawing import DrawingProcesses
+    from vppres.scenario.scenario import Scenario
     from vppres.studies.sweep import SweepRow
 
 RESULTS = Path("results")
@@ -172,7 +175,19 @@ def run(
 
 
 @app.command(epilog="Example: vppres validate ./my-feeder")
-def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False) -> None:
+def validate(
+    scenario: ScenarioName,
+    power_flow: Annotated[
+        bool,
+        typer.Option(
+            "--power-flow",
+            help="Also compare the AC power flow with pandapower's; the status is 1 if they "
+            "differ.",
+        ),
+    ] = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
     """Check a scenario and list all its problems with their cures; the status is 2 if it has any.
 
     The problems are sorted by file and row.
@@ -184,23 +199,36 @@ def validate(scenario: ScenarioName, as_json: Json = False, debug: Debug = False
         folder = find_scenario(scenario)
         problems: tuple[Problem | str, ...] = ()
         content: dict[str, Any] | None = None
+        check: CrossCheck | None = None
         try:
-            content = content_of(read_scenario(folder))
+            day = read_scenario(folder)
+            content = content_of(day)
+            check = _cross_check(day) if power_flow else None
         except InputError as error:
             problems = error.problems
         if as_json:
-            _print_json(
-                {
-                    "folder": str(folder),
-                    "valid": not problems,
-                    "content": content,
-                    "problems": [problem_record(problem) for problem in problems],
-                }
-            )
+            record = {
+                "folder": str(folder),
+                "valid": not problems,
+                "content": content,
+                "problems": [problem_record(problem) for problem in problems],
+            }
+            _print_json(record | ({} if check is None else {"power_flow": asdict(check)}))
         else:
             typer.echo(validation_text(problems, content))
+            if check is not None:
+                typer.echo(f"- {check}")
     if problems:
         raise typer.Exit(InputError.exit_status)
+    if check is not None and not check.agrees:
+        raise typer.Exit(VerificationError.exit_status)
+
+
+def _cross_check(day: Scenario) -> CrossCheck:
+    """The scenario's AC power flow against pandapower's, which is loaded for it."""
+    from vppres.feeders.cross_check import cross_check
+
+    return cross_check(day)
 
 
 @app.command(epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html")

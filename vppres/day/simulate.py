@@ -22,7 +22,7 @@ from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.recorder import Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
 from vppres.io.python_door import check_scenario
-from vppres.physics.powerflow import shared_power_flow
+from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
@@ -107,7 +107,7 @@ class Day:
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
         self.forecaster = forecasts_of(scenario, self.options, errors)
-        self.ac = shared_power_flow(scenario.network)
+        self.ac = ACPowerFlow(scenario.network)
         self.island = IslandPlant(self.plant, self.ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None

@@ -181,15 +181,27 @@ def no_load_pu(feeder: ImportedFeeder) -> float | None:
 
 
 def worst_hour_pu(feeder: ImportedFeeder, scenario: Scenario) -> float | None:
-    """Largest difference of a voltage in the hours of largest and least demand and generation.
+    """Largest difference of a voltage in the steps of :func:`extreme_steps`.
 
-    Everyone is served, all generators give what they can, and batteries rest. None where a power
-    flow does not converge, or the source has none.
+    None where a power flow does not converge, or the source has none.
+    """
+    found = [
+        _difference(feeder, scenario.network, p_kw, q_kvar)
+        for p_kw, q_kvar in extreme_steps(scenario)
+    ]
+    known = [value for value in found if value is not None]
+    return max(known) if len(known) == len(found) else None
+
+
+def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
+    """Injections (kW, kvar) of the steps with the largest and least demand and generation.
+
+    All customers are served, all generators give what they can, and batteries rest.
     """
     load_kw = scenario.load_kw
     given_kw = scenario.pv_kw
     net_kw = load_kw.sum(axis=1) - given_kw.sum(axis=1)
-    hours = {
+    steps = {
         int(load_kw.sum(axis=1).argmax()),
         int(load_kw.sum(axis=1).argmin()),
         int(net_kw.argmin()),
@@ -198,13 +210,10 @@ def worst_hour_pu(feeder: ImportedFeeder, scenario: Scenario) -> float | None:
     network = scenario.network
     at_customer = network.place(scenario.customers.bus)
     at_pv = network.place(scenario.pv.buses(scenario.customers))
-    found = []
-    for t in sorted(hours):
+    for t in sorted(steps):
         p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t]
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
-        found.append(_difference(feeder, network, p_kw, q_kvar))
-    known = [value for value in found if value is not None]
-    return max(known) if len(known) == len(found) else None
+        yield p_kw, q_kvar
 
 
 def _difference(

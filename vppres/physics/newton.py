@@ -8,37 +8,15 @@ sparse Jacobian is put together anew. Here its pattern stays and only its number
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from vppres.core.arrays import Complexes, Floats, Wholes
+from vppres.core.arrays import Complexes, Floats
+from vppres.physics.admittances import Admittances
 
 MAX_STEPS = 10
 """Steps after which the method has failed; three to five are usual from a flat start."""
-
-
-@dataclass(frozen=True, eq=False)
-class Admittances:
-    """A network for 1 MVA.
-
-    Attributes
-    ----------
-    bus : sparse matrix, shape (N, N)
-        Currents into the network by voltages.
-    sending, receiving : sparse matrix, shape (L, N)
-        Currents into the lines at either end.
-    from_bus, to_bus : array, shape (L,)
-        Positions of the buses at the ends.
-    """
-
-    bus: sp.csr_matrix
-    sending: sp.csr_matrix
-    receiving: sp.csr_matrix
-    from_bus: Wholes
-    to_bus: Wholes
 
 
 class Newton:

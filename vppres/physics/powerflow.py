@@ -1,28 +1,25 @@
-"""AC power flow of what the plant did. Besides this module only ``networks`` imports pandapower.
+"""AC power flow of what the plant did.
 
 The check shares the network's data with the optimiser, never its equations: the full AC equations
-are solved by Newton's method (:mod:`vppres.physics.newton`) on pandapower's admittances. The
-pandapower net, which is mutable, does not leave this module. What Newton's method does not find is
-followed from no load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which
-there is none.
+are solved by Newton's method (:mod:`vppres.physics.newton`). What it does not find is followed from
+no load up (:mod:`vppres.physics.nose`): to the answer, or to the load beyond which there is none.
+pandapower is the judge of both: in the tests, where a network is imported, and on request
+(:mod:`vppres.feeders.cross_check`).
 """
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pandapower as pp
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Complexes, Floats, content_key, freeze_fields
+from vppres.core.arrays import Complexes, Floats, freeze_fields
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
-from vppres.physics.empty_net import empty_net
-from vppres.physics.newton import Admittances, Newton
+from vppres.physics.admittances import Admittances, admittances_of
+from vppres.physics.newton import Newton
 from vppres.physics.nose import Followed, follow
 from vppres.scenario.network import Network
 
@@ -133,7 +130,7 @@ class ACPowerFlow:
     def __init__(self, network: Network) -> None:
         self.network = network
         self.tolerance_mva = reachable_mva(network)
-        self._admittances = _admittances(network)
+        self._admittances = admittances_of(network)
         self._newtons: dict[int, Newton] = {}
         self._last: dict[int, Complexes] = {}
 
@@ -344,59 +341,4 @@ def _read_followed(
         p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference] + own_kw[reference]),
         q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference] + own_kvar[reference]),
         converged=found.outcome == "solved",
-    )
-
-
-def shared_power_flow(network: Network) -> ACPowerFlow:
-    """The thread's power flow of a network, made to start flat; only the last few are kept.
-
-    Building a pandapower net takes as long as some thirty solves, so a study of many days on one
-    network should do it once. The flat start keeps runs independent of each other. Threads do not
-    share a net: it keeps the power that was written into it.
-    """
-    flows = _FLOWS.kept
-    key = content_key(network)
-    flow = flows.pop(key, None) or ACPowerFlow(network)
-    flow.restart()
-    flows[key] = flow
-    while len(flows) > _FLOWS_KEPT:
-        flows.popitem(last=False)
-    return flow
-
-
-class _Flows(threading.local):
-    """Power flows of a thread."""
-
-    def __init__(self) -> None:
-        self.kept: OrderedDict[str, ACPowerFlow] = OrderedDict()
-
-
-_FLOWS = _Flows()
-_FLOWS_KEPT = 3
-
-
-def _admittances(network: Network) -> Admittances:
-    """What pandapower makes of lines of 1 km and shunts."""
-    net = empty_net()
-    buses = pp.create_buses(net, network.n_buses, vn_kv=network.base_kv)
-    pp.create_ext_grid(net, buses[0])
-    # The rating only serves pandapower's loading figure, which is not used.
-    pp.create_lines_from_parameters(
-        net,
-        from_buses=network.parent,
-        to_buses=np.arange(1, network.n_buses),
-        length_km=1.0,
-        r_ohm_per_km=network.referred_r_ohm,
-        x_ohm_per_km=network.referred_x_ohm,
-        c_nf_per_km=0.0,
-        max_i_ka=1.0,
-    )
-    for bus in np.flatnonzero((network.shunt_kw != 0) | (network.shunt_kvar != 0)):
-        p_mw, q_mvar = kw_to_mw([network.shunt_kw[bus], network.shunt_kvar[bus]])
-        pp.create_shunt(net, buses[bus], p_mw=p_mw, q_mvar=q_mvar)
-    # Any voltages will do, so that not a single step is taken; what counts is made before.
-    pp.runpp(net, tolerance_mva=np.inf, calculate_voltage_angles=False, numba=False)
-    case = net._ppc["internal"]
-    return Admittances(
-        case["Ybus"], case["Yf"], case["Yt"], network.parent, np.arange(1, network.n_buses)
     )

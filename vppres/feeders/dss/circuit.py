@@ -201,7 +201,7 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     """The pandapower net of the circuit, and its buses' names."""
     import pandapower as pp
 
-    from vppres.physics.empty_net import empty_net
+    from vppres.feeders.net.empty_net import empty_net
 
     names = [bus["name"] for bus in found["buses"]]
     net = empty_net(name=found["name"], f_hz=found["frequency_hz"])

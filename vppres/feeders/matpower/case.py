@@ -103,7 +103,7 @@ def net_of(case: Case, name: str) -> Any:
         raise InputError(problems)
     import pandapower as pp
 
-    from vppres.physics.empty_net import empty_net
+    from vppres.feeders.net.empty_net import empty_net
 
     net = empty_net(f_hz=F_HZ, sn_mva=float(case["baseMVA"][0, 0]))
     bus = case["bus"]
