@@ -358,6 +358,7 @@ class Controller:
         present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
+        decision = replace(decision, estimated=_joined(*seen.left_out, decision.estimated))
         day = present.day(self._taken_for_true(told))
         record = day.settle(0, decision)
         points = SetPoints.of(day.scenario, record, Foreseen.of(decision, day.scenario))
@@ -377,3 +378,7 @@ def _without(decision: Decision, connected: Flags) -> Decision:
         return decision
     served = decision.dispatch.served & connected
     return replace(decision, dispatch=replace(decision.dispatch, served=served))
+
+
+def _joined(*words: str) -> str:
+    return "; ".join(word for word in words if word)

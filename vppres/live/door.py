@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from numbers import Real
 from typing import Any
@@ -20,7 +19,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean, shown
-from vppres.io.schema import MAX_KW, MAX_PRICE
+from vppres.live.ranges import RANGES, Ranges
 from vppres.scenario.timegrid import TimeGrid
 
 WHERE = "measurement"
@@ -30,68 +29,6 @@ MOST_OF_A_KIND = 20
 
 WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
 LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
-
-
-@dataclass(frozen=True)
-class Range:
-    """The numbers that a quantity can have.
-
-    Parameters
-    ----------
-    lowest, highest : float
-        Ends, included.
-    message, cure : str
-        What to say of a number outside.
-    beyond : str
-        What to say of a number above, if it is not the same.
-    infinite : bool
-        Whether it may be infinite.
-    """
-
-    lowest: float
-    highest: float
-    message: str
-    cure: str
-    beyond: str = ""
-    infinite: bool = False
-
-    def holds(self, value: float) -> bool:
-        """Whether a number is in the range."""
-        return self.lowest <= value <= self.highest or (self.infinite and value == np.inf)
-
-    def text(self, value: float) -> str:
-        """What to say of a number that is not."""
-        above = np.isfinite(value) and value > self.highest and self.beyond != ""
-        return self.beyond if above else self.message
-
-
-_NUMBER = "must be a number not below 0"
-_CORRECT = "Correct the measurement."
-_UNIT = "is more than any feeder has: check the unit"
-_POWER = Range(0.0, MAX_KW, _NUMBER, _CORRECT, _UNIT)
-_SHARE = "must lie between 0 and 1"
-RANGES = {
-    "soc": Range(0.0, 1.0, _SHARE, "Give a share, for example 0.5."),
-    "load_kw": _POWER,
-    "pv_kw": _POWER,
-    "price_gbp_per_kwh": Range(
-        -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
-    ),
-    "grid_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
-    "announced_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
-    "export_limit_kw": Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True),
-    "export_price_gbp_per_kwh": Range(
-        -MAX_PRICE, MAX_PRICE, "must be a finite number", _CORRECT, "is more than any price"
-    ),
-    # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
-    "temperature_c": Range(-50.0, 60.0, "must lie between -50 and 60", _CORRECT),
-    "eta_charge": Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."),
-    "eta_discharge": Range(
-        0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95."
-    ),
-    "battery_kw": Range(-1e6, 1e6, "must be a finite number", _CORRECT, _UNIT),
-    "import_kw": Range(-1e7, 1e7, "must be a finite number", _CORRECT, _UNIT),
-}
 
 
 class Door:
@@ -107,18 +44,33 @@ class Door:
         Whether readings of now may be missing, since somebody estimates them.
     where : str
         What is read, as problems name it.
+    ranges : mapping, optional
+        Ranges of single assets, narrower than those of their quantity.
+
+    Attributes
+    ----------
+    left_out : list of str
+        Readings of now that no device can have, which somebody estimates.
     """
 
     def __init__(
-        self, grid: TimeGrid, time: Any, estimates: bool = False, where: str = WHERE
+        self,
+        grid: TimeGrid,
+        time: Any,
+        estimates: bool = False,
+        where: str = WHERE,
+        ranges: Ranges | None = None,
     ) -> None:
         self.grid = grid
         self.estimates = estimates
         self.where = where
+        self.ranges = ranges or {}
         self.problems = list[Problem]()
+        self.left_out = list[str]()
         self._start = pd.Timestamp(grid.start)
         self._length = pd.Timedelta(minutes=grid.step_minutes)
         self._counts: Counter[str] = Counter()
+        self._left: Counter[str] = Counter()
         self.t = int(self._steps("time", [time])[0])
 
     def finish(self) -> None:
@@ -158,12 +110,7 @@ class Door:
             rows = np.array([self.t])
             columns = self._positions(field, [name for name, _ in pairs], ids)
             values = np.array(
-                [
-                    [
-                        self._number(field, f"{field} of {shown(name)}", value, now=True)
-                        for name, value in pairs
-                    ]
-                ]
+                [[self._number(field, value, name, now=True) for name, value in pairs]]
             ).reshape(1, len(pairs))
         if self.problems:
             return series
@@ -177,10 +124,10 @@ class Door:
             return series
         if isinstance(given, pd.Series):
             steps = self._steps(field, list(given.index))
-            values = [self._number(field, field, value) for value in given.to_list()]
+            values = [self._number(field, value) for value in given.to_list()]
         else:
             steps = np.array([self.t])
-            values = [self._number(field, field, given)]
+            values = [self._number(field, given)]
         if self.problems:
             return series
         result = series.copy()
@@ -193,7 +140,7 @@ class Door:
         positions = self._positions(field, list(named), ids)
         result = default.copy()
         for (name, value), position in zip(named.items(), positions, strict=True):
-            number = self._number(field, f"{field} of {shown(name)}", value, now=True)
+            number = self._number(field, value, name, now=True)
             if position >= 0:
                 result[position] = number
         return result
@@ -220,7 +167,7 @@ class Door:
         """A single measured number, None if there is none."""
         if given is None:
             return None
-        value = self._number(field, field, given, now=True)
+        value = self._number(field, given, now=True)
         return None if np.isnan(value) else value
 
     def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
@@ -274,16 +221,23 @@ class Door:
             ):
                 values[:, column] = numbers
                 continue
-            what = f"{field} of {shown(frame.columns[column])}"
+            name = frame.columns[column]
             values[:, column] = [
-                self._number(field, what, value, now=bool(step == self.t))
+                self._number(field, value, name, now=bool(step == self.t))
                 for value, step in zip(cells.to_list(), rows, strict=True)
             ]
+        for row in np.flatnonzero(rows == self.t).tolist():
+            for column, name in enumerate(frame.columns):
+                if (field, name) in self.ranges and np.isfinite(values[row, column]):
+                    values[row, column] = self._number(field, values[row, column], name, now=True)
         return values
 
-    def _number(self, field: str, what: str, value: Any, now: bool = False) -> float:
+    def _number(self, field: str, value: Any, name: Any = None, now: bool = False) -> float:
         """A number in its range; NaN for a reading of now that somebody else estimates."""
         limits = RANGES[field]
+        if now and isinstance(name, str):
+            limits = self.ranges.get((field, name), limits)
+        what = field if name is None else f"{field} of {shown(name)}"
         number = _float_of(value)
         if number is None:
             self.problem(
@@ -295,10 +249,17 @@ class Door:
         measured_after = field in ("battery_kw", "import_kw")
         if now and np.isnan(number) and (self.estimates or measured_after):
             return np.nan
-        if now and self.estimates and field in ("load_kw", "pv_kw") and -1e6 <= number < 0.0:
-            return np.nan  # a meter with a wrong sign or offset
-        self.problem(field, limits.text(number), limits.cure, what, value)
+        if not (now and self.estimates):
+            self.problem(field, limits.text(number), limits.cure, what, value)
+        elif number >= 0.0 or field not in ("load_kw", "pv_kw"):  # else a wrong sign or offset
+            self._leave_out(field, f"{what} = {number:g} {limits.text(number)}")
         return np.nan
+
+    def _leave_out(self, field: str, words: str) -> None:
+        """Name a reading that does not count, or count it where there are many of its kind."""
+        self._left[field] += 1
+        if self._left[field] <= MOST_OF_A_KIND:
+            self.left_out.append(words)
 
     def _steps(self, field: str, times: Sequence[Any]) -> Wholes:
         """Steps of the scenario that begin at these times, each once; -1 for no such step."""

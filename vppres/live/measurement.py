@@ -13,14 +13,12 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem, VppresError
 from vppres.live.door import WHERE, Door, readable
+from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 Values = Mapping[str, float] | pd.Series  # by identifier
 Switches = Mapping[str, bool] | pd.Series  # by identifier
-
-IMPLAUSIBLE_SHARE = 1.5
-"""Measured battery power above this share of the inverter's rating is in another unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +27,8 @@ class Measurement:
 
     Only the time must be given. What is not given of the series is what the scenario says, so that
     a scenario can serve as the forecast of a day; what is missing of the measurements is estimated
-    by the guard (``docs/operation.md``).
+    by the guard (``docs/operation.md``). A number that no device can have counts as missing, and is
+    named in what was estimated.
 
     Parameters
     ----------
@@ -120,6 +119,8 @@ class Seen:
         Largest import while there is grid, as far as it was announced; NaN elsewhere.
     foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
         Of whom the steps ahead are somebody's forecast.
+    left_out : tuple of str
+        Readings that no device can have, in words; they count as missing.
     """
 
     t: int
@@ -136,6 +137,7 @@ class Seen:
     announced_kw: Floats | None
     foretold_load: Flags
     foretold_pv: Flags
+    left_out: tuple[str, ...] = ()
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -214,7 +216,7 @@ def step_at(grid: TimeGrid, time: Any) -> int:
 
 def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int) -> Seen:
     """The measurement, read."""
-    door = Door(scenario.grid, measured.time, guard)
+    door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
     c = scenario.customers
     pv = scenario.pv
     b = scenario.batteries
@@ -232,7 +234,6 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     connected = door.flags("connected", measured.connected, c.id)
     announced = _announced(door, scenario, measured)
     foretold = measured.foretold or {}
-    _check_batteries(door, scenario, soc, battery_kw)
     if not guard:
         _check_complete(door, scenario, measured, soc, online)
     door.finish()
@@ -260,6 +261,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         announced,
         _among(c.id, foretold.get("load_kw", ())),
         _among(pv.id, foretold.get("pv_kw", ())),
+        tuple(door.left_out),
     )
 
 
@@ -300,19 +302,6 @@ def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
             "Decide steps in their order; to begin again, make another Controller.",
             "time",
             measured.time,
-        )
-
-
-def _check_batteries(door: Door, scenario: Scenario, soc: Floats, battery_kw: Floats) -> None:
-    """Powers that no inverter passes."""
-    b = scenario.batteries
-    for i in np.flatnonzero(np.abs(battery_kw) > IMPLAUSIBLE_SHARE * b.s_max_kva):
-        door.problem(
-            "battery_kw",
-            f"is beyond the inverter's rating of {b.s_max_kva[i]:g} kVA",
-            "Give the power in kW.",
-            f"battery_kw of {b.id[i]}",
-            battery_kw[i],
         )
 
 

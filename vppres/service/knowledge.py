@@ -18,8 +18,8 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
-from vppres.live.door import RANGES, Range
 from vppres.live.measurement import Measurement
+from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import announced_at, announced_kw, limits_kw, outages, prices
@@ -46,8 +46,6 @@ LOST_AFTER = 3
 """Multiples of the time for which a reading holds."""
 
 WHERE = "telemetry"
-FLAGS = ("online", "grid_on")
-_FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
 
 
 @dataclass(frozen=True)
@@ -153,6 +151,7 @@ def readings_of(
         End of the next step: later readings are of another clock.
     """
     assets = assets_of(scenario)
+    own = ranges_of(scenario)
     good: list[Reading] = []
     problems: list[Problem] = []
     for one in batch:
@@ -174,7 +173,7 @@ def readings_of(
                 )
             )
             continue
-        permitted = _FLAG if one.quantity in FLAGS else RANGES[one.quantity]
+        permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
         for step, value in enumerate(one.values):
             if value is not None and not permitted.holds(value):
                 field_name = f"{one.quantity} of {one.asset}"

@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from vppres.live.door import moment_of
+from vppres.live.ranges import RANGES
 from vppres.service.clock import written
 
 MOST_SERIES = 2_000
@@ -60,6 +61,12 @@ def read_duration(value: Any) -> pd.Timedelta:
     return duration
 
 
+def _within(quantity: str) -> Any:
+    """A finite number that a quantity can have."""
+    numbers = RANGES[quantity]
+    return Field(strict=True, allow_inf_nan=False, ge=numbers.lowest, le=numbers.highest)
+
+
 Moment = Annotated[
     pd.Timestamp,
     PlainValidator(read_moment),
@@ -72,8 +79,9 @@ Duration = Annotated[
 ]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Power = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)]
-Price = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e3, le=1e3)]
+Power = Annotated[float, _within("load_kw")]
+Limit = Annotated[float, _within("grid_limit_kw")]
+Price = Annotated[float, _within("price_gbp_per_kwh")]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
 Hours = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=8760)]
 Shape = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=20)]
@@ -219,7 +227,7 @@ class ImportLimit(Interval):
     """No more import than this."""
 
     type: Literal["import_limit"]
-    limit_kw: Power
+    limit_kw: Limit
 
 
 class Prices(Body):

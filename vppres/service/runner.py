@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time as machine
 from collections import OrderedDict
 from collections.abc import Callable
@@ -11,9 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError, Problem, StorageError, VppresError
+from vppres.core.errors import InputError, Problem, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
@@ -30,10 +32,14 @@ from vppres.service.knowledge import Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
 from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
 from vppres.service.records import After, Asked
+from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""
+
+FAILED = "failed"
+"""The status of a step that only the rule could decide."""
 
 MODE = "mode"
 """The setting of what an operator asked for."""
@@ -54,6 +60,8 @@ MOST_KNOWN = 24
 """Steps of which it is remembered what was expected when they were decided."""
 
 FULL_HORIZON_H = 24.0
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +266,8 @@ class Runner:
             raise InputError(Problem("step", *problem, field="time", value=written(time)))
 
     def _decided(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
-        """The plan of the controller, or of nobody if it fails."""
+        """The plan of the controller; by rule, whatever it is that fails."""
+        known: Known | None = None
         try:
             self._feed(time)
             self._controller.warn(*self.warnings(time), replacing=True)
@@ -268,8 +277,10 @@ class Runner:
             refused = refusals(decision, self.scenario, known.soc)
         except StorageError:
             raise
-        except VppresError as error:
-            return self._without(time, "failed", str(error).splitlines()[0], asked)
+        except Exception as error:
+            # A step without an answer is worse than any of it.
+            log.exception("step")
+            return self._ruled(time, known, error, asked)
         plan = {
             **plan_of(decision, self.scenario, known, refused),
             "outage_probability": self._believed(known),
@@ -287,16 +298,43 @@ class Runner:
             self.expected.popitem(last=False)
         return plan
 
+    def _ruled(
+        self, time: pd.Timestamp, known: Known | None, error: Exception, asked: Asked | None
+    ) -> dict[str, Any]:
+        """The plan of a rule that needs no solver, for a step in which everything else failed."""
+        now = self._profile_of(time)
+        if known is None:
+            dark = self.last is not None and (self.last.get("grid") or {}).get("available") is False
+            soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
+        else:
+            dark, soc, lost = not known.grid.available, known.soc, known.lost
+        if dark:
+            now = replace(now, grid_limit_kw=np.zeros(1))
+        words = str(error).splitlines()[:1] or [type(error).__name__]
+        mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
+        ordered = ruled(now, soc, lost)
+        return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, {}), asked)
+
+    def _profile_of(self, time: pd.Timestamp) -> Scenario:
+        """What the scenario says of a step."""
+        if self.profile is not None:
+            return self.profile.steps(time, 1)
+        row = round((time - self.scenario.grid.start) / self.length)
+        return self.scenario.between(row, row + 1)
+
+    def _kept(
+        self, time: pd.Timestamp, plan: dict[str, Any], asked: Asked | None
+    ) -> dict[str, Any]:
+        """A plan that was not the controller's, kept."""
+        plan = {**plan, "generated_at": written(self.clock.now())}
+        self.store.write_step(time, plan, asked=asked)
+        return plan
+
     def _without(
         self, time: pd.Timestamp, status: str, reason: str, asked: Asked | None = None
     ) -> dict[str, Any]:
         """The plan of a step in which nothing is decided."""
-        plan = {
-            **defaults_of(time, self.scenario, status, reason),
-            "generated_at": written(self.clock.now()),
-        }
-        self.store.write_step(time, plan, asked=asked)
-        return plan
+        return self._kept(time, defaults_of(time, self.scenario, status, reason), asked)
 
     def _forget(self, time: pd.Timestamp) -> None:
         """Once a day drop what is too old."""
@@ -311,12 +349,7 @@ class Runner:
         """The plan of an operator, through the gate as any other."""
         ordered = Ordered.of(self.scenario, self.last, mode.get("setpoints", []))
         refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
-        plan = {
-            **ordered_plan(time, self.scenario, mode, ordered, refused),
-            "generated_at": written(self.clock.now()),
-        }
-        self.store.write_step(time, plan, asked=asked)
-        return plan
+        return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, refused), asked)
 
     def _write_missed(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
@@ -375,7 +408,7 @@ class Runner:
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome."""
         return {
-            **dict.fromkeys((*DECIDED, *BY_HAND, "failed", "off", "missed"), 0),
+            **dict.fromkeys((*DECIDED, *BY_HAND, FAILED, "off", "missed"), 0),
             **self.store.outcomes(),
         }
 

@@ -74,7 +74,7 @@ export function verdict(view) {
   if (view.lost) return [ALARM, `No contact with the service since ${at(view.heard)}.`, `What stands below was true then. ${ends}`];
   if (!plan) return [WARNING, "No step has been decided yet.", "Devices do their defaults until the first one is."];
   if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.`, ends];
-  if (plan.status === "failed") return [ALARM, "The present step could not be decided: every device does its default.", plan.reason];
+  if (plan.status === "failed") return [ALARM, "The present step could not be planned: it is decided by rule.", plan.reason];
   if (plan.status === "missed") return [WARNING, "The present step was missed: devices do their defaults.", plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
   const [first] = view.site.tiers, all = Object.keys(view.site.customers).length;

@@ -1,0 +1,110 @@
+"""The numbers that a quantity can have: one table, for whatever lets numbers in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.io.schema import MAX_KW, MAX_PRICE
+from vppres.scenario.scenario import Scenario
+
+RATED_SHARE = 1.5
+"""A reading above this share of an inverter's rating is in another unit, or a spike."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a quantity can have.
+
+    Parameters
+    ----------
+    lowest, highest : float
+        Ends, included.
+    message, cure : str
+        What to say of a number outside.
+    beyond : str
+        What to say of a number above, if it is not the same.
+    infinite : bool
+        Whether it may be infinite.
+    """
+
+    lowest: float
+    highest: float
+    message: str
+    cure: str
+    beyond: str = ""
+    infinite: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether a number is in the range."""
+        return self.lowest <= value <= self.highest or (self.infinite and value == np.inf)
+
+    def text(self, value: float) -> str:
+        """What to say of a number that is not."""
+        above = np.isfinite(value) and value > self.highest and self.beyond != ""
+        return self.beyond if above else self.message
+
+
+Ranges = Mapping[tuple[str, str], Range]  # by quantity and asset, where an asset has its own
+
+_FINITE = "must be a finite number"
+_NUMBER = "must be a number not below 0"
+_CORRECT = "Correct the measurement."
+_UNIT = "is more than any feeder has: check the unit"
+_POWER = Range(0.0, MAX_KW, _NUMBER, _CORRECT, _UNIT)
+_LIMIT = Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True)
+_PRICE = Range(-MAX_PRICE, MAX_PRICE, _FINITE, _CORRECT, "is more than any price")
+# No cell loses nine tenths one way; smaller shares would only spoil the numbers.
+_EFFICIENCY = Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95.")
+_FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
+RANGES: Mapping[str, Range] = {
+    "soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
+    "load_kw": _POWER,
+    "pv_kw": _POWER,
+    "price_gbp_per_kwh": _PRICE,
+    "grid_limit_kw": _LIMIT,
+    "announced_limit_kw": _LIMIT,
+    "export_limit_kw": _LIMIT,
+    "export_price_gbp_per_kwh": _PRICE,
+    "temperature_c": Range(-50.0, 60.0, "must lie between -50 and 60", _CORRECT),
+    "eta_charge": _EFFICIENCY,
+    "eta_discharge": _EFFICIENCY,
+    "battery_kw": Range(-MAX_KW, MAX_KW, _FINITE, _CORRECT, _UNIT),
+    "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, _FINITE, _CORRECT, _UNIT),
+    "online": _FLAG,
+    "grid_on": _FLAG,
+}
+
+
+def ranges_of(scenario: Scenario) -> Ranges:
+    """What inverters of a site can pass, by quantity and asset.
+
+    Examples
+    --------
+    >>> import vppres
+    >>> ranges_of(vppres.load_scenario("uk-heatwave-2022"))["battery_kw", "b02"].highest
+    450.0
+    """
+    b = scenario.batteries
+    batteries = {
+        ("battery_kw", str(name)): _rated(-RATED_SHARE, "inverter", rating, _FINITE)
+        for name, rating in zip(b.id, b.s_max_kva.tolist(), strict=True)
+    }
+    pv = scenario.pv
+    systems = {
+        ("pv_kw", str(name)): _rated(0.0, "system", rating, _NUMBER)
+        for name, rating in zip(pv.id, pv.p_max_kw.tolist(), strict=True)
+    }
+    return batteries | systems
+
+
+def _rated(lowest_share: float, what: str, rating: float, no_number: str) -> Range:
+    """Up to a share of a rating, and at most what any feeder has."""
+    unit = "kVA" if what == "inverter" else "kW"
+    beyond = f"is beyond the {what}'s rating of {rating:g} {unit}"
+    below = beyond if lowest_share else no_number
+    return Range(
+        lowest_share * rating, RATED_SHARE * rating, below, "Give the power in kW.", beyond
+    )
