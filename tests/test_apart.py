@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
-import highspy
 import numpy as np
 import pytest
 
-from experiments.hard_days import hard_window
 from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
@@ -29,15 +25,12 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.solve.apart import falls_apart, solve_apart, with_room_both_ways
+from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import with_modes
-from vppres.solve.fleet.modes import Apart, modes_apart
 from vppres.solve.ladder import LEVELLED, WindowSolver
-from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import SolveLimits, Status, WindowSolution
-from vppres.solve.task import WindowTask
 from vppres.studies.sweep_parameters import scenario_changes
 
 RANDOM = [(seed, stressed) for stressed in (False, True) for seed in range(60)]
@@ -96,6 +89,19 @@ def test_batteries_and_rules_join_steps() -> None:
     assert not falls_apart(Site.of(scenario), replace(data, switching=state.window(3)))
 
 
+def test_batteries_of_a_watt_are_none() -> None:
+    scenario = two_dark_steps()
+    watt = replace(scenario, batteries=battery(p_max_kw=1e-3, s_max_kva=1e-3))
+    assert falls_apart(Site.of(watt), window(watt))
+    without, with_them = (WindowSolver(Site.of(s)).solve(window(s)) for s in (scenario, watt))
+    assert with_them.objective == pytest.approx(without.objective, abs=1e-6)
+    assert (with_them.dispatch.served == without.dispatch.served).all()
+    assert not with_them.dispatch.charge_kw.any()
+    assert not with_them.dispatch.discharge_kw.any()
+    check = check_dispatch(watt, window(watt), with_them.dispatch)
+    assert check.worst[1] < CHECKER_TOLERANCE
+
+
 @pytest.mark.parametrize("idle", [False, True])
 def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> None:
     scenario = two_dark_steps()
@@ -105,7 +111,7 @@ def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> No
     state = SwitchingState.start(rules, scenario.grid.dt_h, len(scenario.customers))
     data = replace(window(scenario), switching=state.window(3))
     answer, whole = (WindowSolver(Site.of(scenario), method).solve(data) for method in LEVELLED)
-    assert answer.stages[:2] == ("shares[highs]", "aggregate[highs]")
+    assert answer.stages[0] == "aggregate[highs]"
     assert answer.status == Status.OPTIMAL
     gap = SolveLimits().gap_at(whole.objective)
     assert answer.objective == pytest.approx(whole.objective, abs=2 * gap)
@@ -152,76 +158,6 @@ def test_the_packaged_day_without_batteries_is_certified_in_the_outage() -> None
     answer = WindowSolver(Site.of(packaged)).solve(data)
     assert answer.status == Status.OPTIMAL
     assert answer.gap_abs <= SolveLimits().gap_at(answer.objective)
-
-
-def test_batteries_that_are_full_bound_what_a_run_of_steps_can_store() -> None:
-    """Each step by itself could store some sun; five dark ones together have no room for all."""
-    case = hard_window("five_tiers", 204)
-    answer = WindowSolver(case.site, limits=SolveLimits(time_s=600.0)).solve(case.data)
-    assert answer.terms.f3 > 1.0
-    assert answer.status == Status.OPTIMAL
-    assert answer.gap <= 1e-4
-    assert answer.bound >= answer.objective
-
-
-def test_batteries_of_a_watt_give_no_more_than_their_range() -> None:
-    # A set of the second step needs 7.91 W of eight batteries of 1 W, one of which holds 0.90 Wh.
-    hard = hard_window("no_power", 203)
-    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=20.0)).solve(hard.data)
-    assert answer.status == Status.OPTIMAL
-    assert not any(stage.startswith("modes") for stage in answer.stages)
-    b = hard.site.batteries
-    first, second = with_room_both_ways(hard.site).batteries.energy_kwh, b.energy_kwh
-    half_full_kwh = 0.5 * (b.soc_max - b.soc_min) * first
-    np.testing.assert_allclose(half_full_kwh, (b.soc_max - b.soc_min) * second)
-
-
-@pytest.mark.parametrize(
-    ("seed", "rules"), [(12, None), (49, SwitchingRules(min_served_h=0.5, min_unserved_h=1.0))]
-)
-def test_each_battery_bounds_what_it_can_lose(
-    seed: int, rules: SwitchingRules | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hard = hard_window("surplus", seed)
-    data = hard.data
-    if rules is not None:
-        state = SwitchingState.start(rules, hard.site.dt_h, len(hard.site.customers))
-        data = replace(data, switching=state.window(data.n_steps))
-    answer = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(data)
-    assert answer.status == Status.OPTIMAL
-    assert "modes_apart[highs]" in answer.stages
-    monkeypatch.setattr("vppres.solve.fleet.rungs.modes_apart", lambda *_: None)
-    whole = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(data)
-    assert not any(stage.startswith("modes_apart") for stage in whole.stages)
-    assert answer.objective <= whole.bound + 1e-6
-    assert whole.objective <= answer.bound + 1e-6
-
-
-def test_a_search_for_modes_ends_at_a_bound_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its own bound may never get there: it ran till the time limit with the best set in hand."""
-    hard = hard_window("surplus", 12)
-    best = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
-    ends = []
-
-    def searched(solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
-        answer = ProgramSolution.of(solver, deadline)
-        if solver.getLp().integrality_:
-            ends.append(solver.getModelStatus())
-        return answer
-
-    def knowing(task: WindowTask, *more: Any) -> Apart | None:
-        task.certificate.bound_by(best.objective)
-        with monkeypatch.context() as patched:
-            patched.setattr("vppres.solve.fleet.modes.ProgramSolution", searches)
-            return modes_apart(task, *more)
-
-    searches = SimpleNamespace(of=searched)
-    monkeypatch.setattr("vppres.solve.fleet.rungs.modes_apart", knowing)
-    again = WindowSolver(hard.site, limits=SolveLimits(time_s=30.0)).solve(hard.data)
-    assert ends == [highspy.HighsModelStatus.kObjectiveTarget]
-    assert again.status == Status.OPTIMAL
-    assert "modes_apart[highs]" in again.stages
-    assert again.objective == pytest.approx(best.objective, rel=1e-4)
 
 
 def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:

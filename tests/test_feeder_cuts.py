@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import window
 from vppres.io import find_scenario, read_scenario
 from vppres.model.site import Site
@@ -17,7 +15,6 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import net_modes
-from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.reactance import Reactance
@@ -104,30 +101,6 @@ def test_cuts_leave_every_set_that_is_carried(
     outcome, served = master().service(Deadline(TIME_S))
     assert served is not None
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
-
-
-@pytest.mark.parametrize("huge", [0, 1500])
-def test_a_set_without_a_dispatch_leaves_an_answer(
-    monkeypatch: pytest.MonkeyPatch, huge: int
-) -> None:
-    """The search says everyone, whom the network does not carry; some of them get a dispatch."""
-    day = three_feeders()
-    data = window(day, slice(11, 13), 0.35)
-    usual = WindowSolver(Site.of(day)).solve(data)
-    for name, value in {"task.LARGE": 0, "task.HUGE": huge, "network.program.SMALL": 0}.items():
-        monkeypatch.setattr(f"vppres.solve.{name}", value)
-    found = NetworkMaster.service
-
-    def everyone(master: NetworkMaster, *args: Any, **more: Any) -> tuple[Outcome, np.ndarray]:
-        return found(master, *args, **more)[0], np.ones(data.load_kw.shape, dtype=bool)
-
-    monkeypatch.setattr(NetworkMaster, "service", everyone)
-    answer = WindowSolver(Site.of(day)).solve(data)
-    assert not usual.dispatch.served.all()
-    assert answer.status == Status.GAP_OPEN
-    assert usual.objective - 0.2 < answer.objective < usual.objective
-    assert answer.bound >= usual.objective - 1e-6
-    assert check_dispatch(day, data, answer.dispatch).worst[1] < 2e-5
 
 
 def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(

@@ -22,7 +22,6 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.control.converged import in_the_dark
-from vppres.core.arrays import Floats
 from vppres.io.python_door import check_scenario
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
@@ -34,7 +33,7 @@ from vppres.solve.fleet.masters import search_for_set
 from vppres.solve.fleet.relaxation import AggregateModel
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.terms import NetworkTerms, OnTheWay
+from vppres.solve.network.terms import NetworkTerms
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver, run
 from vppres.solve.task import WindowTask
@@ -244,9 +243,7 @@ def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> Non
     site = Site.of(case.scenario)
     gap = 1e-3
     terms = NetworkTerms(site, shared_cache(site).table(Reactance), case.data, None, gap)
-    outcome, ((value, chosen), *others) = terms.search(gap, Deadline(20.0))
-    assert value == pytest.approx(outcome.value, abs=1e-9)
-    assert all(other.value < value for other in others)
+    _, chosen = terms.search(gap, Deadline(20.0))
     found, _ = terms.dispatch(chosen, Deadline(20.0))
     wrong = np.append(chosen[: case.data.load_kw.size], 1.0 - chosen[case.data.load_kw.size :])
     assert terms._held(wrong, Deadline(20.0)).status == Status.INFEASIBLE
@@ -254,64 +251,6 @@ def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> Non
     assert dispatch is not None
     assert mended.value == pytest.approx(found.value, abs=1e-6)
     assert not ((dispatch.charge_kw > 1e-6) & (dispatch.discharge_kw > 1e-6)).any()
-
-
-# Rules in the network.
-
-
-def test_a_window_whose_network_binds_is_searched_there_at_once() -> None:
-    """And a set that the discs refuse is not found again: its limits are known from then on."""
-    case = hard_window("rules", 12)
-    answer = WindowSolver(case.site).solve(case.data)
-    stages = [stage.replace("[highs]", "") for stage in answer.stages]
-    assert answer.status == Status.OPTIMAL
-    assert stages[:3] == ["shares", "network_terms", "network_dispatch:infeasible"]
-    assert stages.count("network_terms") == 2
-    assert "aggregate" not in stages
-    served = answer.dispatch.served
-    assert not case.data.switching.broken(served).any()
-    checked = check_dispatch(case.day.scenario, case.data.for_service(served), answer.dispatch)
-    assert checked.worst[1] < CHECKER_TOLERANCE
-
-
-def test_a_set_found_on_the_way_is_the_answer_where_time_ends_before_one_that_is_carried(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    case = hard_window("rules", 12)
-    whole = WindowSolver(case.site).solve(case.data)
-    searched: list[int] = []
-    search = NetworkTerms.search
-
-    def once(
-        self: NetworkTerms, gap: float, deadline: Deadline, _: Floats | None = None
-    ) -> tuple[Outcome, list[OnTheWay]]:
-        """The first search alone; the next ends before it has begun."""
-        outcome, sets = search(self, gap, deadline)
-        searched.append(len(sets))
-        if len(searched) == 1:
-            return outcome, sets
-        return replace(outcome, status=Status.NO_ANSWER, bound=np.inf), []
-
-    monkeypatch.setattr(NetworkTerms, "search", once)
-    monkeypatch.setattr("vppres.solve.network.terms._improved_in_blocks", lambda *_: None)
-    cut = WindowSolver(case.site).solve(case.data)
-    stages = [stage.replace("[highs]", "") for stage in cut.stages]
-    assert searched[0] > 1
-    assert stages[:3] == ["shares", "network_terms", "network_dispatch:infeasible"]
-    assert not case.data.switching.broken(cut.dispatch.served).any()
-    assert whole.bound >= cut.objective > 0.9 * whole.objective > 0.0
-    checked = check_dispatch(
-        case.day.scenario, case.data.for_service(cut.dispatch.served), cut.dispatch
-    )
-    assert checked.worst[1] < CHECKER_TOLERANCE
-
-
-def test_a_window_whose_network_does_not_bind_is_searched_without_it() -> None:
-    case = hard_window("rules", 12)
-    wide = replace(case.site.network, v_min_pu=0.5, v_max_pu=1.5)
-    site = Site.of(replace(case.day.scenario, network=wide))
-    answer = WindowSolver(site).solve(case.data)
-    assert [stage.partition("[")[0] for stage in answer.stages[:2]] == ["shares", "aggregate"]
 
 
 # Counts to branch on.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,8 @@ from experiments.hard_days import hard_window
 from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.programs import knapsack
-from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
-from vppres.core.arrays import Flags
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import find_scenario, read_scenario
@@ -30,15 +27,14 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import keep_dispatch, least_reactive, with_tie_breakers
+from vppres.solve.dispatch import least_reactive
 from vppres.solve.fleet.counts import SERVICE_NODES, Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
-from vppres.solve.fleet.masters import Binaries, _most_by_shares, demand_of
+from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.cheapest import CheapestDispatch
-from vppres.solve.network.decide import at_hand, network_master, worth_asking_tie_breakers
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, VERIFIED_DISC, NetworkMaster
 from vppres.solve.network.reactance import Reactance
@@ -237,38 +233,6 @@ def test_outages_by_themselves_prove_what_all_do(
     assert blocks == 2
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_outages_by_themselves_cost_what_all_do(packaged: Scenario, seed: int) -> None:
-    """Prices of what joins outages give a bound below every set's cost, and a set near it."""
-    rng = np.random.default_rng(seed)
-    limit_kw = np.full(10, np.inf)
-    limit_kw[[1, 2, 6, 7]] = 0.0
-    day = day_window(packaged, int(rng.integers(8, 13)), 10, float(rng.uniform(0.3, 0.6)))
-    price = rng.uniform(0.05, 0.4, 10) if seed < 4 else rng.uniform(-0.2, 0.4, 10)
-    data = replace(day, grid_limit_kw=limit_kw, price_gbp_per_kwh=price)
-    cache, free = ModelCache(Site.of(packaged)), np.isfinite(limit_kw)
-    gap_gbp = 0.5
-
-    def counts() -> tuple[Counts, float]:
-        made = Counts(demand_of(cache, data, lumped=True), data, Deadline(TIME_S))
-        outcome, _ = made.service(0.5)
-        return made, outcome.value - 0.5
-
-    apart, units = counts()
-    assert apart._serves_apart(free)
-    outcome, served = apart.cost(units, True, np.inf, gap_gbp)
-    whole, units = counts()
-    whole.blocks = []
-    exact, _ = whole.cost(units, True, np.inf, 1e-3)
-    assert served is not None
-    assert outcome.bound <= exact.value + 1e-2
-    assert exact.bound - 1e-2 <= outcome.value <= outcome.bound + gap_gbp
-    assert outcome.status == exact.status == Status.OPTIMAL
-    known, none = counts()[0].cost(units, True, exact.value, gap_gbp)
-    assert none is None
-    assert known.bound >= exact.value - gap_gbp
-
-
 def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
     """In the dark without PV power a fleet carries what its energy yields, and no more."""
     dark = replace(day_window(packaged, 13, 2, 0.5), grid_limit_kw=np.zeros(2))
@@ -411,36 +375,6 @@ def test_searches_of_a_long_window_share_their_nodes(
     assert second.bound == first.bound
 
 
-@pytest.mark.parametrize(
-    ("kind", "seed"), [("small_former", 153), ("small_former", 173), ("rules", 171)]
-)
-def test_a_lumped_fleet_that_says_too_much_is_asked_for_no_more_sets(
-    monkeypatch: pytest.MonkeyPatch, kind: str, seed: int
-) -> None:
-    window = hard_window(kind, seed)
-    answer = WindowSolver(window.site).solve(window.data)
-    shares = answer.stages.index("most_by_shares[highs]")
-    assert answer.stages[shares + 1] == "most_by_shares[highs]"
-    assert "cost[highs]:infeasible" not in answer.stages[shares:]
-    monkeypatch.setattr("vppres.solve.fleet.masters.lumped_says_too_much", lambda _: False)
-    asked = WindowSolver(window.site).solve(window.data)
-    assert "cost[highs]:infeasible" in asked.stages
-    assert answer.status == asked.status == Status.OPTIMAL
-    assert answer.objective == pytest.approx(asked.objective, abs=asked.gap_abs + answer.gap_abs)
-
-
-@pytest.mark.parametrize("kind", ["small_former", "rules"])
-def test_shares_of_customers_are_served_no_more_by_every_battery_than_by_one(kind: str) -> None:
-    window = hard_window(kind, 164)
-    limits = SolveLimits(time_s=TIME_S)
-    task = WindowTask.begin(window.data, ModelCache(window.site), limits, *SPEC)
-    lumped, every = (_most_by_shares(task, lumped) for lumped in (True, False))
-    assert lumped >= every - 1e-6
-    unit = demand_of(task.cache, window.data, lumped=True).relaxation.grid
-    assert task.certificate.bound <= unit * every + 1e-6
-    assert WindowSolver(window.site).solve(window.data).objective <= task.certificate.bound
-
-
 @pytest.mark.parametrize("certified", [True, False])
 def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch, certified: bool
@@ -505,28 +439,6 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert served.sum() < served.size
 
 
-@pytest.mark.parametrize("seed", [1, 17, 28, 43])
-def test_a_set_that_the_network_refuses_loses_those_who_are_in_the_way(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    """In small windows too: where the search for service ends with everybody, most remain."""
-    case = random_window(seed, stressed=True)
-    site = Site.of(case.scenario)
-    alone = WindowSolver(site).solve(case.data)
-    service = NetworkMaster.service
-
-    def everybody(self: NetworkMaster, *args: Any, **options: Any) -> tuple[Outcome, Flags]:
-        """The bound of the search, and a set that no dispatch has."""
-        return service(self, *args, **options)[0], np.ones(self.data.load_kw.shape, dtype=bool)
-
-    monkeypatch.setattr(NetworkMaster, "service", everybody)
-    answer = WindowSolver(site).solve(case.data)
-    first = answer.stages.index("network_dispatch[highs]:infeasible")
-    assert answer.stages[first + 1] == "network_dispatch[highs]"
-    assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + 1e-6)
-    assert check_dispatch(case.scenario, case.data, answer.dispatch).worst[1] < CHECKER_TOLERANCE
-
-
 def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -577,7 +489,7 @@ def test_a_dispatch_goes_on_where_its_tangents_are_let_out(
     site = Site.of(packaged)
     data = day_window(packaged, 10, 4, 0.3)
     master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S), verify=False)[1]
+    served = master.service(Deadline(TIME_S))[1]
     assert served is not None
 
     def cheapest(*shares: float) -> Outcome:
@@ -600,7 +512,7 @@ def test_a_large_dispatch_is_near_what_serves_its_set(
     site = Site.of(heavy)
     data = day_window(heavy, first, 4, 0.3)
     master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S), verify=False)[1]
+    served = master.service(Deadline(TIME_S))[1]
     assert served is not None
     near = master._near
     assert near is not None
@@ -684,25 +596,6 @@ def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
         told.append(bool(kept_all))
         assert kept_all == (not rules.broken(served).any())
     assert any(told) or seed != 136
-
-
-def test_a_dispatch_that_is_plainly_carried_is_carried(packaged: Scenario) -> None:
-    told = []
-    for heavier, first in product((1.0, 1.4, 1.8), (2, 11, 18)):
-        day = replace(packaged, load_kw=packaged.load_kw * heavier)
-        data = day_window(day, first, 3, 0.5)
-        task = WindowTask.begin(data, ModelCache(Site.of(day)), SolveLimits(), *SPEC)
-        keep_dispatch(task, np.ones(data.load_kw.shape, dtype=bool))
-        if task.certificate.best is None:
-            continue
-        told.append(at_hand(task, task.certificate.best))
-        master = network_master(task)
-        assert master is not None
-        assert not told[-1] or worth_asking_tie_breakers(master, task.certificate.best)
-        carried = with_tie_breakers(task, task.certificate.best)
-        assert carried is not None or not told[-1]
-    assert any(told)
-    assert not all(told)
 
 
 def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(

@@ -43,7 +43,7 @@ class AddedDemand:
 
 def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
     """Charge or discharge, never both: P_ch <= P_max delta, P_dch <= P_max (1 - delta)."""
-    P_max = site.batteries.p_max_kw[None, :]
+    P_max = site.batteries.active_max_kw[None, :]
     return {
         "battery_charge_mode": v.P_ch <= cp.multiply(P_max, v.delta),
         "battery_discharge_mode": v.P_dch <= cp.multiply(P_max, 1 - v.delta),

@@ -105,7 +105,7 @@ class HeldModes:
 
     def fill(self, site: Site, data: WindowData, charging: Flags) -> None:
         """Write what the modes leave; f2 and f3 are written apart."""
-        P_max = site.batteries.p_max_kw
+        P_max = site.batteries.active_max_kw
         write(self.charging, charging)
         write(self.gain, np.where(charging, data.eta_charge, 1.0 / data.eta_discharge))
         write(self.P_min, np.where(charging, 0.0, -P_max))

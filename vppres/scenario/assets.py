@@ -17,7 +17,7 @@ from vppres.core.errors import InputError, Problem
 SOC_ROUNDING = 1e-6
 
 NO_POWER_KW = 1e-3
-"""A battery of no more power than this, the smallest that files may give, holds no island."""
+"""A battery of no more power than this, the smallest that files may give, is no battery."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,13 +223,14 @@ class Batteries:
 
     @property
     def active_max_kw(self) -> Floats:
-        """Largest active power, by rating and by inverter, (B,)."""
-        return np.minimum(self.p_max_kw, self.s_max_kva)
+        """Largest active power, by rating and by inverter, (B,); none if that is 1 W or less."""
+        active_kw = np.minimum(self.p_max_kw, self.s_max_kva)
+        return np.where(active_kw > NO_POWER_KW, active_kw, 0.0)
 
     @property
     def idle(self) -> bool:
-        """Whether none has more than next to no power, or there is none."""
-        return bool((self.active_max_kw <= NO_POWER_KW).all())
+        """Whether none has any power, or there is none."""
+        return not self.active_max_kw.any()
 
     @property
     def formers(self) -> Flags:
@@ -237,7 +238,7 @@ class Batteries:
 
         Nobody does whose power is no more than the 1 W below which equipment is not there.
         """
-        able = self.active_max_kw > NO_POWER_KW
+        able = self.active_max_kw > 0.0
         if self.grid_forming.any() or not able.any():
             return self.grid_forming & able
         largest = np.zeros(len(self), dtype=bool)

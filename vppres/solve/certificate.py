@@ -110,12 +110,6 @@ class Certificate:
     ----------
     best : Candidate or None
         The best dispatch.
-    before : Candidate or None
-        A dispatch in the network that was known from the beginning.
-    refused : Candidate or None
-        A dispatch that the tie-breakers did not find in the network.
-    makeshift : bool
-        Whether the best dispatch is of a set that no search has found.
     bound : float
         Upper bound on F of all dispatches.
     service_bound : float
@@ -136,9 +130,6 @@ class Certificate:
         self.lambda_grid = lambda_grid
         self.cost = cost
         self.best: Candidate | None = None
-        self.before: Candidate | None = None
-        self.refused: Candidate | None = None
-        self.makeshift = False
         self.bound = np.inf
         self.service_bound = np.inf
         self.cost_bound_gbp = -np.inf

@@ -10,28 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial
-
-import numpy as np
+from functools import partial
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.apart import (
-    better,
-    falls_apart,
-    hardly_joined,
-    solve_apart,
-    solve_in_turn,
-    with_room_both_ways,
-)
+from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
-from vppres.solve.certificate import Candidate
-from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
-from vppres.solve.fleet.all_terms import AllTerms
+from vppres.solve.fleet.all_terms import all_terms
 from vppres.solve.fleet.masters import Master, masters_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
@@ -41,11 +30,8 @@ from vppres.solve.fleet.rungs import (
 )
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
-from vppres.solve.network.terms import (
-    all_terms_in_network,
-    all_terms_where_the_network_binds,
-)
-from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.network.terms import all_terms_in_network
+from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
@@ -57,9 +43,6 @@ LEVELLED = ("decomposed", "monolithic")
 """Methods that solve term by term, each to its own precision."""
 
 METHODS = (*LEVELLED, "weighted")
-
-IN_TURN_SHARE = 0.5
-"""Share of the time for steps in turn: where watts count after all, the rest is for the window."""
 
 
 class WindowSolver:
@@ -151,37 +134,17 @@ class WindowSolver:
         limits = self.limits.at_most(within_s)
         if self.method == "decomposed" and falls_apart(self.site, data):
             return solve_apart(data, limits, self._solve)
-        if self.method == "decomposed" and hardly_joined(self.site, data):
-            deadline = Deadline(limits.time_s)
-            turns = limits.within(IN_TURN_SHARE)
-            found = solve_in_turn(self.site, data, turns, self._solve, self._with_room._solve)
-            if found.status == Status.OPTIMAL or deadline.passed:
-                return found
-            left = limits.at_most(deadline.left_s)
-            return better(self._solve(data, left, found), found, limits)
         return self._solve(data, limits)
 
-    @cached_property
-    def _with_room(self) -> WindowSolver:
-        """Solves windows of one step from any state of charge."""
-        site = with_room_both_ways(self.site)
-        sides = self.sides or POLYGON_SIDES
-        return WindowSolver(site, self.method, self.spec.name, self.limits, sides)
-
-    def _solve(
-        self, data: WindowData, limits: SolveLimits, known: WindowSolution | None = None
-    ) -> WindowSolution:
-        """Solve a window as one problem; an answer that is known says which gap it needs."""
+    def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """Solve a window as one problem."""
         task = self._task(data, limits)
-        if known is not None:
-            before = Candidate.of(self.site, data, known.dispatch, np.inf, in_network=True)
-            task.certificate.best = task.certificate.before = before
         if self.method == "weighted":
             return solve_weighted(task, self.weighted)
         if self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:
-                steady(task)
+                keep_a_steady_set(task)
             if worth_an_answer(task):
                 without_binaries(task)
             if worth_the_whole(task):
@@ -260,12 +223,11 @@ def climb(task: WindowTask) -> None:
     enter_network(task, master)
 
 
-def steady(task: WindowTask) -> None:
-    """An answer where rules left the searches none in their time."""
-    for served in steady_sets(task.site, task.data):
+def keep_a_steady_set(task: WindowTask) -> None:
+    """An answer by rule, if switching rules left the searches none in their time."""
+    for served in steady_sets(task.data):
         keep_dispatch_in_network(task, served)
         if task.certificate.answered:
-            task.certificate.makeshift = True
             return
 
 
@@ -280,32 +242,14 @@ def worth_everyone(task: WindowTask) -> bool:
 def rungs(task: WindowTask) -> list[Callable[[], None]]:
     """Relaxations without the network, in the order in which they are tried.
 
-    A dark step without batteries, or with some of next to no power, has to match the sun with whole
-    customers, and every kW that it misses is lost: service cannot be told from curtailment there.
-    Without rules exchanges match it.
-
-    With rules the search of all terms at once is the only one there, and that in the network where
-    shares of customers say already that it binds. Where rules meet nothing stored, one that does
-    not end soon begins again after blocks.
+    A dark step without batteries has to match the sun with whole customers, and every kW that it
+    misses is lost: service cannot be told from curtailment there, and all terms come at once.
     """
     data = task.data
-    idle = task.site.batteries.idle
-    terms = AllTerms(task)
-    levels = [partial(_by_levels, task, make) for make in masters_of(task)]
-    if data.switching is None:
-        matched = idle and data.n_steps == 1 and data.dark.all()
-        return [terms.matched, terms.search] if matched else [*levels, terms.search]
-    if not idle:
-        return [*levels, terms.search]
-    if (data.dark & _sunny(data)).any():
-        in_network = partial(all_terms_where_the_network_binds, task)
-        return [terms.shares, in_network, terms.soon, terms.after_blocks]
-    return [*levels, terms.soon, terms.after_blocks]
-
-
-def _sunny(data: WindowData) -> Flags:
-    """Steps with any PV power, (W,)."""
-    return np.asarray((data.pv_kw > 0.0).any(axis=1))
+    sunny = (data.pv_kw > 0.0).any(axis=1)
+    matched = task.site.batteries.idle and bool((data.dark & sunny).any())
+    levels = [] if matched else [partial(_by_levels, task, make) for make in masters_of(task)]
+    return [*levels, partial(all_terms, task)]
 
 
 def _by_levels(task: WindowTask, make: Callable[[], Master | None]) -> None:
@@ -331,13 +275,7 @@ def worth_the_whole(task: WindowTask) -> bool:
 
     There its relaxation says no more than ``network_service``, and its search never ends.
     In a huge one it cannot even be compiled.
-    Nor where the network carries whom the search for batteries' modes serves: with the network that
-    takes longer. Where it does not, the relaxation found the answer that there is.
     """
     known = task.certificate
-    if compiles_nothing(task):
-        return False
-    decided = known.ran("network_service") and task.is_large
-    anew = known.best is not known.before
-    carried = known.ran("modes") and not known.ran("relaxed") and anew and not known.makeshift
-    return task.goes_on and not (known.answered and (decided or carried))
+    decided = known.answered and known.ran("network_service") and task.is_large
+    return task.goes_on and not (decided or compiles_nothing(task))

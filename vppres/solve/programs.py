@@ -96,9 +96,6 @@ SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": 
 """Options for a search for sets with switching rules where nothing can be stored: many nodes are
 needed there, and sums to branch on. Of 13 windows three more stayed open without them."""
 
-WITH_SETS_ON_THE_WAY = MappingProxyType({"mip_improving_solution_save": True})
-"""Option with which a search keeps every answer that was its best for some time."""
-
 NEAR_NODES = 100
 """Nodes of a search near a linear solution."""
 
@@ -172,26 +169,6 @@ class Program:
         upper = self.x_upper.copy()
         lower[columns] = upper[columns] = values
         return replace(self, x_lower=lower, x_upper=upper)
-
-    def of_columns(self, free: Flags, x: Floats) -> Program:
-        """The program of the free columns alone, (n,), all others at their values in ``x``.
-
-        Rows of none of them are left out, and so is what the others cost.
-        """
-        rows = self.rows[:, free]
-        left = np.bincount(rows.indices, minlength=len(self.lower)) > 0
-        held = self.rows[:, ~free] @ x[~free]
-        whole = np.zeros(len(x), dtype=bool)
-        whole[self.integer] = True
-        return Program(
-            self.cost[free],
-            self.x_lower[free],
-            self.x_upper[free],
-            sp.csc_array(rows.tocsr()[left]),
-            (self.lower - held)[left],
-            (self.upper - held)[left],
-            np.flatnonzero(whole[free]),
-        )
 
     @property
     def is_wide(self) -> bool:
@@ -331,12 +308,6 @@ class ProgramSolution:
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
 
 
-def sets_on_the_way(solver: highspy.Highs) -> list[tuple[float, Floats]]:
-    """Values and columns of the answers that a search kept on its way, its last and best first."""
-    kept = reversed(solver.getSavedMipSolutions())
-    return [(float(answer.objective), np.asarray(answer.col_value)) for answer in kept]
-
-
 def add_row(
     solver: highspy.Highs, columns: Wholes, values: Floats, lower: float, upper: float
 ) -> None:
@@ -418,15 +389,6 @@ def with_sums(program: Program, groups: Sequence[Wholes]) -> Program:
         rows=sp.csc_array(sp.hstack([program.rows, wider])),
         integer=np.append(program.integer, sums),
     ).with_range(sp.csc_array(equal), zero, zero)
-
-
-def with_values_of_sums(x: Floats, groups: Sequence[Wholes]) -> Floats:
-    """Values of the columns of a program :func:`with_sums` where the others have values ``x``.
-
-    >>> with_values_of_sums(np.array([1.0, 0.0, 1.0]), [np.array([0, 2])]).tolist()
-    [1.0, 0.0, 1.0, 2.0]
-    """
-    return np.append(x, [x[group].sum() for group in groups])
 
 
 def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:

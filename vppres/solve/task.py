@@ -37,8 +37,8 @@ COST_SHARE = 0.1
 """Share of the time left for a cheaper set, or a better bound on cost, where the plan is certified
 without: far less is at stake than the gap, and most such searches find nothing."""
 
-AGAIN = 0.999
-"""Share of a gap below which another search to the smaller gap can tell anything new."""
+SMALLER = 0.99
+"""Share of a gap below which another search to the smaller one may tell anything new."""
 
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3
@@ -170,19 +170,20 @@ class WindowTask:
         known = self.certificate
         return not (known.certified or known.nothing_to_find or self.deadline.passed)
 
-    def search_to_its_gap(self, gap: float, share: float, search: Callable[[float], bool]) -> bool:
-        """Search to a share of a gap, and again where the answer says that there is less of it.
+    def search_to_its_gap(self, share: float, search: Callable[[float], bool]) -> bool:
+        """Search to a share of the gap, and again if the answer asks for a smaller one.
 
-        Solvers stop at an absolute gap, and how large the objective is may not be known before. The
-        rest of the gap is left to the levels that follow: where service and curtailment nearly
-        cancel, even tie-breakers take a large part of it. Says whether the last search ended.
+        Solvers stop at an absolute gap, and how large the objective is may not be known before:
+        service and curtailment may cancel. The rest of the gap is left to the tie-breakers. Returns
+        whether the last search ended.
         """
         known = self.certificate
+        gap = self.gap_so_far
         ended = search(share * gap)
         if not ended or known.best is None or self.deadline.passed:
             return ended
         smaller = self.gap_to_best
-        if smaller < AGAIN * gap and known.bound - known.best.value > share * smaller:
+        if smaller < SMALLER * gap and known.bound - known.best.value > share * smaller:
             return search(share * smaller)
         return ended
 

@@ -70,7 +70,7 @@ def with_binaries(task: WindowTask) -> None:
 
 def _search(task: WindowTask, name: str, form: Form) -> bool:
     """Search the whole problem in a form until it is as close as its own objective asks for."""
-    return task.search_to_its_gap(task.gap_to_best, 1.0, partial(_solve, task, name, form))
+    return task.search_to_its_gap(1.0, partial(_solve, task, name, form))
 
 
 def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:

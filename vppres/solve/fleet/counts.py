@@ -80,13 +80,6 @@ fleet lacks of its set."""
 STEPS_SHARE = 0.2
 """Share of the time left in which they are tried."""
 
-PRICINGS = 3
-"""Times that outages are asked for their cheapest sets, at prices that know what they cost."""
-
-BLOCK_GAP_SHARE = 0.25
-"""Share of the gap of cost that the searches of all outages together may leave open: what their
-prices leave open adds to it."""
-
 DEMAND_GAP_REL = 1e-4
 """Gap of the search for whom to serve with the PV power that would be lost: the demand that is
 asked for is met either way, and a tenth of a per mille more costs nothing that counts."""
@@ -266,10 +259,7 @@ class Counts:
         """
         watch = Stopwatch()
         free = ~(self.unlimited & everyone)
-        if np.isfinite(gap_gbp) and self._serves_apart(free):
-            found, near = self._least_apart(free, units_min, known_gbp, gap_gbp)
-        else:
-            found, near = self._least_at_once(free, units_min, known_gbp, gap_gbp)
+        found, near = self._least_at_once(free, units_min, known_gbp, gap_gbp)
         outcome = Outcome(found.status, found.value, found.bound, watch.spent_s, DIRECT)
         none = near or not found.status.has_answer
         return outcome, None if none else self._completed(found, free)
@@ -293,133 +283,6 @@ class Counts:
                 bound = float(np.fmax(found.bound, whole.bound))
                 found = replace(found, status=ended, bound=bound)
         return found, bool(near)
-
-    # Cost, block by block.
-
-    def _serves_apart(self, free: Flags) -> bool:
-        """Whether blocks of the free steps are known, each with the most that it can serve."""
-        known = all(block.tobytes() in self.proven for block in self.blocks)
-        return (
-            known
-            and len(self.blocks) > 1
-            and bool((np.logical_or.reduce(self.blocks) == free).all())
-        )
-
-    def _least_apart(
-        self, free: Flags, units_min: float, known_gbp: float, gap_gbp: float
-    ) -> tuple[_Found, bool]:
-        """The same where blocks serve apart: what joins their costs is priced."""
-        needs = self._needs(free, units_min)
-        if self.best is not None:
-            self._at_its_cost(self.best)  # whose cost is a cut where the best sets are
-        nothing = np.zeros(len(free) + 2)
-        found = _Found(Status.NO_ANSWER, np.inf, -np.inf, self.able, nothing)
-        for _ in range(PRICINGS):
-            parts, bound = self._at_prices(free, needs, BLOCK_GAP_SHARE * gap_gbp)
-            found = replace(found, bound=max(found.bound, bound))
-            if not parts or known_gbp - found.bound <= gap_gbp:
-                break
-            another = self._at_its_cost(np.logical_and.reduce([part.served for part in parts]))
-            if another is not None and another.value < found.value:
-                found = replace(another, bound=found.bound)
-            if found.value - found.bound <= gap_gbp:
-                break
-        if np.isinf(found.bound):
-            return found, True
-        least_open = min(known_gbp, found.value) - found.bound
-        status = Status.OPTIMAL if least_open <= gap_gbp else Status.GAP_OPEN
-        near = known_gbp - found.bound <= gap_gbp or np.isinf(found.value)
-        value = found.bound if near else found.value
-        return replace(found, status=status, value=value), bool(near)
-
-    def _needs(self, free: Flags, units_min: float) -> list[int]:
-        """Units that each block serves at least, if all of them together serve so many.
-
-        What is more than the others can serve has to come from itself.
-        """
-        most = np.array([self.least[0] - self.proven[block.tobytes()] for block in self.blocks])
-        anyway = (self.able[~free] * self.units).sum()
-        spare = most.sum() - (units_min - anyway + self.least[0])
-        return [int(need) for need in np.ceil(most - spare - TOLERANCE)]
-
-    def _at_prices(
-        self, free: Flags, needs: list[int], gap_gbp: float
-    ) -> tuple[list[_Found], float]:
-        """Cheapest set of each block at the prices of the cuts that join them, and the bound."""
-        joining = [cut for cut in self.cuts if self._joins_blocks(cut)]
-        prices = self._prices(free, needs, joining)
-        if prices is None:
-            return [], -np.inf
-        per_kw = sum((p * cut.weights for p, cut in zip(prices, joining, strict=True)), 0.0)
-        price = np.zeros(len(free) + 2) + per_kw
-        price[-1] += 1.0
-        # Whoever is connected, loss and cost are where they cost least.
-        steps = ~free
-        worth = price[:-2][steps] @ self.demand_kw[steps]
-        worth += np.minimum(price[-2:] * self.least, price[-2:] * self.worst).sum()
-        worth -= sum(p * cut.most for p, cut in zip(prices, joining, strict=True))
-        parts = []
-        for block, need in zip(self.blocks, needs, strict=True):
-            part = self._least_demand(block, need, price[:-2], gap_gbp / len(needs))
-            if not part.status.has_answer:
-                return [], -np.inf
-            parts.append(part)
-        return parts, float(worth + sum(part.bound for part in parts))
-
-    def _joins_blocks(self, cut: Cut) -> bool:
-        """Whether a cut speaks of several blocks, or of the whole window's loss or cost."""
-        touched = sum(bool(cut.weights[:-2][block].any()) for block in self.blocks)
-        return touched > 1 or bool(cut.weights[-2:].any())
-
-    def _prices(self, free: Flags, needs: list[int], joining: list[Cut]) -> list[float] | None:
-        """Prices of some cuts at the least cost of shares of customers, as units of GBP."""
-        layout, program = self._program(free)
-        program.cost[layout.spent] = 1.0
-        solver = program.loaded_by_shares()
-        for cut in self.cuts:
-            cut.add_to(solver)
-        for need, block in zip(needs, self.blocks, strict=True):
-            own = block[layout.count_step]
-            add_row(solver, layout.counts[own], layout.weight[own].astype(float), need, np.inf)
-        answer = ProgramSolution.of(solver, self.deadline)
-        if answer.status != Status.OPTIMAL:
-            return None
-        first = len(program.lower)
-        wanted = {id(cut) for cut in joining}
-        return [
-            max(-float(answer.row_dual[first + k]), 0.0)
-            for k, cut in enumerate(self.cuts)
-            if id(cut) in wanted
-        ]
-
-    def _least_demand(self, block: Flags, units: int, price: Floats, gap_gbp: float) -> _Found:
-        """Cheapest demand of a block's sets of so many units, at a price of each step's kW."""
-        cuts = [cut for cut in self._touching(block) if not self._joins_blocks(cut)]
-        layout, program = self._program(block)
-        program.cost[: layout.n_steps] = price * block
-        solver = self._search(program, layout, cuts, gap_gbp)
-        add_row(solver, layout.counts, layout.weight.astype(float), units, np.inf)
-        return self._found(solver, layout, self.deadline)
-
-    def _at_its_cost(self, served: Flags) -> _Found | None:
-        """A set at the least cost of the fleet; None if the fleet cannot carry it, which is a cut.
-
-        What it costs by the cuts so far is asked of the fleet, until no cut says more.
-        """
-        point = np.append((self.load_kw * served).sum(axis=1), self.least)
-        while point[-1] <= self.worst[1]:
-            status, cut = self.reach.separate(point, self.deadline)
-            if status != Status.OPTIMAL:
-                return None
-            if cut is None:
-                gbp = float(point[-1])
-                return _Found(status, gbp, gbp, served, point)
-            self.cuts.append(cut)
-            if cut.weights[-1] == 0.0:
-                return None
-            lacking = cut.weights @ point - cut.most
-            point[-1] -= lacking / cut.weights[-1]
-        return None
 
     def _carried(self, solve: Callable[[], _Found], deadline: Deadline) -> _Found:
         """Solve, cut off what the fleet cannot carry, and again until it carries the answer.

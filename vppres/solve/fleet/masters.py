@@ -20,11 +20,11 @@ from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
-from vppres.solve.fleet.counts import HALF_UNIT, LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
+from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.programs import columns_of, compiled, near_linear
-from vppres.solve.result import Outcome, Status
+from vppres.solve.result import Outcome
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
 
@@ -35,9 +35,6 @@ window's gap is many units, the search leaves its share of that open, as the cou
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
 
-ONE_WAY_GAP_GBP = 1e-4
-"""Gap of the bound on cost with one direction in each step, which has a binary for each step."""
-
 FEW_CUSTOMERS = 12
 MANY_STEPS = 20
 """Customers up to which, and steps from which on, binaries are tried before counts: 9 customers in
@@ -45,9 +42,6 @@ MANY_STEPS = 20
 
 MANY_BINARIES = 150
 """Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
-
-MANY_WITH_RULES = 600
-"""Binaries from which on a search for service with rules takes seconds."""
 
 NEAR_SHARE = 0.1
 """Share of the time left in which it is looked for."""
@@ -120,11 +114,6 @@ class Binaries:
     def applies(self) -> bool:
         """Whether weights and prices of switching have a grid."""
         return self.unit > 0.0 and whole_price(self.data, self.unit)
-
-    @property
-    def is_long(self) -> bool:
-        """Whether a search for service takes seconds."""
-        return self.data.switching is not None and self.model.x.size >= MANY_WITH_RULES
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
@@ -212,40 +201,9 @@ def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
 
 
 def _binaries(task: WindowTask, lumped: bool) -> Master | None:
-    """The master by binaries, where weights and prices of switching have a grid.
-
-    A lumped battery that says too much has none: that is asked where its set by counts has no
-    dispatch, and where a search takes long.
-    """
+    """The master by binaries, where weights and prices of switching have a grid."""
     master = Binaries(task.cache, task.data, task.spec, task.search, lumped)
-    if not master.applies:
-        return None
-    asked = lumped and (task.certificate.ran("service") or master.is_long)
-    return None if asked and lumped_says_too_much(task) else master
-
-
-def lumped_says_too_much(task: WindowTask) -> bool:
-    """Whether shares of customers can be served less by every battery than by all as one.
-
-    Then the best sets of the lumped battery have no dispatch, and one search after the other would
-    say so.
-    """
-    if len(fleets_of(task.data)) == 1:
-        return False
-    of_lumped, of_every = (_most_by_shares(task, lumped) for lumped in (True, False))
-    return of_lumped - of_every > HALF_UNIT
-
-
-def _most_by_shares(task: WindowTask, lumped: bool) -> float:
-    """Most service of shares of customers in units, which bounds that of all sets."""
-    model = relaxation_of(task.cache, task.data, integer=False, lumped=lumped)
-    model.fill(task.data, all_connected=True)
-    outcome = run(model.grid_problem, task.spec, 0.0, task.search.left_s)
-    task.certificate.note("most_by_shares", outcome)
-    if outcome.status != Status.OPTIMAL:
-        return np.inf
-    task.certificate.bound_service(model.grid * outcome.bound)
-    return outcome.bound
+    return master if master.applies else None
 
 
 def _counts(task: WindowTask, lumped: bool) -> Master | None:
@@ -268,32 +226,6 @@ def relaxation_of(
         exporting=data.exporting,
         ending=data.ending,
     )
-
-
-def least_cost_one_way(task: WindowTask, units_min: float, deadline: Deadline) -> Outcome | None:
-    """Lower bound on the cost of all sets with so many units, where no step imports and exports.
-
-    The masters' bounds let it do both, which says next to nothing where that earns. Who is served
-    may be shares of customers here. None where it earns nowhere, and another bound is as good.
-    """
-    data = task.data
-    if not data.both_ways_earn:
-        return None
-    model = task.cache.problem(
-        AggregateModel,
-        n_steps=data.n_steps,
-        integer=False,
-        lumped=fleets_of(data)[0],
-        physical=data.physical,
-        switching=rule_steps(data),
-        exporting=True,
-        one_way=True,
-        ending=data.ending,
-    )
-    model.fill(data)
-    write(model.service_min, units_min * model.grid)
-    options = task.spec.of_cheaper
-    return run(model.cost_problem, task.spec, ONE_WAY_GAP_GBP, deadline.left_s, more=options)
 
 
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:

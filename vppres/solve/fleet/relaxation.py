@@ -54,8 +54,6 @@ class AggregateModel:
     exporting : bool
         Whether export is part of it. Without a binary for its direction more import can always
         meet one more customer.
-    one_way : bool
-        Whether the direction is a binary, for bounds on cost where both at once would earn.
 
     Attributes
     ----------
@@ -78,7 +76,6 @@ class AggregateModel:
         physical: bool = False,
         switching: RuleSteps | None = None,
         exporting: bool = False,
-        one_way: bool = False,
         ending: Ending = "",
     ) -> None:
         self.site = site
@@ -90,7 +87,7 @@ class AggregateModel:
         self.p = self._parameters()
         self.export: ExportToGrid | None = None
         if exporting:
-            self.export = ExportToGrid.create(n_steps, "integer" if one_way else "relaxed")
+            self.export = ExportToGrid.create(n_steps, "relaxed")
         self.terminal = end_of_window(ending, self._groups)
         self.room = self._room_parameters() if physical else {}
         self.rho_dt = cp.Parameter(n_steps, name="rho_dt")

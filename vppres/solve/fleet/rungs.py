@@ -16,13 +16,8 @@ from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
     window_model,
-    with_tie_breakers,
 )
-from vppres.solve.fleet.masters import (
-    Master,
-    least_cost_one_way,
-)
-from vppres.solve.fleet.modes import modes_apart
+from vppres.solve.fleet.masters import Master
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
@@ -39,10 +34,6 @@ numbers, so that rounding does not decide."""
 
 EVERYONE_UNITS = 0.99
 """Units below the bound on service within which nobody connected can be left out."""
-
-LONG_STEPS = 12
-"""Steps from which on a cheaper set takes long to find. Of 97 slow windows, most of 21 quarter
-hours, the network forbids 18 in any case: they take 0.3 s less each where it is asked first."""
 
 UNITS_TOLERANCE = 1e-9
 """What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
@@ -70,27 +61,7 @@ def service_then_cost(task: WindowTask, master: Master) -> None:
     known.bound_service(service_bound)
     if known.best is not None and service_bound - known.best.service <= task.gap:
         known.service_bound = service_bound
-        if not refused_by_network(task):
-            _cost_level(task, master)
-
-
-def refused_by_network(task: WindowTask) -> bool:
-    """Whether the network forbids the best dispatch, asked where a cheaper set takes long to find.
-
-    With rules and in many steps that search takes seconds. Where its bound is not needed it is left
-    out if it would be in vain: the sets that the network carries have a search of their own.
-    """
-    known = task.certificate
-    takes_long = task.data.switching is not None or task.data.n_steps >= LONG_STEPS
-    if not (takes_long and known.certified):
-        return False
-    assert known.best is not None
-    carried = with_tie_breakers(task, known.best)
-    if carried is None:
-        known.refused = known.best
-        return True
-    known.best = carried
-    return False
+        _cost_level(task, master)
 
 
 def _cost_level(task: WindowTask, master: Master) -> None:
@@ -116,15 +87,13 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     known.note(f"{master.prefix}cost_level", outcome)
     if not outcome.status.has_answer:
         return
-    one_way = _one_way(task, (needed - UNITS_TOLERANCE) / unit)
-    known.cost_bound_gbp = max(known.least_cost_gbp(outcome), one_way)
+    known.cost_bound_gbp = known.least_cost_gbp(outcome)
     bound = known.worth(known.service_bound, known.cost_bound_gbp)
     if admitted > needed:
         # Costs of sets that serve less: the linear relaxation is enough.
         least, _ = master.cost((needed - UNITS_TOLERANCE) / unit, False, np.inf, np.inf)
         known.note(f"{master.prefix}least_cost", least)
-        least_gbp = max(known.least_cost_gbp(least), one_way)
-        bound = max(bound, known.worth(admitted, least_gbp))
+        bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
     known.bound = max(bound, best.value)
     if (
         served is not None
@@ -132,16 +101,6 @@ def _cost_level(task: WindowTask, master: Master) -> None:
         and outcome.value < best.terms.f2
     ):
         keep_dispatch(task, served)
-
-
-def _one_way(task: WindowTask, units_min: float) -> float:
-    """Bound on cost where the masters' would earn by importing and exporting at once, in GBP."""
-    deadline = task.search.part(COST_SHARE) if task.certificate.certified else task.search
-    outcome = least_cost_one_way(task, units_min, deadline)
-    if outcome is None:
-        return -np.inf
-    task.certificate.note("one_way_cost", outcome)
-    return task.certificate.least_cost_gbp(outcome)
 
 
 def with_modes_of_batteries(task: WindowTask) -> None:
@@ -152,7 +111,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
 
     Service and curtailment may cancel to an objective near zero, or curtailment outweigh all
     service: the problem without binaries says how large the objective is, and so which gap the
-    search needs. Where that was more than there is, it is done again.
+    search needs.
     """
     form = Form("service", "relaxed", "relaxed", network=False)
     model = window_model(task.cache, task.data, form)
@@ -162,31 +121,8 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     known.note("modes_relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.bound)
-        _one_battery_at_a_time(task, outcome.bound, task.limits.gap_at(known.bound))
-    if not task.goes_on:
-        return
-    task.search_to_its_gap(task.gap_so_far, MODES_GAP_SHARE, partial(_search_modes, task))
-
-
-def _one_battery_at_a_time(task: WindowTask, relaxed: float, gap: float) -> None:
-    """Bound and set by a search of each battery alone; most windows are closed by that.
-
-    With rules few steps are as soon searched at once.
-    """
-    few = task.data.n_steps < LONG_STEPS
-    if task.data.ending or (task.data.switching is not None and few) or task.search.passed:
-        return
-    form = Form("service", "integer", "integer", network=False)
-    model = window_model(task.cache, task.data, form)
-    model.fill(task.data)
-    found = modes_apart(task, model, relaxed, gap)
-    if found is None:
-        return
-    known = task.certificate
-    known.note("modes_apart", found.outcome)
-    known.bound_by(found.outcome.bound)
-    if found.served is not None:
-        known.keep(cheapest_with_modes(task, found.served, found.modes))
+    if task.goes_on:
+        task.search_to_its_gap(MODES_GAP_SHARE, partial(_search_modes, task))
 
 
 def _search_modes(task: WindowTask, gap: float) -> bool:

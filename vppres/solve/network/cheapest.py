@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import highspy
 import numpy as np
@@ -15,7 +14,7 @@ from vppres.model.site import Site
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import net_modes
 from vppres.solve.network.program import DISC, VOLTAGE_PU2, NetworkProgram
-from vppres.solve.network.rows import Rows, limited
+from vppres.solve.network.rows import Rows
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
@@ -46,13 +45,6 @@ SUN_OVER_PRICE = 10.0
 
 PRIMAL, DUAL = 4, 1
 """HiGHS's ways of simplex steps."""
-
-MORE_SHARE = 1e-4
-"""Share of all who are served who are left out beyond what a proof of infeasibility needs: without
-them another proof often follows, which takes 20 s at 10,000 buses for one unit of service."""
-
-ROUNDING = 1e-9
-"""Shares of a proof below which a column has no part in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,29 +114,6 @@ class CheapestDispatch:
         found = self._one_way(found, served, deadline)
         return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
 
-    def of_most(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of those of a set who can be served.
-
-        A set that has none within the discs loses customers who are part of the proof of that.
-        """
-        watch = Stopwatch()
-        self.network.unfinished = None
-        program = self.network.of_set(served)
-        program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
-        found = self._within_discs(program, deadline, INSIDE[:1])
-        while found.answer.status == Status.INFEASIBLE and not deadline.passed:
-            left_out = self._in_the_way(found, served)
-            if not left_out.any():
-                break
-            served = served & ~left_out
-            self._hold(found.solver, self.model.at["x"][left_out], 0.0)
-            # Its costs were perturbed on the way: from here dual steps may take a minute at 10,000
-            # buses.
-            self._by_primal_steps(found.solver, self.network.begun, deadline)
-            found = self._go_on(found, deadline)
-        found = self._one_way(found, served, deadline)
-        return found.answer.outcome(watch.spent_s), self._dispatch(found, served)
-
     def _by_primal_steps(
         self, solver: highspy.Highs, begin: highspy.HighsBasis | None, deadline: Deadline
     ) -> None:
@@ -154,29 +123,6 @@ class CheapestDispatch:
         solver.setOptionValue("simplex_strategy", PRIMAL)
         ProgramSolution.of(solver, deadline)
         solver.setOptionValue("simplex_strategy", DUAL)
-
-    def _in_the_way(self, found: Within, served: Flags) -> Flags:
-        """Customers without whom the proof that a set has no dispatch fails, (W, C).
-
-        The proof is a price of each row at which the columns' limits miss what the rows are worth.
-        Those are taken first who make up for most of it by their weight.
-        """
-        x = self.model.at["x"]
-        left_out = np.zeros(x.shape, dtype=bool)
-        _, has_proof, ray = found.solver.getDualRay()
-        if not has_proof:
-            return left_out
-        program = limited(self.network.of_set(served), found.limits)
-        program = replace(program, cost=np.zeros(len(program.cost)))
-        missing, left = max(
-            (_missing(program, sign * np.asarray(ray)) for sign in (-1.0, 1.0)), key=itemgetter(0)
-        )
-        gain = np.clip(np.where(served, left[x], 0.0), 0.0, max(missing, 0.0))
-        order = np.argsort(-gain / self.site.customers.weight, axis=None, kind="stable")
-        sums = np.cumsum(gain.ravel()[order])
-        needed = int(np.searchsorted(sums, missing)) + 1 + int(MORE_SHARE * served.sum())
-        left_out.ravel()[order[:needed]] = True
-        return left_out & (gain > 0.0)
 
     def _dispatch(self, found: Within, served: Flags) -> Dispatch | None:
         """A solution as a dispatch of a set, or what is left of one whose time ran out."""
@@ -267,11 +213,3 @@ class CheapestDispatch:
         """Whether batteries can store what a solution charges less what it discharges."""
         dispatch = self.model.dispatch(self.network.columns(answer), served)
         return net_modes(self.site, self.data, dispatch)[1]
-
-
-def _missing(program: Program, prices: Floats) -> tuple[float, Floats]:
-    """By how much columns within their limits miss what rows are worth, and each column's share."""
-    worth, left = program.priced(prices)
-    used = np.abs(left) > ROUNDING
-    limit = np.where(left > 0.0, program.x_lower, program.x_upper)
-    return worth + float(left[used] @ limit[used]), left

@@ -5,13 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import Deadline
@@ -23,8 +21,7 @@ from vppres.solve.dispatch import (
     with_tie_breakers,
 )
 from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.masters import demand_of, fleets_of, least_cost_one_way
-from vppres.solve.network.at_hand import plainly_carried
+from vppres.solve.fleet.masters import demand_of, fleets_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
@@ -53,34 +50,23 @@ forbids the set."""
 UNITS_TOLERANCE = 1e-9
 """What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
-FindsDispatch = Callable[[Flags, Deadline], tuple[Outcome, Dispatch | None]]
-
 
 def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     """Put the best dispatch into the network, at a higher cost or with others where it must be.
 
-    A small window asks the tie-breakers first, and most need no master then. Nor does a large one
-    whose dispatch is plainly carried.
+    A small window asks the tie-breakers first, and most need no master then.
     """
     best = task.certificate.best
     if best is None or best.in_network:
         return
-    if master is None and task.is_large and not at_hand(task, best):
+    if master is None and task.is_large:
         master = network_master(task)
     found = None
-    asked = best is task.certificate.refused
-    if not asked and (master is None or worth_asking_tie_breakers(master, best)):
+    if master is None or worth_asking_tie_breakers(master, best):
         found = with_tie_breakers(task, best)
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
-    task.certificate.keep(task.certificate.before)
-
-
-def at_hand(task: WindowTask, best: Candidate) -> bool:
-    """Whether the network plainly carries the best dispatch."""
-    reactance = task.cache.table(Reactance)
-    return plainly_carried(task.site, reactance, task.data, best.dispatch)
 
 
 def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
@@ -170,29 +156,18 @@ class InNetwork:
         known = self.task.certificate
         share = HUGE_SERVICE_SHARE if self.task.is_huge else SERVICE_SHARE
         search = self.task.deadline.part(share)
-        outcome, served = self.master.service(search, verify=not self.task.is_huge)
+        outcome, served = self.master.service(search)
         known.note("network_service", outcome)
         if served is None:
             known.prove(outcome)
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._dispatched(served)
+        found = self._cheapest(served)
         if found is None:
             return None
         self._bound_cost(found)
         return self._cheaper(found)
-
-    def _dispatched(self, served: Flags) -> Candidate | None:
-        """A set's cheapest dispatch, without rules that of most of it where it has none.
-
-        In a huge window there is time for one of them.
-        """
-        task = self.task
-        found = None if task.is_huge else self._cheapest(served, self.master.cheapest)
-        if found is None and task.data.switching is None:
-            return self._cheapest(served, self.master.cheapest_of_most)
-        return found
 
     def _cheaper(self, found: Candidate) -> Candidate:
         """A cheaper set that serves as much, where the bound on cost leaves room for one."""
@@ -210,7 +185,7 @@ class InNetwork:
         fewer = known.worth(self.master.unit * (units - 1.0), known.cost.least_gbp)
         as_much = known.worth(known.service_bound, outcome.bound)
         known.bound_by(max(found.value, fewer, as_much))
-        other = None if served is None else self._cheapest(served, self.master.cheapest)
+        other = None if served is None else self._cheapest(served)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
@@ -236,10 +211,6 @@ class InNetwork:
             # Sets that serve as much as this one, not only as much as it is worth, cost more.
             as_much = self._bound("cost_level", self._fleet_cost(served, found))
             cost_gbp = max(cost_gbp, as_much)
-        if not self._certified(found):
-            one_way = least_cost_one_way(self.task, min(enough, served), self.task.search)
-            if one_way is not None:
-                cost_gbp = max(cost_gbp, self._bound("one_way_cost", one_way))
         known.cost_bound_gbp = cost_gbp
 
     def _certified(self, found: Candidate) -> bool:
@@ -277,10 +248,10 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def _cheapest(self, served: Flags, find: FindsDispatch) -> Candidate | None:
+    def _cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
-        outcome, dispatch = find(served, task.answer_by())
+        outcome, dispatch = self.master.cheapest(served, task.answer_by())
         task.certificate.note("network_dispatch", outcome)
         if dispatch is None:
             return None

@@ -6,10 +6,8 @@ the slack bus. ``docs/method.md``, *Cuts of feeders*.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -42,37 +40,6 @@ LEAST_CUT = 0.01
 ROOM = 1e-4
 """Units by which a cut gives way, so that no solution stands on the very tip of it."""
 
-
-@dataclass(frozen=True)
-class Effort:
-    """How the search of a feeder is run, in units of the objective.
-
-    Attributes
-    ----------
-    most_lost : float
-        By how much it may fall below its linear problem. What would alone cost more is decided
-        beforehand, and no cut takes more than that away.
-    nodes : int
-        When it ends.
-    gap : float
-        What it may leave open.
-    least_cut : float
-        What a cut must take from a linear solution to be worth a dense row.
-    room : float
-        By how much a cut gives way, so that no solution stands on the very tip of it.
-    options : mapping
-        Of HiGHS.
-    """
-
-    most_lost: float
-    nodes: int
-    gap: float
-    least_cut: float
-    room: float
-    options: Mapping[str, Any]
-
-
-USUAL = Effort(MOST_LOST, NODES, GAP, LEAST_CUT, ROOM, SEARCH)
 
 FRACTION = 1e-6
 """How far from a whole number a share is a fraction."""
@@ -162,27 +129,27 @@ class Feeders:
         feeders = np.unique(self.feeder[self.binaries[fraction]])
         return np.asarray(feeders[feeders != SHARED])
 
-    def search(self, number: int, deadline: Deadline, effort: Effort = USUAL) -> Found:
+    def search(self, number: int, deadline: Deadline) -> Found:
         """Search one feeder with its binaries, the shared rows by their prices.
 
-        Whatever departs from what is decided beforehand costs the feeder more than ``most_lost``.
+        Whatever departs from what is decided beforehand costs the feeder more than ``MOST_LOST``.
         """
         columns = np.flatnonzero(self.feeder == number)
         rows = np.flatnonzero(self.of_row == number)
         binary = np.isin(columns, self.binaries)
         least = self._least(columns, rows)
-        program = self._own(columns, rows, binary, effort.most_lost)
-        solver = program.loaded(effort.gap, effort.nodes, more=effort.options)
+        program = self._own(columns, rows, binary)
+        solver = program.loaded(GAP, NODES, more=SEARCH)
         found = ProgramSolution.of(solver, deadline)
         places = np.flatnonzero(self.feeder[self.binaries] == number)
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
-        bound = min(found.bound, least + effort.most_lost)
-        if not bound > least + effort.least_cut:
+        bound = min(found.bound, least + MOST_LOST)
+        if not bound > least + LEAST_CUT:
             return Found(places, served, None)
         size = len(self.cost)
-        cut = Rows.of(columns[None, :], self.cost[columns], bound - effort.room, np.inf, size)
-        return Found(places, served, cut, bound - effort.room - least)
+        cut = Rows.of(columns[None, :], self.cost[columns], bound - ROOM, np.inf, size)
+        return Found(places, served, cut, bound - ROOM - least)
 
     def _least(self, columns: Wholes, rows: Wholes) -> float:
         """What a feeder costs at least without binaries, by weak duality."""
@@ -193,13 +160,13 @@ class Feeders:
         ends = left * self.program.x_lower[columns], left * self.program.x_upper[columns]
         return float(prices[used] @ limits[used] + np.minimum(*ends).sum())
 
-    def _own(self, columns: Wholes, rows: Wholes, binary: Flags, most_lost: float) -> Program:
+    def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:
         """A feeder's problem; binaries that would cost too much to change are decided."""
         lower = self.program.x_lower[columns].copy()
         upper = self.program.x_upper[columns].copy()
         left = self.reduced[columns]
-        lower[binary & (left < -most_lost)] = 1.0
-        upper[binary & (left > most_lost)] = 0.0
+        lower[binary & (left < -MOST_LOST)] = 1.0
+        upper[binary & (left > MOST_LOST)] = 0.0
         return Program(
             self.cost[columns],
             lower,

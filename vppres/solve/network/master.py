@@ -142,13 +142,12 @@ class NetworkMaster:
         root = self.root[1]
         return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    def service(self, deadline: Deadline, verify: bool = True) -> tuple[Outcome, Flags | None]:
+    def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
 
         The linear problem in which nobody is served beyond a set bounds the service of all sets by
         its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
-        one is carried in full. In a large window the best is put to the discs themselves if it is
-        to be verified.
+        one is carried in full. In a large window the best is put to the discs themselves.
         """
         watch = Stopwatch()
         x = self.model.at["x"]
@@ -160,7 +159,7 @@ class NetworkMaster:
         known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)), self._shares(root))
         known.improve(*self._carried(root))
         if self.network.is_large:
-            self._close_large(known, cuts, deadline, verify)
+            self._close_large(known, cuts, deadline)
         else:
             self._close(known, cuts, deadline)
         if known.best is None:
@@ -261,9 +260,7 @@ class NetworkMaster:
         cuts.lower(raised, total)
         return held
 
-    def _close_large(
-        self, known: Known, cuts: ServiceCuts, deadline: Deadline, verify: bool
-    ) -> None:
+    def _close_large(self, known: Known, cuts: ServiceCuts, deadline: Deadline) -> None:
         """Try sets of as many units as none exceeds, and of fewer where there are none.
 
         The best set is put to the discs themselves, in two steps, where it has no dispatch within
@@ -279,7 +276,7 @@ class NetworkMaster:
         for over, finer in pairwise(DISCS):
             self._reach(known, cuts, held, deadline, over)
             inside = INSIDE[:1] if over == DISC else INSIDE
-            if known.best is None or not verify or self._has_dispatch(known.best, inside):
+            if known.best is None or self._has_dispatch(known.best, inside):
                 return
             if self._put_to_discs(known, cuts, finer) is None:
                 return
@@ -544,13 +541,6 @@ class NetworkMaster:
         return self.network.with_cost(*self.model.price).with_rows(
             enough.matrix.tocsc(), enough.lower
         )
-
-    def cheapest_of_most(
-        self, served: Flags, deadline: Deadline
-    ) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of those of a set who can be served, of a window without rules."""
-        way = CheapestDispatch(self.site, self.data, self.network, self._near)
-        return way.of_most(served, deadline)
 
     def cheapest(
         self, served: Flags, deadline: Deadline, inside: tuple[float, ...] = ()

@@ -67,8 +67,6 @@ class NetworkProgram:
         Limits on the program's columns.
     unfinished : array or None
         Columns of the model at the last solution that still violated limits when time was up.
-    begun : basis or None
-        Basis at which the last solve with added limits began.
     """
 
     def __init__(
@@ -81,7 +79,6 @@ class NetworkProgram:
         self.model = Injections(site, reactance, data, rules)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
-        self.begun: highspy.HighsBasis | None = None
         self.is_large = data.load_kw.size > SMALL
         lower, upper = self.model.bounds()
         rows = self.model.rows()
@@ -222,4 +219,3 @@ class NetworkProgram:
                 return replace(answer, status=Status.NO_ANSWER)
             self._add(solver, voltages, 0.0)
             self._add(solver, tangents, inside)
-            self.begun = solver.getBasis()

@@ -7,9 +7,7 @@ a few hundred of them in place of every line, bus and side of a polygon, and mee
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,11 +16,9 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.blocks import BLOCKS_SHARE, SOON_SHARE, Answer, BlockSearch
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
-from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -30,18 +26,14 @@ from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     DIRECT,
-    WITH_SETS_ON_THE_WAY,
     Program,
     ProgramSolution,
     SetOptions,
-    begin_with,
     columns_of_alike,
-    sets_on_the_way,
     with_sums,
-    with_values_of_sums,
 )
 from vppres.solve.result import Outcome, Status
-from vppres.solve.task import AGAIN, WindowTask
+from vppres.solve.task import SMALLER, WindowTask
 
 DISC = 1e-4
 """Share of its radius by which a disc may be exceeded in a search."""
@@ -50,159 +42,39 @@ SET_GAP = 0.8
 """Part of the window's gap that the search may leave open: a dispatch within the discs and its
 tie-breakers need little of it."""
 
-BINDS = 0.1
-"""Share of the window's gap by which the network must lower the bound of shares of customers."""
-
-NEVER_SOON = 600
-"""Binaries of service from which on blocks come first in the network: of five searches under
-switching rules by 1,200 to 1,470 only one had a set by then."""
-
-ROOT_SHARES = 20.0
-"""Times that shares of customers take to solve which a search must have to get past its root."""
-
-ALONE_SHARE = 0.9
-"""Share of the time left that blocks have where no search follows: the rest is for a dispatch."""
-
-TRIED_SHARE = 0.5
-"""Share of the time on the way to an answer in which sets found on the way are tried."""
-
 # Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
 # the documentation's builder take the tuple for a signature.)
 Turns = tuple[Wholes, Floats, Wholes, Floats]
 
 
-class OnTheWay(NamedTuple):
-    """What a search was worth with some set for some time, and its binaries."""
-
-    value: float
-    chosen: Floats
-
-
 def all_terms_in_network(task: WindowTask) -> None:
     """Search the whole problem until bound and dispatch meet, each time with the limits found.
 
-    Where the dispatch of a set is worth less than its search says, it has violated some limit, and
-    the next search knows that.
-    """
-    if task.data.load_kw.size <= SMALL:
-        _search_until_carried(task, _terms_of(task))
-
-
-def all_terms_where_the_network_binds(task: WindowTask) -> None:
-    """The same, if shares of customers are worth less in the network than the bound without it.
-
-    Then the network forbids the best set without it, or makes it dearer: a search for that one
-    would be in vain.
+    If the dispatch of a set is worth less than its search says, it has violated some limit, and the
+    next search knows that.
     """
     if task.data.load_kw.size > SMALL:
         return
-    terms = _terms_of(task)
-    known = task.certificate
-    shares = terms.shares(task.deadline)
-    nearly = known.bound - BINDS * task.gap_so_far
-    if shares.status == Status.OPTIMAL and terms.worth(shares.value) < nearly:
-        known.bound_by(terms.worth(shares.value))
-        _search_until_carried(task, terms)
-
-
-def _terms_of(task: WindowTask) -> NetworkTerms:
-    """The program of a window."""
     reactance = task.cache.table(Reactance)
-    return NetworkTerms(task.site, reactance, task.data, rows_of_rules(task), task.gap_so_far)
-
-
-def _search_until_carried(task: WindowTask, terms: NetworkTerms) -> None:
-    """Search, each time with the limits found, until bound and dispatch meet or time is up.
-
-    With switching rules and nothing to store one that does not end soon begins again with a better
-    set. HiGHS does not look at its time at a search's root: one that would not come beyond it is
-    left out, and blocks have its time.
-    """
-    first = None
-    if task.data.switching is not None and task.site.batteries.idle:
-        soon = task.deadline.part(SOON_SHARE)
-        if task.data.load_kw.size < NEVER_SOON and _ends_by(soon, task, terms):
-            return
-        left_s = (1.0 - BLOCKS_SHARE) * task.deadline.left_s
-        in_vain = left_s < ROOT_SHARES * terms.shares_s
-        blocks = task.deadline.part(ALONE_SHARE if in_vain else BLOCKS_SHARE)
-        first = _improved_in_blocks(task, terms, blocks)
-        if in_vain:
-            return
-    _ends_by(task.deadline, task, terms, first)
-
-
-def _ends_by(
-    deadline: Deadline, task: WindowTask, terms: NetworkTerms, first: Floats | None = None
-) -> bool:
-    """Whether searches by a deadline leave nothing to another one, the first begun with a set."""
+    terms = NetworkTerms(task.site, reactance, task.data, rows_of_rules(task), task.gap_so_far)
     known = task.certificate
     while task.goes_on:
         limits = terms.limits
         gap = task.gap_so_far
-        outcome, sets = terms.search(gap, deadline, first)
+        outcome, chosen = terms.search(gap, task.deadline)
         known.note("network_terms", outcome)
         if not outcome.status.has_answer:
             known.prove(outcome)
-            return known.nothing_to_find
+            return
         known.bound_by(outcome.bound)
-        known.keep(_first_carried(task, terms, sets))
-        if outcome.status != Status.OPTIMAL:
-            return False
-        if terms.limits == limits and task.gap_so_far >= AGAIN * gap:
-            return True
-    return True
-
-
-def _improved_in_blocks(task: WindowTask, terms: NetworkTerms, deadline: Deadline) -> Floats | None:
-    """Values of a program's columns with a set improved a few steps at a time, None without one.
-
-    It begins with the best dispatch's set, or with one that the rules allow at once, and again
-    where the limits that the set violates make it worth less.
-    """
-    known = task.certificate
-    best = known.best
-    tried = steady_sets(task.site, task.data) if best is None else [best.dispatch.served]
-    x = None
-    while not deadline.passed:
-        limits = terms.limits
-        outcome, answer = terms.improved(tried, task.gap_so_far, deadline)
-        known.note("network_blocks", outcome)
-        if answer is None:
-            return x
-        x = answer.x
-        chosen = np.round(x[terms.chosen])
-        found = _carried(task, terms, chosen)
-        known.keep(found)
-        lost = np.inf if found is None else terms.worth(answer.value) - found.value
-        if lost <= task.gap_so_far or terms.limits == limits:
-            return x
-        tried = [terms.served(chosen)]
-    return x
-
-
-def _first_carried(
-    task: WindowTask, terms: NetworkTerms, sets: Sequence[OnTheWay]
-) -> Candidate | None:
-    """The best dispatch of the first of some sets that has one, None if none has.
-
-    Those after the first are worth a little less and violate fewer limits. They have a part of what
-    is left on the way to an answer: where none is carried, one by rule must still be possible.
-    """
-    end = task.answer_by().part(TRIED_SHARE)
-    best = task.certificate.best
-    least = best.value if best is not None and best.in_network else -np.inf
-    for tried, (value, chosen) in enumerate(sets):
-        if tried and (end.passed or value <= least):
-            return None
-        found = _carried(task, terms, chosen)
-        if found is not None:
-            return found
-    return None
+        known.keep(_carried(task, terms, chosen))
+        settled = terms.limits == limits and task.gap_so_far > SMALLER * gap
+        if settled or outcome.status != Status.OPTIMAL:
+            return
 
 
 def _carried(task: WindowTask, terms: NetworkTerms, chosen: Floats) -> Candidate | None:
-    """The best dispatch of a set and its turns, with reactive power that it needs."""
+    """The best dispatch of a set and its modes, with the reactive power that it needs."""
     outcome, dispatch = terms.dispatch(chosen, task.answer_by())
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
@@ -241,7 +113,6 @@ class NetworkTerms(NetworkProgram):
         self.site = site
         self.data = data
         self.unit = unit
-        self.shares_s = 0.0
         self.lost = site.weights.lambda_curt * site.dt_h * float(data.pv_kw.sum())
         self.program = _with_turns(replace(self.program, cost=self._cost() / unit), self._turns())
         turns = np.arange(self.model.size, len(self.program.cost))
@@ -282,32 +153,19 @@ class NetworkTerms(NetworkProgram):
         most_out = self.data.export_max_kw(self.site)
         return [batteries, (at["P_grid"][:, 0], most_in, at["P_out"][:, 0], most_out)]
 
-    def shares(self, deadline: Deadline) -> ProgramSolution:
-        """The best value of F of shares of customers, with all limits that they violate."""
-        watch = Stopwatch()
-        found = self.until_carried(self.loaded(self.program), deadline, DISC)
-        self.shares_s = watch.spent_s
-        return found
+    def search(self, gap: float, deadline: Deadline) -> tuple[Outcome, Floats]:
+        """The best value of F with the limits found, and its binaries.
 
-    def search(
-        self, gap: float, deadline: Deadline, first: Floats | None = None
-    ) -> tuple[Outcome, list[OnTheWay]]:
-        """The best value of F with the limits found, those of shares included, and its binaries.
-
-        After them come those of the sets that were found on the way, the last of them first. The
-        linear problem is solved before: most limits that ever bind have a violation there.
+        The linear relaxation is solved before: most limits that ever bind have a violation there.
         """
         watch = Stopwatch()
-        linear = self.shares(deadline)
+        linear = self.until_carried(self.loaded(self.program), deadline, DISC)
         if linear.status != Status.OPTIMAL:
-            return linear.outcome(watch.spent_s), []
+            return linear.outcome(watch.spent_s), np.zeros(0)
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
-        counted = with_sums(program, alike)
         options = SetOptions.of(self.site, self.data).of_sets
-        solver = counted.loaded(SET_GAP * gap / self.unit, more={**options, **WITH_SETS_ON_THE_WAY})
-        if first is not None:
-            begin_with(solver, np.arange(len(counted.cost)), with_values_of_sums(first, alike))
+        solver = with_sums(program, alike).loaded(SET_GAP * gap / self.unit, more=options)
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
@@ -316,24 +174,8 @@ class NetworkTerms(NetworkProgram):
             watch.spent_s,
             DIRECT,
         )
-        sets = sets_on_the_way(solver)
-        return outcome, [OnTheWay(self.worth(value), np.round(x[self.chosen])) for value, x in sets]
-
-    def improved(
-        self, sets: Iterable[Flags], gap: float, deadline: Deadline
-    ) -> tuple[Outcome, Answer | None]:
-        """The best answer found from the first of some sets (W, C) on that the limits allow."""
-        rules = self.data.switching
-        assert rules is not None
-        watch = Stopwatch()
-        program = limited(replace(self.program, integer=self.chosen), self.found)
-        at = self.model.at
-        follow = [at[name] for name in ("on", "off", "cold") if at[name].size]
-        blocks = BlockSearch(program, at["x"], follow, rules, gap / self.unit, deadline)
-        found = blocks.improved(sets)
-        if found is None:
-            return Outcome(Status.NO_ANSWER, np.nan, np.nan, watch.spent_s, DIRECT), None
-        return found.outcome(watch.spent_s), found
+        answered = found.status.has_answer
+        return outcome, np.round(found.x[self.chosen]) if answered else np.zeros(0)
 
     def served(self, chosen: Floats) -> Flags:
         """Who is served by chosen binaries, (W, C)."""

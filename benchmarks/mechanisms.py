@@ -1,0 +1,148 @@
+"""The mechanisms of the solver, each with the patch that switches it off and the code it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import vppres.solve.ladder  # noqa: F401 (the names below are looked up in what it imports)
+from vppres.core.arrays import Floats
+from vppres.model.data import WindowData
+from vppres.solve.certificate import Candidate
+from vppres.solve.programs import SetOptions
+
+SOLVE = "vppres.solve."
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Something that can be left out.
+
+    Attributes
+    ----------
+    name : str
+        Of the line in the table.
+    switches : mapping
+        What replaces an attribute, by its name below the package of the solver.
+    code : sequence of str
+        Names of the sources that nothing else needs.
+    """
+
+    name: str
+    switches: Mapping[str, Any]
+    code: Sequence[str] = ()
+
+
+def no(*_: object) -> bool:
+    """Never."""
+    return False
+
+
+def nothing(*_: object) -> None:
+    """Does nothing, finds nothing."""
+
+
+def none_held(master: Any, *_: object) -> Floats:
+    """No customer that a feeder's own search has decided."""
+    return np.full(master.units.size, np.nan)
+
+
+def every_battery(data: WindowData) -> tuple[bool, ...]:
+    """Every battery by itself from the beginning; a fleet of none is one."""
+    return (len(data.soc) == 0,)
+
+
+def as_found(_: object, found: Candidate) -> Candidate:
+    """The dispatch that there is."""
+    return found
+
+
+def no_options(*_: object) -> SetOptions:
+    """HiGHS as it comes."""
+    return SetOptions({}, {})
+
+
+def no_groups(*_: object) -> list[Any]:
+    """No sums to branch on."""
+    return []
+
+
+MECHANISMS = (
+    Mechanism("everyone first", {"ladder.worth_everyone": no}, ("fleet.reach",)),
+    Mechanism("steps apart", {"ladder.falls_apart": no}, ("apart",)),
+    Mechanism(
+        "counts",
+        {"fleet.masters._counts": nothing},
+        ("fleet.counts", "fleet.demand", "fleet.cuts", "fleet.recursion"),
+    ),
+    Mechanism(
+        "recursion",
+        {"fleet.counts.Counts._step_by_step": nothing},
+        ("fleet.recursion", "fleet.counts.Counts._step_by_step"),
+    ),
+    Mechanism("binaries", {"fleet.masters._binaries": nothing}, ("fleet.masters.Binaries",)),
+    Mechanism(
+        "equivalent battery first",
+        {
+            "fleet.masters.fleets_of": every_battery,
+            "fleet.all_terms.fleets_of": every_battery,
+        },
+        ("fleet.masters.fleets_of",),
+    ),
+    Mechanism(
+        "start near the linear solution",
+        {"fleet.masters.near_linear": nothing},
+        ("programs.near_linear",),
+    ),
+    Mechanism("all terms of the fleet", {"ladder.all_terms": nothing}, ("fleet.all_terms",)),
+    Mechanism(
+        "battery modes",
+        {"ladder.with_modes_of_batteries": nothing},
+        ("fleet.rungs.with_modes_of_batteries", "fleet.rungs._search_modes"),
+    ),
+    Mechanism(
+        "service in the network",
+        {"network.decide.network_master": nothing, "ladder.network_master": nothing},
+        ("network.master", "network.sets", "network.cheapest", "network.feeders"),
+    ),
+    Mechanism(
+        "cuts of feeders",
+        {"network.master.NetworkMaster._by_feeders": none_held},
+        ("network.feeders", "network.master.NetworkMaster._by_feeders"),
+    ),
+    Mechanism(
+        "cheaper set in the network",
+        {"network.decide.InNetwork._cheaper": as_found},
+        ("network.decide.InNetwork._cheaper", "network.master.NetworkMaster.cost_level"),
+    ),
+    Mechanism(
+        "all terms in the network",
+        {"ladder.all_terms_in_network": nothing},
+        ("network.terms",),
+    ),
+    Mechanism("smaller network for tie-breakers", {"dispatch.Reduction.of": nothing}),
+    Mechanism("options of HiGHS", {"programs.SetOptions.of": no_options}),
+    Mechanism(
+        "sums to branch on",
+        {
+            "network.master.columns_of_alike": no_groups,
+            "network.terms.columns_of_alike": no_groups,
+        },
+        ("programs.columns_of_alike", "programs.with_sums"),
+    ),
+    Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),
+    Mechanism(
+        "whole problem without binaries",
+        {"ladder.without_binaries": nothing},
+        ("whole.without_binaries",),
+    ),
+)
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "counts and recursion, binaries alone": ("counts", "recursion"),
+    "the fleet": ("counts", "binaries", "all terms of the fleet", "battery modes"),
+}
+"""Mechanisms that are switched off together."""
