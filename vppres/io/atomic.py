@@ -1,27 +1,20 @@
 """Files and folders that are whole or absent: written aside, then renamed.
 
-What is written aside is a hidden folder or file beside the target whose name ends in
-``.vppres-part``. It is locked (``flock``) as long as its process lives: the kernel releases the
-lock however the process ends, so that the next run can tell what a killed one left, whatever
-process numbers have been given out again, and removes it.
-
-What takes a name is on the disk before (``fsync``), so that a machine that loses power has the old
-or the new one too. It took 7 to 31 ms for a run folder of 19 files, and 0.1 ms for a small file.
+What is written is in a hidden folder beside the target, ``.NAME.DIGITS.vppres-part``. It is locked
+(``flock``) as long as its process lives, so that the next run can tell what a killed one left and
+remove it. What takes a name is on the disk before (``fsync``).
 """
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 from vppres.core.errors import InputError, Problem, StorageError
@@ -30,23 +23,19 @@ if sys.platform != "win32":
     import fcntl
 
 RUN_MARK = "summary.json"
-_PART = ".vppres-part"  # being written, or an older run that was replaced
-_OLD = ".vppres-old"  # an older run on its way out, where names cannot be exchanged
-_TRIES = 100  # each is lost only to a run that cleans up in the same instant
+_PART = ".vppres-part"
+_NEW = "new"  # in the hidden folder: what is being written,
+_OLD = "old"  # and an older run that is being replaced
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-# Of Linux: renameat2(2), with paths relative to the working folder.
-_AT_FDCWD = -100
-_RENAME_EXCHANGE = 2
 
 
 @contextmanager
 def atomic_folder(target: str | Path) -> Iterator[Path]:
-    """A temporary folder beside ``target`` that takes its name when the block succeeds.
+    """A temporary folder that becomes ``target`` when the block succeeds.
 
     Whatever ends the block early, an interrupt included, leaves the target as it was. An older run
-    (a folder with ``summary.json``) is replaced: at every moment the name stands for the whole old
-    folder or the whole new one. Where the file system cannot exchange two names, there is a moment
-    without either; if the process is killed in it, the next one puts the old folder back.
+    (a folder with ``summary.json``) is replaced by two renames; if the process is killed between
+    them, the next one puts the old folder back.
 
     Parameters
     ----------
@@ -68,24 +57,25 @@ def atomic_folder(target: str | Path) -> Iterator[Path]:
     """
     given = str(target)
     target = check_target(target)
-    remove_leftovers(target.parent)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        aside, descriptor = _locked_folder(target)
-    except OSError as error:
-        raise InputError(_unwritable(given, error)) from error
-    try:
-        yield aside
-        _settle_tree(aside)
-        _take_name(aside, target)
-        _settle(target.parent)
-    except OSError as error:
-        if is_full(error):
-            raise StorageError(full_disk(given, target.exists())) from error
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-        os.close(descriptor)
+    with ExitStack() as stack:
+        try:
+            # A folder that is being written and is gone, since its command ended, stays gone.
+            if target.parent.parent.suffix != _PART:
+                target.parent.mkdir(parents=True, exist_ok=True)
+            hidden = stack.enter_context(_hidden_folder(target))
+            new = hidden / _NEW
+            new.mkdir()
+        except OSError as error:
+            raise InputError(_unwritable(given, error)) from error
+        try:
+            yield new
+            _settle_tree(new)
+            _replace_folder(target, hidden)
+            _settle(target.parent)
+        except OSError as error:
+            if is_full(error):
+                raise StorageError(full_disk(given, target.exists())) from error
+            raise
 
 
 @contextmanager
@@ -97,15 +87,9 @@ def scratch_folder() -> Iterator[Path]:
     Path
         An empty folder that only this user can open, removed after the block.
     """
-    home = Path(tempfile.gettempdir())
-    remove_leftovers(home)
-    aside, descriptor = _locked_folder(home / "scratch")
-    try:
-        aside.chmod(0o700)
-        yield aside
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-        os.close(descriptor)
+    with _hidden_folder(Path(tempfile.gettempdir()) / "scratch") as hidden:
+        hidden.chmod(0o700)
+        yield hidden
 
 
 def atomic_write_text(path: str | Path, text: str) -> None:
@@ -116,19 +100,11 @@ def atomic_write_text(path: str | Path, text: str) -> None:
 def atomic_write_bytes(path: str | Path, content: bytes) -> None:
     """Write a file so that a reader sees the old or the new content, never a part."""
     path = Path(path).absolute()
-    remove_leftovers(path.parent)
-    aside, descriptor = _locked(
-        path, lambda name: os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-    )
-    try:
-        with open(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(descriptor)
-            os.replace(aside, path)
+    with _hidden_folder(path) as hidden:
+        (hidden / _NEW).write_bytes(content)
+        _settle(hidden / _NEW)
+        os.replace(hidden / _NEW, path)
         _settle(path.parent)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def check_target(target: str | Path) -> Path:
@@ -200,23 +176,12 @@ def check_file(target: str | Path) -> Path:
 def remove_leftovers(folder: Path) -> None:
     """Remove what killed runs left in a folder, and put back what one of them was replacing.
 
-    Only names that this module makes, and only where no process holds the lock. What cannot be
+    Only names that this module makes, and only if no process holds the lock. What cannot be
     removed is left.
     """
-    for part in _leftovers(folder, _OLD):
-        target = part.with_name(_name_of(part))
-        with _if_abandoned(part) as abandoned:
-            if abandoned and not target.exists():
-                with suppress(OSError):
-                    os.rename(part, target)
-            elif abandoned:
-                shutil.rmtree(part, ignore_errors=True)
-    for part in _leftovers(folder, _PART):
-        with _if_abandoned(part) as abandoned:
-            if abandoned and part.is_dir():
-                shutil.rmtree(part, ignore_errors=True)
-            elif abandoned:
-                part.unlink(missing_ok=True)
+    with suppress(OSError):
+        for hidden in folder.glob(f".*{_PART}"):
+            _remove_if_abandoned(hidden)
 
 
 def is_full(error: OSError) -> bool:
@@ -246,97 +211,82 @@ def _check_place(given: str, target: Path) -> None:
         )
 
 
-def _locked_folder(target: Path) -> tuple[Path, int]:
-    """A new folder aside, and the open descriptor that holds its lock."""
-
-    def make(name: Path) -> int:
-        name.mkdir()
-        return os.open(name, os.O_RDONLY)
-
-    return _locked(target, make)
-
-
-def _locked(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
-    """Something new aside, and the open descriptor that holds its lock."""
-    for _ in range(_TRIES):
-        aside = _sibling(target, _PART)
-        try:
-            descriptor = make(aside)
-        except FileNotFoundError:
-            if not target.parent.is_dir():
-                raise
-            continue
-        # Before the lock another run may have taken it for a leftover and removed it.
-        if _lock(descriptor) and aside.exists():
-            return aside, descriptor
+@contextmanager
+def _hidden_folder(target: Path) -> Iterator[Path]:
+    """A hidden folder beside the target, locked for the block and removed after it."""
+    remove_leftovers(target.parent)
+    hidden, descriptor = _locked_folder(target)
+    try:
+        yield hidden
+    finally:
+        # Processes of a command that ends may still write to the name; they find nothing there.
+        with suppress(OSError):
+            hidden = hidden.rename(_hidden_name(target))
+        shutil.rmtree(hidden, ignore_errors=True)
         os.close(descriptor)
-    # Some folders take nothing although permissions allow it: those of a kernel, as /proc.
-    raise OSError(errno.EACCES, "the folder takes nothing new", str(target.parent))
+
+
+def _hidden_name(target: Path) -> Path:
+    """A name in the folder of the target: a rename is atomic only within one file system."""
+    return target.with_name(f".{target.name}.{uuid4().hex[:8]}{_PART}")
+
+
+def _locked_folder(target: Path) -> tuple[Path, int]:
+    """A new hidden folder, and the descriptor that holds its lock."""
+    while True:
+        hidden = _hidden_name(target)
+        hidden.mkdir()
+        with suppress(FileNotFoundError):
+            descriptor = os.open(hidden, os.O_RDONLY)
+            # Before the lock another run may have taken it for a leftover and removed it.
+            if _lock(descriptor) and hidden.exists():
+                return hidden, descriptor
+            os.close(descriptor)
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock an open file or folder until it is closed; False if somebody else has done so.
+    """Lock an open folder until it is closed; False if another process has done so.
 
     Where there are no locks (some network drives), others cannot lock it either, and keep off.
     """
-    if sys.platform == "win32":
-        return True
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno not in (errno.EWOULDBLOCK, errno.EACCES)
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            return error.errno not in (errno.EWOULDBLOCK, errno.EACCES)
     return True
 
 
-@contextmanager
-def _if_abandoned(part: Path) -> Iterator[bool]:
-    """Whether nobody holds the lock of a leftover; it is held in the block."""
-    try:
-        descriptor = os.open(part, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
-    except OSError:
-        yield False
-        return
-    try:
-        yield _locked_by_us(descriptor, part)
-    finally:
-        os.close(descriptor)
-
-
-def _locked_by_us(descriptor: int, part: Path) -> bool:
-    """Whether the lock was free and the name still means what was opened, by the same user."""
+def _remove_if_abandoned(hidden: Path) -> None:
+    """Remove a hidden folder of this user whose process is dead; its older run is put back."""
     if sys.platform == "win32":
-        return False
-    try:
+        return
+    with suppress(OSError), ExitStack() as stack:
+        descriptor = os.open(hidden, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        stack.callback(os.close, descriptor)
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        opened = os.fstat(descriptor)
-        named = os.lstat(part)
-    except OSError:
-        return False
-    return (opened.st_ino, opened.st_dev) == (named.st_ino, named.st_dev) and (
-        named.st_uid == os.getuid()
-    )
+        if os.fstat(descriptor).st_uid != os.getuid():
+            return
+        target = hidden.with_name(hidden.name[1:].rsplit(".", 2)[0])
+        if (hidden / _OLD).is_dir() and not target.exists():
+            (hidden / _OLD).rename(target)
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
-def _leftovers(folder: Path, suffix: str) -> list[Path]:
-    """Names in a folder that this module makes, one way or the other."""
+def _replace_folder(target: Path, hidden: Path) -> None:
+    """Give the target's name to the new folder, and what bore it to the hidden one."""
+    if not target.is_dir() or not any(target.iterdir()):
+        os.replace(hidden / _NEW, target)
+        return
+    # The block may have been long: what is in the target now decides, not what was before.
+    check_target(target)
     try:
-        return sorted(
-            Path(entry.path)
-            for entry in os.scandir(folder)
-            if entry.name.startswith(".") and entry.name.endswith(suffix)
-        )
-    except OSError:
-        return []
-
-
-def _sibling(target: Path, suffix: str) -> Path:
-    """A hidden name beside the target: a rename is atomic only within one file system."""
-    return target.with_name(f".{target.name}.{uuid4().hex[:8]}{suffix}")
-
-
-def _name_of(part: Path) -> str:
-    """The name of the target that a hidden name was made for."""
-    return part.name[1:].removesuffix(_OLD).rpartition(".")[0]
+        os.rename(target, hidden / _OLD)
+        os.rename(hidden / _NEW, target)
+    except BaseException:
+        if not target.exists():
+            os.rename(hidden / _OLD, target)
+        raise
 
 
 def _settle_tree(folder: Path) -> None:
@@ -362,59 +312,6 @@ def _settle(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
-
-
-def _take_name(aside: Path, target: Path) -> None:
-    if not target.is_dir() or not any(target.iterdir()):
-        os.replace(aside, target)  # also in the place of an empty folder
-        return
-    # The block may have been long: what is in the target now decides, not what was before.
-    check_target(target)
-    if exchange_names(aside, target):
-        return  # the older run now has the hidden name, and goes with it
-    old = _sibling(target, _OLD)
-    descriptor = os.open(target, os.O_RDONLY)
-    try:
-        _lock(descriptor)
-        os.rename(target, old)
-        try:
-            os.rename(aside, target)
-        except BaseException:
-            os.rename(old, target)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    finally:
-        os.close(descriptor)
-
-
-def exchange_names(one: Path, other: Path) -> bool:
-    """Exchange two names at once; False where the system or the file system cannot.
-
-    Uses ``renameat2`` with ``RENAME_EXCHANGE``, which Linux has since 3.15.
-    """
-    call = _renameat2()
-    if call is None:
-        return False
-    return bool(
-        call(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0
-    )
-
-
-@cache
-def _renameat2() -> Any:
-    """The C library's function, None where it has none."""
-    if not sys.platform.startswith("linux"):
-        return None
-    call = getattr(ctypes.CDLL(None), "renameat2", None)
-    if call is not None:
-        call.argtypes = [
-            ctypes.c_int,
-            ctypes.c_char_p,
-            ctypes.c_int,
-            ctypes.c_char_p,
-            ctypes.c_uint,
-        ]
-    return call
 
 
 def _unwritable(given: str, error: OSError) -> Problem:
