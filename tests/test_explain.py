@@ -387,7 +387,7 @@ def test_a_dark_island_and_a_fallback_come_first(tiny_run: Trajectory) -> None:
     by_step = out.groupby("time")["driver"].unique().tolist()
     assert [list(found) for found in by_step[3:5]] == [["dark"], ["fallback"]]
     words = out.loc[out["driver"] == "fallback", "words"].iloc[0]
-    assert words == "Not served: the step was decided by a fallback (rule: no answer)."
+    assert words == "Not supplied: the step was decided by a fallback (rule: no answer)."
 
 
 def test_a_switching_rule_is_named_where_service_would_have_paid(tiny_run: Trajectory) -> None:
@@ -408,7 +408,7 @@ def test_a_rule_that_leaves_somebody_out_is_named() -> None:
     out = reasons[reasons["action"] == "not_served"].set_index("id")
     assert out["driver"].to_dict() == {"first": "rule", "second": "rule"}
     assert out.loc["first", "words"] == (
-        "Not served: the rule of the controller idle leaves it out; serving it would be worth 1 "
+        "Not supplied: the fixed rule of controller idle leaves it off; supplying it would be worth 1 "
         "weighted customer hours."
     )
 
@@ -455,10 +455,10 @@ def test_what_is_scarce_in_an_island_is_named(
     bound = prices[prices["constraint"] == constraint]
     assert bound["item"].tolist() == (["3"] if binding == "voltage" else ["b2"])
     words = {
-        "energy": "one more kWh in store would serve 0.01 weighted",
-        "power": "one more kW of battery b2 would serve 0.01 weighted",
-        "inverter": "one more kVA of battery b2 would serve 0.01 weighted",
-        "voltage": "0.001 pu more room below at bus 3 would serve 0.0032 weighted",
+        "energy": "one more stored kWh would add 0.01 weighted",
+        "power": "one more kW of battery b2 would add 0.01 weighted",
+        "inverter": "one more kVA of battery b2 would add 0.01 weighted",
+        "voltage": "a voltage limit 0.001 pu lower at bus 3 would add 0.0032 weighted",
     }
     assert words[binding] in out["words"].iloc[0]
     assert reasons.loc[reasons["item"] == "step", "driver"].tolist() == [binding]
@@ -476,7 +476,7 @@ def test_energy_goes_to_who_counts_more() -> None:
     assert (behind["driver"], behind["binding"]) == ("priority", "energy")
     whole = out.xs("first", level="id").iloc[0]
     assert whole["driver"] == "energy"
-    assert whole["words"].startswith("Not served: the energy in store does not reach for it")
+    assert whole["words"].startswith("Not supplied: not enough stored energy")
 
 
 def test_a_battery_that_holds_the_voltage_says_so() -> None:

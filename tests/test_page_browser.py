@@ -307,7 +307,7 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         reasons = explained(question(runner, runner.last))["reasons"]
         words = {r["words"] for r in reasons if r["asset"] in off}
         for sentence in words:
-            shown = sentence.removeprefix("Not served: ").split("; ")[0].rstrip(".")
+            shown = sentence.removeprefix("Not supplied: ").split("; ")[0].rstrip(".")
             row = page.locator("#off-list", has_text=shown[1:])
             row.wait_for(timeout=100_000)
         assert words and "by plan" not in watcher.text("#off-list")

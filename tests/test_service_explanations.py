@@ -89,7 +89,7 @@ def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.Monkey
     off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
     told = {one["asset"]: one for one in found["reasons"] if one["action"] == "not_served"}
     assert off == set(told) and off
-    assert all(one["words"].startswith("Not served: ") for one in told.values())
+    assert all(one["words"].startswith("Not supplied: ") for one in told.values())
     assert {one["asset"] for one in found["price"]} == {"big", "small"}
     assert max(one["weighted_h"] for one in found["price"]) > 0.0
     assert {k: v for k, v in found.items() if k in ("phase", "step", "reasons", "price")} == {

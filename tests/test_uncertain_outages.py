@@ -282,9 +282,9 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
     run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
     assert run.explanations is not None
     words = run.explanations["words"]
-    rationed = words[words.str.contains("rationed: one more kWh in store is worth")]
+    rationed = words[words.str.contains("energy saved for later; 1 kWh is worth")]
     assert len(rationed) > 0
-    later, now = zip(*rationed.str.findall(r"([0-9.]+) GBP").tolist(), strict=True)
+    later, now = zip(*rationed.str.findall(r"£([0-9.]+)").tolist(), strict=True)
     assert (np.array(later, dtype=float) >= np.array(now, dtype=float)).all()
     assert not words.str.contains("neither shadow prices nor the record").any()
 
@@ -294,7 +294,7 @@ def test_a_step_and_its_batteries_tell_the_same_worth(tiny: Scenario, seed: int)
     run = explain_day(run_day(random_day(tiny, seed), RunOptions(outages="belief", horizon_h=3.0)))
     assert run.explanations is not None
     told = run.explanations[run.explanations["item"].isin(["step", "battery"])]
-    worth = told["words"].str.extract(r"kWh in store is worth (-?[\d.]+) GBP")[0]
+    worth = told["words"].str.extract(r"stored kWh is worth (-?£[\d.]+)")[0]
     counts = worth.groupby(told["time"]).agg(["count", "nunique"])
     assert (counts["count"] > 1).any()
     assert (counts["nunique"] <= 1).all()

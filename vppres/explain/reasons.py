@@ -1,4 +1,4 @@
-"""A reason for every action: customers not served, battery moves, curtailed PV power.
+"""A reason for every action: customers off supply, battery moves, curtailed PV power.
 
 The order of the questions is that of the definitions in docs/explanations.md.
 """
@@ -10,7 +10,16 @@ import numpy as np
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Binding, Reason, Scarce, Step
-from vppres.explain.words import SCARCE, figure, money, one_more, pounds, stored_worth_gbp
+from vppres.explain.words import (
+    DRIVERS,
+    SCARCE,
+    TOO_LITTLE,
+    figure,
+    money,
+    one_more,
+    pounds,
+    stored_worth_gbp,
+)
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
@@ -19,28 +28,28 @@ limit, not the import price, is what drove a battery there."""
 RULES = ("idle", "reserve")
 """Controllers that follow a rule, whatever would be worth more."""
 
-UNEXPLAINED = Reason("unexplained", "", "Not served: neither shadow prices nor the record say why.")
+UNEXPLAINED = Reason(
+    "unexplained", "", "Not supplied: neither shadow prices nor the record give a reason."
+)
 
 
 def why_not_served(step: Step, customer: int) -> Reason:
-    """Why a customer was not served in a step."""
-    overruled = _overruled(step, "Not served")
+    """Why a customer was off supply in a step."""
+    overruled = _overruled(step, "Not supplied")
     if overruled is not None:
         return overruled
     if step.recorded.shed[step.t][customer]:
         why = (
             step.recorded.note(step.t, "ac_failed")
-            or "the batteries that hold the island could not carry it"
+            or "the grid-forming batteries could not supply it"
         )
-        return Reason(
-            "mismatch", "power", f"Not served: it was to be served, and was cut off ({why})."
-        )
+        return Reason("mismatch", "power", f"Shed: planned as supplied, then disconnected ({why}).")
     if _own_inverter_too_small(step, customer):
         return Reason(
             "inverter",
             "inverter",
-            "Not served: its own PV inverter cannot pass the "
-            "power that its demand would take from it.",
+            "Not supplied: its own PV inverter is too small for the PV power that its "
+            "demand would use.",
         )
     if step.service is None:
         return _from_the_record(step)
@@ -50,16 +59,15 @@ def why_not_served(step: Step, customer: int) -> Reason:
         return Reason(
             "switching_rule",
             binding,
-            "Not served: a switching rule keeps it off; "
-            f"serving it would be worth {figure(gain)} weighted customer hours.",
+            "Not supplied: a switching rule keeps it off; "
+            f"supplying it would be worth {figure(gain)} weighted customer hours.",
         )
     if step.recorded.options["controller"] in RULES and gain > WORTH:
         return Reason(
             "rule",
             binding,
-            "Not served: the rule of the controller "
-            f"{step.recorded.options['controller']} leaves it out; serving it would be "
-            f"worth {figure(gain)} weighted customer hours.",
+            f"Not supplied: the fixed rule of controller {step.recorded.options['controller']} "
+            f"leaves it off; supplying it would be worth {figure(gain)} weighted customer hours.",
         )
     if not binding:
         return _nothing_scarce(step)
@@ -68,29 +76,27 @@ def why_not_served(step: Step, customer: int) -> Reason:
     return Reason(
         binding,
         binding,
-        _sentence(
-            f"Not served: {SCARCE[binding]} does not reach for it as a whole",
-            one_more(step, binding),
-        ),
+        _sentence(f"Not supplied: {TOO_LITTLE[binding]}", one_more(step, binding)),
     )
 
 
 def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
-    """A customer whose supply is worth more to others, in this step or kept for later ones."""
+    """A customer whose energy has more value for others, in this step or later."""
     rationed = _rationed(step, customer, binding)
     if rationed is not None:
         return rationed
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
     compare = (
-        f"its supply is worth {figure(weight - gain)} weighted customer hours to others, "
-        f"itself it counts {figure(weight)}"
+        f"supplying it would cost others {figure(weight - gain)} weighted customer hours, "
+        f"its own value is {figure(weight)}"
     )
     if _someone_ranks_higher(step, customer):
         return Reason(
             "priority",
             binding,
             _sentence(
-                f"Not served: {SCARCE[binding]} goes to customers who count more per kW; {compare}",
+                f"Not supplied: {SCARCE[binding]} goes to customers with more weight per kW; "
+                f"{compare}",
                 one_more(step, binding),
             ),
         )
@@ -98,14 +104,14 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
         binding,
         binding,
         _sentence(
-            f"Not served: {SCARCE[binding]} is worth more elsewhere or later; {compare}",
+            f"Not supplied: {SCARCE[binding]} has more value elsewhere or later; {compare}",
             one_more(step, binding),
         ),
     )
 
 
 def _rationed(step: Step, customer: int, binding: Scarce) -> Reason | None:
-    """A customer whose energy is kept for what is believed to come; None where it is not."""
+    """A customer whose energy is saved for a forecast outage; None if it is not."""
     later = step.later_worth_gbp
     now = step.worth_gbp_per_kwh(customer)
     if later is None or now is None or binding != "energy" or later <= now:
@@ -113,32 +119,32 @@ def _rationed(step: Step, customer: int, binding: Scarce) -> Reason | None:
     return Reason(
         "energy",
         "energy",
-        f"Not served, rationed: one more kWh in store is worth {pounds(later)} GBP later, "
-        f"{pounds(now)} GBP to it now.",
+        f"Not supplied: energy saved for later; 1 kWh is worth {pounds(later)} later, "
+        f"{pounds(now)} to this customer now.",
     )
 
 
 def _someone_ranks_higher(step: Step, customer: int) -> bool:
-    """Whether a customer with more weight per kW is served in the step."""
+    """Whether a customer with more weight per kW is supplied in the step."""
     per_kw = step.site.customers.weight / np.maximum(step.load_kw, 1e-9)
     return bool((per_kw[step.served] > per_kw[customer]).any())
 
 
 def _own_inverter_too_small(step: Step, customer: int) -> bool:
-    """Self-consumption is an equality: an owner needs an inverter that passes it."""
+    """Self-consumption is an equality: the owner needs an inverter of that size."""
     owned = (step.site.owner == customer) & ~step.site.alone
     own_kw = np.minimum(step.load_kw[customer], step.scenario.pv_kw[step.t][owned])
     return bool((own_kw > step.site.pv.s_max_kva[owned] + 1e-9).any())
 
 
 def _nothing_scarce(step: Step) -> Reason:
-    """The window itself would have served the customer."""
+    """The window itself would have supplied the customer."""
     if step.recorded.note(step.t, "status") == "planned":
         return Reason(
             "plan",
             "",
-            "Not served: the plan of the day, made with the forecast of its "
-            "beginning, leaves it out, and no check of the plan failed.",
+            "Not supplied: the day plan, made with the forecast at the start of the day, leaves it "
+            "off; no check of the plan failed.",
         )
     return _from_the_record(step) if step.outage else UNEXPLAINED
 
@@ -157,8 +163,8 @@ def _from_the_record(step: Step) -> Reason:
             return Reason(
                 binding,
                 binding,
-                f"Not served: {SCARCE[binding]} was used up, as the "
-                "record shows; the shadow prices of this step do not tell.",
+                f"Not supplied: limit reached in the record: {DRIVERS[binding]}; this step has no "
+                "shadow price for it.",
             )
     return UNEXPLAINED
 
@@ -175,8 +181,8 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
         return Reason(
             "mismatch",
             "",
-            f"{verb}: it takes up losses and forecast errors of the "
-            f"island, {figure(abs(mismatch))} kW, as a battery that holds the voltage.",
+            f"{verb}: balances {figure(abs(mismatch))} kW of losses and forecast error as a "
+            "grid-forming battery.",
         )
     if step.outage:
         in_island = _charge_in_island if power > 0 else _discharge_in_island
@@ -188,32 +194,30 @@ def _charge_in_island(step: Step, battery: int) -> Reason:
     return Reason(
         "surplus",
         _at_limit(step, battery),
-        f"Charges: {step.site.pv.word} gives more than the served customers take.",
+        f"Charges: {step.site.pv.word} exceeds the supplied demand.",
     )
 
 
 def _discharge_in_island(step: Step, battery: int) -> Reason:
-    """What limits a discharge is its driver; where nothing does, it simply carries the service."""
+    """The limit of a discharge is its driver; if none binds, it supplies customers."""
     if step.service is None:
-        return Reason(
-            "supply", _at_limit(step, battery), "Discharges: it carries served customers."
-        )
+        return Reason("supply", _at_limit(step, battery), "Discharges: supplies customers.")
     limit = _at_limit(step, battery)
     if limit in ("power", "inverter"):
         return Reason(
             limit,
             limit,
-            _sentence(f"Discharges as much as {SCARCE[limit]} admits", one_more(step, limit)),
+            _sentence(f"Discharges as much as {SCARCE[limit]} allows", one_more(step, limit)),
         )
     worth = float(step.service.kept_energy[battery])
     if worth > WORTH:
         return Reason(
             "energy",
             "energy",
-            "Discharges what the customers served in this step are "
-            f"worth; a kWh kept serves {figure(worth)} weighted customer hours later.",
+            "Discharges: supplies customers; a kWh kept for later would be worth "
+            f"{figure(worth)} weighted customer hours.",
         )
-    return Reason("supply", "", "Discharges: it carries served customers, and nothing is scarce.")
+    return Reason("supply", "", "Discharges: supplies customers; no limit binds.")
 
 
 def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
@@ -221,23 +225,23 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
     limit = _at_limit(step, battery)
     charges = verb == "Charges"
     if _voltage_decides(step, battery):
-        return Reason("voltage", "voltage", f"{verb}: it holds the voltage limit.")
+        return Reason("voltage", "voltage", f"{verb}: keeps the voltage within its limit.")
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
         return Reason(
             "surplus",
             limit,
-            f"Charges: {step.site.pv.word} gives more than the demand, and {_taken(step)}.",
+            f"Charges: {step.site.pv.word} exceeds demand, and {_taken(step)}.",
         )
     worth = step.later_worth_gbp
     if worth is None:
         worth = stored_worth_gbp(step, battery)
-    saves = "" if worth is None else f"; a kWh in store is worth {money(worth)} GBP later"
-    at_price = f"at {money(step.price_gbp_per_kwh)} GBP/kWh"
+    saves = "" if worth is None else f"; a stored kWh is worth {money(worth)} later"
+    at_price = f"at {money(step.price_gbp_per_kwh)}/kWh"
     if not charges and step.export_kw > MOVE_KW:
-        earned = f"{money(step.export_price_gbp_per_kwh)} GBP/kWh"
-        return Reason("price", limit, f"Discharges: what the feeder exports earns {earned}{saves}.")
+        earned = f"{money(step.export_price_gbp_per_kwh)}/kWh"
+        return Reason("price", limit, f"Discharges: exports earn {earned}{saves}.")
     if charges and step.later_worth_gbp is not None and step.later_worth_gbp > step.dearest_gbp:
-        words = f"Charges for an outage that may come {at_price}{saves}."
+        words = f"Charges for a possible outage {at_price}{saves}."
         return Reason("preparation", limit, words)
     if charges and step.phase == "preparation" and step.later_worth_gbp is None:
         return Reason("preparation", limit, f"Charges for the outage {at_price}{saves}.")
@@ -280,32 +284,30 @@ def why_curtailed(step: Step, system: int) -> Reason:
         return Reason(
             "inverter",
             "inverter",
-            "Curtailed: its inverter passes no more than "
-            f"{figure(float(pv.s_max_kva[system]))} kVA.",
+            f"Curtailed: its inverter is limited to {figure(float(pv.s_max_kva[system]))} kVA.",
         )
     prices = step.service or step.cost
     if prices is not None and prices.voltage_ceiling.max(initial=0.0) > WORTH:
-        return Reason("voltage", "voltage", "Curtailed: the upper voltage limit is reached.")
+        return Reason("voltage", "voltage", "Curtailed: the voltage is at its upper limit.")
     if step.at_export_limit:
         most = figure(float(step.scenario.export_max_kw[step.t]))
-        return Reason("grid", "grid", f"Curtailed: the export limit of {most} kW is reached.")
+        return Reason("grid", "grid", f"Curtailed: export is at its limit of {most} kW.")
     full = len(step.site.batteries) > 0 and bool(
         (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all()
     )
     where: Binding = "energy" if full else "power"
-    rest = "the batteries are full" if full else "the batteries can take no more in this step"
+    rest = "the batteries are full" if full else "the batteries cannot charge more in this step"
     return Reason(
         "surplus",
         where,
-        f"Curtailed: {pv.word} gives more than the served customers take, {rest}, "
-        f"and {_taken(step)}.",
+        f"Curtailed: {pv.word} exceeds the supplied demand, {rest}, and {_taken(step)}.",
     )
 
 
 def _taken(step: Step) -> str:
-    """What the grid takes of a surplus, in words."""
+    """What is exported of a surplus, in words."""
     if step.export_kw > MOVE_KW:
-        return f"the grid takes {figure(step.export_kw)} kW"
+        return f"only {figure(step.export_kw)} kW is exported"
     return "nothing is exported" if _could_export(step) else "nothing can be exported"
 
 
@@ -314,9 +316,9 @@ def _could_export(step: Step) -> bool:
 
 
 def _overruled(step: Step, what: str) -> Reason | None:
-    """What stands above every optimisation: a dark island, or a fallback."""
+    """What overrides every optimisation: a blacked-out island, or a fallback."""
     if step.dark:
-        return Reason("dark", "", f"{what}: the island is dark, {step.dark}.")
+        return Reason("dark", "", f"{what}: the island is blacked out ({step.dark}).")
     if step.fallback:
         return Reason(
             "fallback", "", f"{what}: the step was decided by a fallback ({step.fallback})."

@@ -149,7 +149,7 @@ class Step:
         """Why nothing held the island's voltage, empty if something did."""
         if not self.recorded.flag(self.t, "dark"):
             return ""
-        return self.recorded.note(self.t, "dark_reason") or "nothing holds its voltage"
+        return self.recorded.note(self.t, "dark_reason") or "no battery forms its grid"
 
     @cached_property
     def supply_cost(self) -> Mapping[Scarce, Floats]:

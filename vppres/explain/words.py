@@ -1,4 +1,4 @@
-"""Words of explanations: what bound, in the report's terms, and figures in sentences."""
+"""Words of explanations: binding limits in the report's terms, and figures in sentences."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 
 SCARCE: dict[Binding, str] = {
-    "energy": "the energy in store",
-    "power": "the batteries' power",
-    "inverter": "the inverters' rating",
+    "energy": "stored energy",
+    "power": "battery power",
+    "inverter": "inverter rating",
     "voltage": "the voltage limit",
-    "grid": "the grid's limit",
+    "grid": "the grid limit",
     "": "nothing",
+}
+
+TOO_LITTLE: dict[Binding, str] = {
+    "energy": "not enough stored energy to supply it in full",
+    "power": "not enough battery power to supply it in full",
+    "inverter": "not enough inverter rating to supply it in full",
+    "voltage": "the voltage limit does not allow its full demand",
+    "grid": "the grid limit does not allow its full demand",
+    "": "nothing binds",
 }
 
 DRIVERS = {
@@ -28,12 +37,12 @@ DRIVERS = {
     "price": "price",
     "preparation": "preparation",
     "surplus": "PV surplus",
-    "supply": "supply of the island",
-    "mismatch": "island's mismatch",
-    "plan": "plan of the day",
-    "rule": "rule of the controller",
+    "supply": "island supply",
+    "mismatch": "island mismatch",
+    "plan": "day plan",
+    "rule": "controller rule",
     "fallback": "fallback",
-    "dark": "dark island",
+    "dark": "blacked-out island",
     "unexplained": "not explained",
 }
 """What the drivers of ``explanations`` are called in the report."""
@@ -55,30 +64,35 @@ def figure(value: float) -> str:
 def money(value: float) -> str:
     """An amount per kWh, to a tenth of a penny.
 
-    >>> money(0.4032)
-    '0.403'
+    >>> money(0.4032), money(-0.05)
+    ('£0.403', '-£0.050')
     """
-    return f"{value:.3f}"
+    return _in_pounds(value, ".3f")
 
 
 def pounds(value: float) -> str:
-    """What a kWh is worth: whole pounds where it is many, else to a penny.
+    """The value of a kWh: whole pounds from 10 on, else to a penny.
 
     >>> pounds(41.7), pounds(0.523)
-    ('42', '0.52')
+    ('£42', '£0.52')
     """
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2f}"
+    return _in_pounds(value, ".0f" if value >= 10.0 else ".2f")
+
+
+def _in_pounds(value: float, form: str) -> str:
+    sign = "-" if value < 0.0 else ""
+    return f"{sign}£{abs(value):{form}}"
 
 
 def one_more(step: Step, binding: Binding) -> str:
-    """What one more unit of what binds would have bought, without a full stop; empty if nothing."""
+    """The value of one more unit of the binding limit, without a full stop; empty if none."""
     p = step.service
     if p is None:
         return ""
     b = step.site.batteries
     buses = step.scenario.network.buses
     offers: dict[Binding, tuple[float, str]] = {
-        "energy": (_most(p.stored_energy), "one more kWh in store"),
+        "energy": (_most(p.stored_energy), "one more stored kWh"),
         "power": _first(
             (
                 _most(p.battery_discharging),
@@ -95,18 +109,16 @@ def one_more(step: Step, binding: Binding) -> str:
         ),
         "voltage": (
             _most(p.voltage_floor),
-            f"0.001 pu more room below at bus {_name(buses, p.voltage_floor)}",
+            f"a voltage limit 0.001 pu lower at bus {_name(buses, p.voltage_floor)}",
         ),
         "grid": (p.grid, "one more kW from the grid"),
     }
     value, what = offers.get(binding, (0.0, ""))
-    return (
-        f"{what} would serve {figure(value)} weighted customer hours more" if value > WORTH else ""
-    )
+    return f"{what} would add {figure(value)} weighted customer hours" if value > WORTH else ""
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:
-    """What a kWh in a battery saves later, None where that is not known or service decides."""
+    """What a stored kWh saves later; None if unknown, or if service decides."""
     if step.cost is None:
         return None
     value = float(step.cost.kept_energy[battery])
@@ -122,5 +134,5 @@ def _name(names: Names, values: Floats) -> str:
 
 
 def _first(*offers: tuple[float, str]) -> tuple[float, str]:
-    """The first offer that is worth something, otherwise the last."""
+    """The first offer with a value, otherwise the last."""
     return next((offer for offer in offers if offer[0] > WORTH), offers[-1])

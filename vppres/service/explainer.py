@@ -1,4 +1,4 @@
-"""Explanations for whoever asks: made once, beside the steps, in a process that may be killed."""
+"""Explanations on request: made once, beside the steps, in a process that may be killed."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ WITHIN_S = 120.0
 MOST_KEPT = 48
 WAIT_S = 2.0
 
-UNDECIDED = "Nobody decided the step."
-LATE = "It took too long to be explained."
-FAILED = "It could not be explained; the log of the service says why."
+UNDECIDED = "The step has no decision."
+LATE = "The explanation took too long."
+FAILED = "The step could not be explained; see the log of the service."
 
 
 class Explainer:
@@ -93,11 +93,11 @@ class Explainer:
 
 
 def _of_lost(reason: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
-    """A reason, or that of a customer whom nobody can switch on: no price explains it."""
+    """A reason, or that of a customer that cannot be connected: no price explains it."""
     lost = {one["asset"]: one["reason"] for one in plan.get("lost", ())}
     if reason["kind"] != "customers" or reason["asset"] not in lost:
         return reason
-    words = f"Not served: it cannot be supplied ({lost[reason['asset']]})."
+    words = f"Not supplied: it cannot be connected ({lost[reason['asset']]})."
     return {**reason, "driver": "lost", "binding": "", "words": words}
 
 
