@@ -108,32 +108,32 @@ def calm(browser: Any, watched: tuple[Runner, str]) -> Iterator[Watcher]:
 
 
 def test_the_first_thing_to_see_is_how_it_stands(calm: Watcher) -> None:
-    assert calm.text("#verdict-words") == "All 3 customers are on."
+    assert calm.text("#verdict-words") == "All 3 customers supplied."
     # The doubled hour: the outage begins at one o'clock, in the other zone.
     assert calm.text("#verdict-more") == "Outage announced from 01:00 GMT, in 60 min."
     assert calm.text("#clock") == "Sun 25 Oct, 01:00 BST"
     assert calm.text("#site") == "Docks & <b>Harbour</b>"
-    assert calm.text("#attention-list") == "● Nothing needs you."
+    assert calm.text("#attention-list") == "● No action needed."
     assert calm.text("#mode") == "Mode: auto"
     assert calm.text("#sources-table").endswith("scada 0 s ago ● 2 readings in time")
-    assert calm.text("#events-list").startswith("Outage from 01:00 GMT, end not known storm")
-    assert calm.page.title() == "● All 3 customers are on. tiny"
+    assert calm.text("#events-list").startswith("Outage from 01:00 GMT, end unknown storm")
+    assert calm.page.title() == "● All 3 customers supplied. tiny"
 
 
 def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str]) -> None:
     plan = watched[0].last
     assert plan is not None
     figures = calm.text("#figures")
-    assert figures.startswith("Customers on 3 of 3 critical 1 of 1 · high 1 of 1 · low 1 of 1")
-    assert "80 kWh, 50 %" in figures  # 100 and 60 kWh, half full
+    assert figures.startswith("Customers supplied 3 of 3 critical 1 of 1 · high 1 of 1 · low 1 of 1")
+    assert "80 kWh, 50%" in figures  # 100 and 60 kWh, half full
     assert "56 kWh above the lower limit" in figures  # at 0.15
-    assert f"{plan['expected']['import_kw']:.0f} kW no limit known" in figures
+    assert f"{plan['expected']['import_kw']:.0f} kW no limit" in figures
     assert f"{plan['expected']['v_min_pu']:.3f} pu" in figures
     calm.page.click("#outlook summary")
     rows = calm.page.locator("#chart-table tbody tr")
     assert rows.count() == 6  # three that were, three ahead
     assert rows.nth(2).inner_text().split("\t")[:2] == ["01:00", "ok"]
-    assert rows.nth(3).inner_text().split("\t")[:2] == ["01:00 GMT", "foreseen"]
+    assert rows.nth(3).inner_text().split("\t")[:2] == ["01:00 GMT", "planned"]
     assert rows.nth(3).inner_text().split("\t")[-1] == "0"
     axis = calm.page.locator("#chart text").all_text_contents()
     assert axis.count("01:00") == 1 and axis.count("01:00 GMT") == 1
@@ -186,7 +186,7 @@ def test_the_mode_is_changed_by_keyboard_and_only_when_confirmed(
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")
         watcher.wait_for("#confirm-title", "Change the mode to off?")
-        assert "every device does its default" in watcher.text("#confirm-words")
+        assert "devices use default set-points" in watcher.text("#confirm-words")
         page.keyboard.press("Enter")  # what has the focus changes nothing
         page.wait_for_selector("#confirm", state="hidden")
         page.wait_for_selector("input[value=auto]:checked")  # told after the question is gone
@@ -248,7 +248,7 @@ def test_tokens_are_asked_for_and_kept_in_memory_alone(
         watcher.wait_for("#token-words", "Give a token")
         page.fill("#token-text", secret)
         page.keyboard.press("Enter")
-        watcher.wait_for("#verdict-words", "All 3 customers are on.")
+        watcher.wait_for("#verdict-words", "All 3 customers supplied.")
         page.check("input[value=off]")
         page.click("#mode-change")
         page.click("#confirm-yes")
@@ -285,8 +285,8 @@ def test_an_outage_that_is_believed_is_told_before_a_plan_knows_of_it(
             listening(make_app(runner, Access())) as address,
             Watcher(browser, address) as watcher,
         ):
-            watcher.wait_for("#verdict-words", "All 3 customers are on.")
-            assert watcher.text("#verdict-more") == "Outage possible: 60 %, from 02:00 GMT on."
+            watcher.wait_for("#verdict-words", "All 3 customers supplied.")
+            assert watcher.text("#verdict-more") == "Outage possible: 60%, from 02:00 GMT."
 
 
 def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:
@@ -300,7 +300,7 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         page = watcher.page
         page.clock.install()
         page.goto(address)
-        watcher.wait_for("#verdict-words", "Outage, its end is not known")
+        watcher.wait_for("#verdict-words", "Outage, end unknown")
         for name in off:
             assert name in watcher.text("#off-list")
         # Why, in the service's own words, as soon as they are worked out.
@@ -310,18 +310,18 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
             shown = sentence.removeprefix("Not supplied: ").split("; ")[0].rstrip(".")
             row = page.locator("#off-list", has_text=shown[1:])
             row.wait_for(timeout=100_000)
-        assert words and "by plan" not in watcher.text("#off-list")
+        assert words and "planned:" not in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
-        assert "Battery big is nearly empty: 17 %, lower limit 15 %." in attention
-        assert "1 step missed in the last hours." in attention
+        assert "Battery big is nearly empty: 17%, lower limit 15%." in attention
+        assert "1 step missed in recent hours." in attention
         assert page.locator("#chart .bad").count() == 1
         assert page.locator("#chart .outage").count() >= 2
         assert page.evaluate(CONTRAST) == []
     page.clock.fast_forward(30_000)
     watcher.wait_for("#verdict-words", "No contact with the service since 02:00.")
-    assert watcher.text("#verdict-more").startswith("What stands below was true then. Set-points")
+    assert watcher.text("#verdict-more").startswith("Data below are from that time. Set-points")
     assert "Set-points hold until 03:06" in watcher.text("#verdict-more")
     page.clock.fast_forward("01:10:00")
-    watcher.wait_for("#verdict-more", "Set-points ended at 03:06: devices do their defaults.")
+    watcher.wait_for("#verdict-more", "Set-points ended at 03:06. Devices use default set-points.")
     assert page.evaluate(CONTRAST) == []
     page.close()

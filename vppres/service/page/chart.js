@@ -1,4 +1,4 @@
-// The last and next hours: who is on by tier, what is stored, what is imported; over one time axis.
+// The last and next hours: supply by tier, stored energy and import, over one time axis.
 
 import { kilo, percent, storedShare } from "./words.js";
 
@@ -21,7 +21,7 @@ export function meter(to, { from = 0, kind = "", rest = "", marks = [], name = "
     ...marks.map((mark) => element("line", { class: "mark", x1: `${x(mark)}%`, x2: `${x(mark)}%`, y1: -3, y2: 17 })));
 }
 
-// Steps of the past, the present one, and those that are foreseen.
+// Past steps, the current one, and planned ones.
 export function stepsOf(view) {
   const { past, plan } = view.overview;
   const length = view.site.step_s * 1000;
@@ -33,7 +33,7 @@ export function stepsOf(view) {
   }));
   const ahead = plan?.ahead;
   const foreseen = (ahead?.times ?? []).map((time, t) => ({
-    begin: new Date(time).getTime(), status: "foreseen",
+    begin: new Date(time).getTime(), status: "planned",
     served: Object.fromEntries(Object.entries(ahead.served).map(([tier, row]) => [tier, row[t]])),
     stored: stored(Object.fromEntries(Object.entries(ahead.soc).map(([name, row]) => [name, row[t]]))),
     import: ahead.import_kw[t], limit: ahead.grid_limit_kw[t], ahead: true, decided: true,
@@ -69,8 +69,8 @@ function inWords(view, steps) {
   const on = steps.filter((step) => step.ahead);
   const dark = steps.filter((step) => step.limit === 0).length;
   const low = Math.min(...on.map((step) => step.stored ?? 1));
-  return `Customers on by tier, stored energy and import over ${steps.length} steps, ${on.length} of them ahead; ${dark} without grid.` +
-    (on.length ? ` Stored energy is meant to fall to ${percent(low)} at the lowest.` : "");
+  return `Customers supplied by tier, stored energy and import over ${steps.length} steps, ${on.length} of them planned; ${dark} without grid.` +
+    (on.length ? ` Planned minimum of stored energy: ${percent(low)}.` : "");
 }
 
 function shadeOutages(svg, steps, x, tops) {
@@ -133,7 +133,7 @@ function drawRow(svg, row, points, steps, x, width) {
   }
 }
 
-// Below: steps that were not plain.
+// Below: steps with exceptions.
 function drawStrip(svg, top, steps, x) {
   const signs = { fallback: ["odd", "F"], off: ["odd", "0"], hold: ["odd", "H"], manual: ["odd", "M"], failed: ["bad", "!"], missed: ["bad", "\u00d7"] };
   for (const step of steps) {

@@ -1,4 +1,4 @@
-// The operator's part: which mode, for how long, why, and whether that is meant.
+// The operator's form: mode, duration and reason, with a confirmation.
 
 import { HOUR, MINUTE, MODE_WORDS } from "./words.js";
 
@@ -7,7 +7,7 @@ const $ = (id) => document.getElementById(id);
 export class Operator {
   constructor(ask, now) {
     this.ask = ask; // sends a request, with the token if there is one
-    this.now = now; // what time it is at the service
+    this.now = now; // the time at the service
     this.present = null;
     $("mode-form").addEventListener("submit", (event) => { event.preventDefault(); this.confirm(); });
     $("mode").addEventListener("click", (event) => { event.preventDefault(); this.chosen()?.focus(); $("operator").scrollIntoView(); });
@@ -23,7 +23,7 @@ export class Operator {
     }));
   }
 
-  // The mode that holds; what the operator has chosen and not yet sent is left alone.
+  // The current mode; a choice that is not sent yet stays.
   show(mode) {
     if (this.present === mode) return;
     this.present = mode;
@@ -40,17 +40,17 @@ export class Operator {
     const mode = this.chosen()?.value;
     if (!mode) return;
     const hours = $("mode-hours");
-    if (mode === "hold" && !hours.value) hours.value = "1"; // nobody looks after it: it must end
+    if (mode === "hold" && !hours.value) hours.value = "1"; // hold needs an end
     const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
     $("confirm-title").textContent = `Change the mode to ${mode}?`;
     $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""} ${span}`;
-    $("confirm-no").textContent = `No, leave it at ${this.present}`;
-    $("confirm-yes").textContent = `Yes, change it to ${mode}`;
+    $("confirm-no").textContent = `No, keep ${this.present}`;
+    $("confirm-yes").textContent = `Yes, change to ${mode}`;
     $("confirm").returnValue = "";
     $("confirm").showModal();
   }
 
-  // A mode ends at a whole minute, as the page tells it: the clock moves while the question stands.
+  // A mode ends at a whole minute, as shown: the clock advances while the dialog is open.
   after(hours) {
     return new Date(Math.round((this.now().getTime() + hours * HOUR) / MINUTE) * MINUTE);
   }

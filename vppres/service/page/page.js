@@ -1,4 +1,4 @@
-// Asks the service every two seconds, and shows what it says. Nothing is fetched from elsewhere.
+// Polls the service every two seconds and shows its state. Nothing is fetched from other hosts.
 
 import { chart, meter, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
@@ -8,14 +8,14 @@ import {
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
 const WHY_PATIENCE_MS = 125000;
-const LOST_MS = 10000; // without an answer, after which the page says that it is out of date
+const LOST_MS = 10000; // without an answer, after which the page shows that it is out of date
 
-const KNOWN_BY = { reading: ", as read", "last reading": ", as last read", event: ", as announced", belief: ", as is likely", profile: ", as foreseen" };
+const KNOWN_BY = { reading: ", measured", "last reading": ", last measured", event: ", announced", belief: ", most likely", profile: ", by profile" };
 
 const $ = (id) => document.getElementById(id);
 let token = null; // in memory alone
 const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new Date(), heard: new Date(), lost: false };
-let heardAt = performance.now(); // on this machine's clock, which nobody sets
+let heardAt = performance.now(); // on this machine's monotonic clock
 
 async function ask(path, options = {}, patience_ms = PATIENCE_MS) {
   const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
@@ -43,7 +43,7 @@ async function look() {
   show();
 }
 
-// Why somebody is off the service works out when it is first asked: once for each plan.
+// The service works out the reasons at the first request: once for each plan.
 let asking = false;
 async function learnWhy() {
   const { plan } = view.overview;
@@ -66,7 +66,7 @@ function wantToken(words) {
     $("token").hidden = false;
     $("token-text").focus();
   }
-  $("token-words").textContent = token === null ? "This service answers only to those whom it knows." : words;
+  $("token-words").textContent = token === null ? "Enter a token to use this service." : words;
 }
 
 $("token").addEventListener("submit", (event) => {
@@ -77,7 +77,7 @@ $("token").addEventListener("submit", (event) => {
 });
 $("token-other").addEventListener("click", () => { $("token").hidden = false; $("token-text").focus(); });
 
-// A clock that is played does not run on by itself.
+// A clock that a client sets does not advance by itself.
 function tell() {
   const since = performance.now() - heardAt;
   view.lost = since > LOST_MS;
@@ -107,7 +107,7 @@ function show() {
   write("verdict-more", more ?? "");
   write("contact", view.lost ? "\u2716 no contact" : view.overview ? `live, ${since < 3500 ? "just now" : `${lasting(since)} ago`}` : "");
   if (!view.overview) return;
-  write("site", `${view.site.title}${view.site.played ? " (its clock is set)" : ""}`);
+  write("site", `${view.site.title}${view.site.played ? " (clock set by a client)" : ""}`);
   write("clock", view.clock.full.format(view.now));
   document.title = `${MARKS[level]} ${words} ${view.site.name}`;
   const { mode } = view.overview.mode;
@@ -125,7 +125,7 @@ function show() {
   showSteps();
 }
 
-// Rebuilds a part where what it says has changed; focus and reading go on undisturbed elsewhere.
+// Rebuilds a part only if its content changed, so that focus and screen readers are not disturbed.
 const shown = new Map();
 function renew(id, content, build) {
   const key = JSON.stringify(content);
@@ -138,7 +138,7 @@ function showAttention() {
   const items = attention(view);
   renew("attention-list", items, () => items.length
     ? items.map(([level, text]) => node("li", { class: level }, node("span", { "aria-hidden": "true" }, MARKS[level]), node("span", {}, text)))
-    : [node("li", { class: "fine" }, node("span", { "aria-hidden": "true" }, MARKS.fine), node("span", {}, "Nothing needs you."))]);
+    : [node("li", { class: "fine" }, node("span", { "aria-hidden": "true" }, MARKS.fine), node("span", {}, "No action needed."))]);
 }
 
 function figure(title, value, unit, bar, ...notes) {
@@ -158,8 +158,8 @@ function customersFigure() {
   const n = Object.values(off).reduce((a, b) => a + b, 0);
   const tiers = view.site.tiers.map((tier) => [tier, all.filter((one) => one === tier).length]).filter(([, many]) => many);
   const notes = tiers.map(([tier, many]) => `${tier} ${many - off[tier]} of ${many}`);
-  return figure("Customers on", String(all.length - n), `of ${all.length}`,
-    meter((all.length - n) / all.length, { rest: "over", name: `${all.length - n} of ${all.length} customers are on` }), notes.join(" \u00b7 "));
+  return figure("Customers supplied", String(all.length - n), `of ${all.length}`,
+    meter((all.length - n) / all.length, { rest: "over", name: `${all.length - n} of ${all.length} customers supplied` }), notes.join(" \u00b7 "));
 }
 
 function storedFigure() {
@@ -173,8 +173,8 @@ function storedFigure() {
     least += b.soc_min * b.energy_kwh;
     discharged -= view.overview.plan?.batteries[name]?.p_kw ?? 0;
   }
-  if (!all) return figure("Stored energy", "\u2013", "kWh", null, "No battery was heard of.");
-  const power = discharged > 0.5 ? `giving ${kilo(discharged)} kW` : discharged < -0.5 ? `charging ${kilo(-discharged)} kW` : "at rest";
+  if (!all) return figure("Stored energy", "\u2013", "kWh", null, "No battery data.");
+  const power = discharged > 0.5 ? `discharging ${kilo(discharged)} kW` : discharged < -0.5 ? `charging ${kilo(-discharged)} kW` : "idle";
   const low = lowest(view);
   return figure("Stored energy", kilo(held), `kWh, ${percent(held / all)}`,
     meter(held / all, { kind: "store", marks: [least / all], name: `${percent(held / all)}, lower limit ${percent(least / all)}` }),
@@ -185,10 +185,10 @@ function importFigure() {
   const expected = view.overview.plan?.expected, reading = view.overview.measured["import_kw grid"];
   const limit = expected?.grid_limit_kw ?? null;
   const value = expected?.import_kw ?? reading?.value ?? null;
-  if (value === null) return figure("Import", "\u2013", "kW", null, "Not known.");
+  if (value === null) return figure("Import", "\u2013", "kW", null, "No data.");
   const marks = limit ? [1 / 1.25] : [];
   const bar = limit ? meter(value / (1.25 * limit), { marks, kind: value > 1.01 * limit ? "over" : "", name: `${percent(value / limit)} of the limit` }) : null;
-  const words = limit === 0 ? `no grid${KNOWN_BY[view.overview.plan?.grid?.known_by] ?? ""}` : limit === null ? "no limit known" : `limit ${kilo(limit)} kW`;
+  const words = limit === 0 ? `no grid${KNOWN_BY[view.overview.plan?.grid?.known_by] ?? ""}` : limit === null ? "no limit" : `limit ${kilo(limit)} kW`;
   const metered = reading && reading.value !== null ? `measured ${kilo(reading.value)} kW at ${view.clock.at(reading.at, view.now)}` : "";
   return figure(value < -0.5 ? "Export" : "Import", kilo(Math.abs(value)), "kW", bar, words, metered);
 }
@@ -196,7 +196,7 @@ function importFigure() {
 function voltageFigure() {
   const { v_min_pu: low, v_max_pu: high } = view.site;
   const expected = view.overview.plan?.expected;
-  if (!expected || expected.v_min_pu === null) return figure("Lowest voltage", "\u2013", "pu", null, "Not known.");
+  if (!expected || expected.v_min_pu === null) return figure("Lowest voltage", "\u2013", "pu", null, "No data.");
   const span = high - low, place = (value) => (value - low + 0.15 * span) / (1.3 * span);
   const inside = expected.v_min_pu >= low && expected.v_max_pu <= high;
   return figure("Lowest voltage", expected.v_min_pu.toFixed(3), "pu",
@@ -219,7 +219,7 @@ function table(heads, rows) {
 function chartTable() {
   const tiers = view.site.tiers;
   const known = (value, words) => (value === null || value === undefined ? "\u2013" : words(value));
-  return table(["Step", "State", ...tiers.map((tier) => `${tier} on`), "Stored", "Import (kW)", "Limit (kW)"],
+  return table(["Step", "State", ...tiers.map((tier) => `${tier} supplied`), "Stored", "Import (kW)", "Limit (kW)"],
     stepsOf(view).map((step) => [view.clock.at(step.begin, view.now), step.status, ...tiers.map((tier) => (step.decided ? percent(step.served[tier] ?? 1) : "\u2013")),
       known(step.stored, percent), known(step.import, kilo), step.decided ? known(step.limit, kilo) : "\u2013"]));
 }
@@ -228,15 +228,15 @@ function showOff() {
   const { off = [], status, id } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
   renew("off-list", [off, status, explained, view.overview.now.slice(0, 13)], () => {
-    if (!off.length) return [node("p", {}, "Nobody is off.")];
+    if (!off.length) return [node("p", {}, "All customers supplied.")];
     const dark = outage(view) !== null;
     const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
     const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
-    return [node("table", {}, ...table(["Tier", "Customers", "Why", "Back, as planned"],
+    return [node("table", {}, ...table(["Tier", "Customers", "Why", "Estimated restoration"],
       rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map((one) => one.asset), 12)}`),
-        ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "not in what is planned"])))];
+        ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "beyond the plan"])))];
   });
 }
 
@@ -247,10 +247,10 @@ function showBatteries() {
   renew("batteries-list", key, () => all.map(([name, b]) => {
     const soc = socNow(view, name), point = plan?.batteries[name], reading = measured[`soc ${name}`];
     const power = point?.p_kw ?? 0;
-    const words = power > 0.05 ? `\u25b2 charges ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc gives ${(-power).toFixed(1)} kW` : "rests";
-    const old = !reading || reading.value === null ? "never read" : view.now - new Date(reading.at) > 1500 * view.site.step_s ? `read ${lasting(view.now - new Date(reading.at))} ago` : "";
+    const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc discharging ${(-power).toFixed(1)} kW` : "idle";
+    const old = !reading || reading.value === null ? "no reading" : view.now - new Date(reading.at) > 1500 * view.site.step_s ? `read ${lasting(view.now - new Date(reading.at))} ago` : "";
     const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
-    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, soc === null ? "not known" : percent(soc)),
+    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
       meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),
       node("span", { class: "note" }, words), ...notes.map((note) => node("span", { class: "late note" }, note)));
   }));
@@ -260,10 +260,10 @@ function showSources() {
   const { sources } = view.overview;
   renew("sources-table", [sources, Math.floor(view.now / 5000)], () => sources.length
     ? table(["Source", "Last contact", "State"], sources.map((one) => {
-      const state = one.lost.length ? ["late", `\u25a0 ${one.lost.length} lost: ${list(one.lost)}`] : one.stale.length ? ["late", `\u25b2 ${one.stale.length} late: ${list(one.stale)}`] : ["", `\u25cf ${counted(one.ok, "reading")} in time`];
+      const state = one.lost.length ? ["late", `\u25a0 ${one.lost.length} without data: ${list(one.lost)}`] : one.stale.length ? ["late", `\u25b2 ${one.stale.length} late: ${list(one.stale)}`] : ["", `\u25cf ${counted(one.ok, "reading")} in time`];
       return [one.source, `${lasting(view.now - new Date(one.last_contact))} ago`, node("span", { class: state[0] }, state[1])];
     }))
-    : table(["Source"], [["None was ever heard from."]]));
+    : table(["Source"], [["No source connected."]]));
 }
 
 function showEvents() {
@@ -279,9 +279,9 @@ function showSteps() {
   renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
     ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),
       `${step.fallback ? `, ${step.fallback.replaceAll("_", " ")}` : ""}${step.reason ? `: ${step.reason}` : ""}`,
-      step.refused.length ? `. Gate: ${list(step.refused.map((one) => `${one.asset} ${one.reason}`))}` : ""))
-    : [node("li", {}, "None in the last hours.")]);
-  write("steps-counts", `Since the beginning: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
+      step.refused.length ? `. Rejected: ${list(step.refused.map((one) => `${one.asset} ${one.reason}`))}` : ""))
+    : [node("li", {}, "None in recent hours.")]);
+  write("steps-counts", `Since the start: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
 }
 
 const operator = new Operator(ask, () => view.now);

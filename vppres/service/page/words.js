@@ -1,4 +1,4 @@
-// What the page says: an overview in, sentences out. Nothing here touches the page.
+// The text of the page: an overview in, sentences out. Nothing here touches the page.
 
 export const ALARM = "alarm", WARNING = "warning", NOTE = "note", FINE = "fine";
 const RANK = { [ALARM]: 0, [WARNING]: 1, [NOTE]: 2 };
@@ -7,7 +7,7 @@ export const MARKS = { [ALARM]: "\u25a0", [WARNING]: "\u25b2", [NOTE]: "\u25cb",
 export const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
 export const NAMED_HERE = 3; // assets of a kind, before "and n more"
 
-// Times as the clocks at the site show them; the zone is named wherever it is not the one of now.
+// Times by the clocks at the site; the zone is named if it differs from the current one.
 export class SiteClock {
   constructor(zone) {
     const format = (options) => new Intl.DateTimeFormat("en-GB", { timeZone: zone, hourCycle: "h23", ...options });
@@ -37,12 +37,12 @@ export function lasting(ms) {
 }
 
 export const kilo = (value) => Math.round(value).toLocaleString("en-GB");
-export const percent = (share) => `${Math.round(100 * share)}\u00a0%`;
+export const percent = (share) => `${Math.round(100 * share)}%`;
 export const counted = (n, one, many = `${one}s`) => `${n.toLocaleString("en-GB")} ${n === 1 ? one : many}`;
 export const list = (names, most = NAMED_HERE) =>
   names.length <= most + 1 ? names.join(", ") : `${names.slice(0, most).join(", ")} and ${names.length - most} more`;
 
-// The outage of now, if there is one: told by an event, or known to the plan.
+// The current outage, if there is one: from an event, or from the plan.
 export function outage(view) {
   const { plan, events } = view.overview;
   const known = Object.values(events).filter((event) => event.type === "outage" && covers(event, view.now));
@@ -66,26 +66,26 @@ export function offByTier(view) {
 // The one thing to see first: [level, sentence, more].
 export function verdict(view) {
   if (!view.site || !view.overview) {
-    return view.lost ? [ALARM, "The service does not answer.", "Nothing is known about the site."] : [NOTE, "Asking the service", ""];
+    return view.lost ? [ALARM, "The service does not answer.", "The state of the site is unknown."] : [NOTE, "Connecting to the service", ""];
   }
   const { plan, mode, ahead_s } = view.overview;
   const at = (time) => view.clock.at(time, view.now);
   const ends = plan?.valid_until ? holds(view, at) : "";
-  if (view.lost) return [ALARM, `No contact with the service since ${at(view.heard)}.`, `What stands below was true then. ${ends}`];
-  if (!plan) return [WARNING, "No step has been decided yet.", "Devices do their defaults until the first one is."];
+  if (view.lost) return [ALARM, `No contact with the service since ${at(view.heard)}.`, `Data below are from that time. ${ends}`];
+  if (!plan) return [WARNING, "No step has been decided yet.", "Devices use default set-points until the first plan."];
   if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.`, ends];
-  if (plan.status === "failed") return [ALARM, "The present step could not be planned: it is decided by rule.", plan.reason];
-  if (plan.status === "missed") return [WARNING, "The present step was missed: devices do their defaults.", plan.reason];
+  if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
+  if (plan.status === "missed") return [WARNING, "This step was missed. Devices use default set-points.", plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
   const [first] = view.site.tiers, all = Object.keys(view.site.customers).length;
   const dark = outage(view);
-  const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", its end is not known"}` : "";
-  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: every device does its default.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
-  const words = n === 0 ? `all ${counted(all, "customer")} are on` : `${n} of ${counted(all, "customer")} ${n === 1 ? "is" : "are"} off`;
-  if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${off[first]} ${first} ${off[first] === 1 ? "customer is" : "customers are"} off.`, `${capital(words)}. ${next(view, at)}`];
-  const saved = n > 0 ? `, all ${first} ones on` : "";
+  const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", end unknown"}` : "";
+  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: devices use default set-points.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
+  const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
+  if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], `${first} customer`)} off supply.`, `${capital(words)}. ${next(view, at)}`];
+  const saved = n > 0 ? `, all ${first} customers supplied` : "";
   if (plan.status === "hold" || plan.status === "manual") {
-    return [WARNING, `${head ? `${head}: ${words}` : capital(words)}, as the operator ${plan.status === "hold" ? "holds" : "ordered"}.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : ""];
+    return [WARNING, `${head ? `${head}: ${words}` : capital(words)}, ${plan.status === "hold" ? "held" : "set"} by the operator.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : ""];
   }
   if (dark) return [WARNING, `${head}: ${words}${saved}.`, next(view, at)];
   if (n > 0) return [WARNING, `${capital(words)}${saved}.`, next(view, at)];
@@ -95,7 +95,7 @@ export function verdict(view) {
 
 function holds(view, at) {
   const over = new Date(view.overview.plan.valid_until);
-  return view.now < over ? `Set-points hold until ${at(over)}; then devices do their defaults.` : `Set-points ended at ${at(over)}: devices do their defaults.`;
+  return view.now < over ? `Set-points hold until ${at(over)}; then devices revert to default set-points.` : `Set-points ended at ${at(over)}. Devices use default set-points.`;
 }
 
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
@@ -112,7 +112,7 @@ function next(view, at) {
   return `Outage announced from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
 }
 
-// What is believed of outages that nobody announced for certain.
+// The probability of an outage that is not announced as certain.
 function possible(view, at) {
   const { outage_probability: likely, start } = view.overview.plan ?? {};
   if (!Array.isArray(likely) || !likely.length) return "";
@@ -121,7 +121,7 @@ function possible(view, at) {
   return most < 0.005 ? "" : `Outage possible: ${percent(most)} at ${at(time)}.`;
 }
 
-// What is believed of an outage that the present plan does not know of yet.
+// The probability of an outage that the current plan does not include yet.
 function expected(view, at) {
   const [first] = Object.values(view.overview.events)
     .filter((event) => event.type === "outage_belief" && event.probability !== 0 && new Date(event.onset?.start) > view.now)
@@ -129,15 +129,15 @@ function expected(view, at) {
   return first ? `${belief(first, at)}.` : "";
 }
 
-// Where stored energy goes, as planned.
+// Planned stored energy.
 function foreseen(view, at) {
   const now = storedShare(view.site, (name) => socNow(view, name));
   const low = lowest(view);
   if (now === null) return "";
-  return `Stored energy ${percent(now)}${low && low.share < now - 0.005 ? `, as planned ${percent(low.share)} at ${at(low.time)}` : ""}.`;
+  return `Stored energy ${percent(now)}${low && low.share < now - 0.005 ? `, planned minimum ${percent(low.share)} at ${at(low.time)}` : ""}.`;
 }
 
-// Stored energy as a share of what batteries hold that are heard of; none if there are none.
+// Stored energy as a share of the capacity of batteries with data; null without any.
 export function storedShare(site, socOf) {
   let held = 0, all = 0;
   for (const [name, b] of Object.entries(site.batteries)) {
@@ -149,7 +149,7 @@ export function storedShare(site, socOf) {
   return all ? held / all : null;
 }
 
-// The least that is meant to be stored, and when.
+// The lowest planned stored energy, and its time.
 export function lowest(view) {
   const ahead = view.overview.plan?.ahead;
   const shares = (ahead?.times ?? []).map((_, t) => storedShare(view.site, (name) => ahead.soc[name]?.[t]));
@@ -158,7 +158,7 @@ export function lowest(view) {
   return { share: least, time: new Date(new Date(ahead.times[t]).getTime() + view.site.step_s * 1000) };
 }
 
-// Everything that is not as it should be, the worst first: [level, sentence].
+// Everything that needs attention, the worst first: [level, sentence].
 export function attention(view) {
   const { plan, mode, sources, events, past } = view.overview;
   const at = (time) => view.clock.at(time, view.now);
@@ -166,15 +166,15 @@ export function attention(view) {
   const say = (level, text) => found.push([level, text]);
   for (const one of sources) {
     const silent = lasting(view.now - new Date(one.last_contact));
-    if (one.lost.length) say(ALARM, `${one.source}: ${list(one.lost)} lost. Last contact ${silent} ago.`);
-    if (one.stale.length) say(WARNING, `${one.source}: ${list(one.stale)} late. Last contact ${silent} ago.`);
+    if (one.lost.length) say(ALARM, `No data from ${one.source}: ${list(one.lost)}. Last contact ${silent} ago.`);
+    if (one.stale.length) say(WARNING, `Late data from ${one.source}: ${list(one.stale)}. Last contact ${silent} ago.`);
   }
-  if (!sources.length) say(WARNING, "No source has ever been heard from.");
+  if (!sources.length) say(WARNING, "No data source has connected.");
   if (plan?.solve) {
     if (plan.status === "fallback") say(WARNING, `Fallback ${plan.solve.fallback}: ${plan.solve.fallback_reason ?? "no reason given"}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
     for (const [reason, names] of grouped(plan.refused, (one) => one.reason)) {
-      say(ALARM, `The gate refused ${list(names.map((one) => one.asset))}: ${reason}. Defaults were sent.`);
+      say(ALARM, `Set-point for ${list(names.map((one) => one.asset))} rejected: ${reason}. Default sent.`);
     }
     if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
     const { v_min_pu: low, v_max_pu: high, import_kw: drawn, grid_limit_kw: limit } = plan.expected;
@@ -193,11 +193,11 @@ export function attention(view) {
   }
   const [first] = view.site.tiers, row = plan?.ahead?.served[first] ?? [];
   const short = row.findIndex((share) => share < 1);
-  if (short >= 0) say(WARNING, `As planned, ${percent(1 - row[short])} of the ${first} customers are off from ${at(plan.ahead.times[short])} on.`);
+  if (short >= 0) say(WARNING, `Plan: ${percent(1 - row[short])} of ${first} customers off supply from ${at(plan.ahead.times[short])}.`);
   const missed = past.filter((step) => step.status === "missed").length;
   const failed = past.filter((step) => step.status === "failed").length;
-  if (missed) say(WARNING, `${capital(counted(missed, "step"))} missed in the last hours.`);
-  if (failed) say(WARNING, `${capital(counted(failed, "step"))} could not be decided in the last hours.`);
+  if (missed) say(WARNING, `${capital(counted(missed, "step"))} missed in recent hours.`);
+  if (failed) say(WARNING, `${capital(counted(failed, "step"))} without a decision in recent hours.`);
   if (mode.mode !== "auto") say(WARNING, `Mode ${mode.mode}${mode.until ? ` until ${at(mode.until)}` : ", until further notice"}${mode.reason ? `: ${mode.reason}` : ""}.`);
   for (const event of Object.values(events)) {
     if (event.type === "alert" && covers(event, view.now)) say(WARNING, `${event.source}: ${event.text}`);
@@ -211,21 +211,21 @@ export function grouped(items, key) {
   return groups;
 }
 
-// Measured if that is younger than the plan, else what the plan expects.
+// The measured value if it is newer than the plan, else the expected one.
 export function socNow(view, name) {
   const reading = view.overview.measured[`soc ${name}`];
   return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
 }
 
 const CANNOT = "cannot be supplied";
-const REASONS = { plan: "by plan", corrected: "by plan, corrected", critical_only: "only the first tier is kept on" };
+const REASONS = { plan: "planned", corrected: "planned, then corrected", critical_only: "only the first tier stays supplied" };
 
-// What the service says of who is off, as far as it has been asked; until then what the plan says.
-// In short without the figures of a single customer, which follow a semicolon.
+// The reason of a customer off supply: the service's explanation if it is there, else the plan's.
+// The short form leaves out the figures of a single customer, which follow a semicolon.
 export function why(one, explained, dark) {
   const told = explained?.phase ? explained.reasons : []; // without a phase it is the plan's words again
   const said = told.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
-  const words = said ? capital(said.words.replace(/^Not served[:,] /, "")) : planned(one.reason, dark);
+  const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, dark);
   return { words, short: said ? words.split("; ")[0].replace(/\.$/, "") : words };
 }
 
@@ -234,13 +234,13 @@ function planned(reason, dark) {
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
   if (kind === CANNOT) return reason;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
-  return kind === "plan" && dark ? "outage; not enough for all, by plan" : words;
+  return kind === "plan" && dark ? "planned: not enough supply in the outage" : words;
 }
 
 // An event in a sentence, whatever its kind.
 export function announced(event, view) {
   const at = (time) => view.clock.at(time, view.now);
-  const span = event.start ? `${covers(event, view.now) ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end not known"}` : "";
+  const span = event.start ? `${covers(event, view.now) ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end unknown"}` : "";
   switch (event.type) {
     case "outage": return `Outage ${span}`;
     case "import_limit": return `Import at most ${kilo(event.limit_kw)} kW ${span}`;
@@ -252,14 +252,14 @@ export function announced(event, view) {
 }
 
 function belief(event, at) {
-  const onset = event.onset?.start ? `, from ${at(event.onset.start)} on` : "";
-  const length = event.duration?.median_h ? `, for ${event.duration.median_h} h or so` : "";
+  const onset = event.onset?.start ? `, from ${at(event.onset.start)}` : "";
+  const length = event.duration?.median_h ? `, for about ${event.duration.median_h} h` : "";
   return `Outage possible: ${percent(event.probability ?? 1)}${onset}${length}`;
 }
 
 export const MODE_WORDS = {
-  auto: ["decide every step", "From the next step on the controller decides."],
-  hold: ["keep the last set-points", "From the next step on the last set-points are kept as they are."],
-  manual: ["carry out what the operator asks", "From the next step on the operator\u2019s set-points are carried out."],
-  off: ["defaults only", "From the next step on every device does its default: batteries rest, PV feeds what it can, and all customers are connected, in an outage too."],
+  auto: ["decide every step", "From the next step, the controller decides."],
+  hold: ["keep the last set-points", "From the next step, the last set-points are held."],
+  manual: ["use the operator\u2019s set-points", "From the next step, the operator\u2019s set-points are used."],
+  off: ["defaults only", "From the next step, devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage."],
 };
