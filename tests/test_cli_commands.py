@@ -359,7 +359,7 @@ def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
     text = (tmp_path / "both.html").read_text(encoding="utf-8")
     assert "None: the runs had the same options." in text
-    assert "None: every customer was as long without supply in each run." in text
+    assert "None: every customer was off supply for the same time in each run." in text
 
 
 @pytest.mark.usefixtures("plain_figures")

@@ -351,7 +351,7 @@ def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
     rewrite_report(back, tmp_path / "again.html")
     for file in (tmp_path / "run" / "report.html", tmp_path / "again.html"):
         page = file.read_text(encoding="utf-8")
-        assert "What happened when, and why" in page
+        assert "Decisions and reasons" in page
         assert "19 Jul 12:00 to 19 Jul 18:00: island" in page
         assert "11 to 20 of 32 customers were served" in page
 

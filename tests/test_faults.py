@@ -225,8 +225,8 @@ def test_the_record_tells_not_found_from_no_solution(tiny: Scenario) -> None:
     told = replace(run, steps=run.steps.assign(ac_failed=notes))
     assert (summarise(told)["ac_failures"], summarise(told)["ac_not_found"]) == (1, 2)
     found = findings(told)
-    assert "The AC power flow had no solution in 1 step." in found
-    assert "The AC power flow was not found, and nobody was shed for it, in 2 steps." in found
+    assert "AC power flow had no solution in 1 step." in found
+    assert "AC power flow did not converge (no load shed) in 2 steps." in found
 
 
 def test_nothing_left_to_shed_stops_the_devices_too(tiny: Scenario) -> None:

@@ -90,10 +90,10 @@ def test_supply_in_words() -> None:
 def test_who_was_off_and_why() -> None:
     told = who_and_why(small_run())
     assert told[0] == (
-        "3 of 3 customers lost supply at some time. Most important first: a (critical) 30 min, "
+        "3 of 3 customers lost supply. Most important first: a (critical) 30 min, "
         "c (low) 1 h, b (low) 30 min."
     )
-    assert told[1].startswith("Reasons are not on record")
+    assert told[1].startswith("No reasons recorded")
     quiet = small_run(small_scenario(outage=False))
     quiet = replace(quiet, customers=quiet.customers.assign(served=True))
     assert who_and_why(quiet) == ["All 3 customers were supplied at all times."]
@@ -120,7 +120,7 @@ def test_limits_that_are_exceeded_say_so() -> None:
     low = run.buses.assign(v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 3, 0.93))
     assert limit_rows(replace(run, buses=low))[0].exceeded
     dark = run.buses.assign(v_ac_pu=np.nan)
-    assert limit_rows(replace(run, buses=dark))[0].where == "no bus was live"
+    assert limit_rows(replace(run, buses=dark))[0].where == "no live bus"
 
 
 def test_price_follows_the_scenario(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_price_follows_the_scenario(tmp_path: Path) -> None:
     assert read_scenario(tmp_path / "day").voll_gbp_per_kwh == 6.0
     words = price_sentence(summarise(small_run(day)))
     assert "55 kWh not supplied at 6 GBP/kWh" in words
-    assert words.endswith("given by the scenario or with --voll): 330 GBP.")
+    assert words.endswith("given by the scenario or with --voll): £330.")
     assert "London Economics" in price_sentence(summarise(small_run()))
 
 
@@ -146,7 +146,7 @@ def test_darkness_is_read_first() -> None:
     day = without_devices(small_scenario())
     run = small_run(day)
     run = replace(run, options={**run.options, "mode": "physical"})
-    assert findings(run)[0].startswith("There is no battery that could form a grid")
+    assert findings(run)[0].startswith("No battery can form a grid")
 
 
 # ---------------------------------------------------------------------------------------- clocks

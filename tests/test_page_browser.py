@@ -124,7 +124,9 @@ def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str
     plan = watched[0].last
     assert plan is not None
     figures = calm.text("#figures")
-    assert figures.startswith("Customers supplied 3 of 3 critical 1 of 1 · high 1 of 1 · low 1 of 1")
+    assert figures.startswith(
+        "Customers supplied 3 of 3 critical 1 of 1 · high 1 of 1 · low 1 of 1"
+    )
     assert "80 kWh, 50%" in figures  # 100 and 60 kWh, half full
     assert "56 kWh above the lower limit" in figures  # at 0.15
     assert f"{plan['expected']['import_kw']:.0f} kW no limit" in figures

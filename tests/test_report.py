@@ -155,7 +155,7 @@ def test_names_cannot_leave_the_data_of_scripts(folder: Path) -> None:
 
 def test_key_figures_say_where_they_are_undefined() -> None:
     figures = key_figures(summarise(small_run(small_scenario(outage=False))))
-    assert ("Resilience: weighted share served in the outage", "n/a", "") in figures
+    assert ("Resilience: weighted share supplied in the outage", "n/a", "") in figures
     assert ("Imported energy", "203.0", "kWh") in figures
 
 
@@ -165,13 +165,13 @@ def test_key_figures_say_where_they_are_undefined() -> None:
 def test_events_by_hand() -> None:
     told = [(event.t, event.time, event.words) for event in events_of(small_run())]
     assert told == [
-        (1, "19 Jul 00:30", "Outage begins, 15 kWh in the batteries."),
-        (1, "19 Jul 00:30", "2 customers without supply: c (low), b (low)."),
-        (2, "19 Jul 01:00", "1 customer without supply: a (critical)."),
-        (2, "19 Jul 01:00", "1 customer supplied again: b (low)."),
-        (2, "19 Jul 01:00", "The batteries are down to their lower limit."),
-        (3, "19 Jul 01:30", "Outage ends, 15 kWh left in the batteries."),
-        (3, "19 Jul 01:30", "2 customers supplied again: a (critical), c (low)."),
+        (1, "19 Jul 00:30", "Outage begins, 15 kWh stored."),
+        (1, "19 Jul 00:30", "2 customers off supply: c (low), b (low)."),
+        (2, "19 Jul 01:00", "1 customer off supply: a (critical)."),
+        (2, "19 Jul 01:00", "1 customer restored: b (low)."),
+        (2, "19 Jul 01:00", "Batteries are at their lower limit."),
+        (3, "19 Jul 01:30", "Outage ends, 15 kWh stored."),
+        (3, "19 Jul 01:30", "2 customers restored: a (critical), c (low)."),
     ]
 
 
@@ -179,7 +179,7 @@ def test_a_day_without_outage_has_no_events() -> None:
     day = small_run(small_scenario(outage=False))
     quiet = replace(day, customers=day.customers.assign(served=True))
     assert events_of(quiet) == []
-    assert "The grid was there all the time." in sentences_of(quiet, summarise(quiet))
+    assert "No grid outage." in sentences_of(quiet, summarise(quiet))
     assert "All 3 customers were supplied at all times." in sentences_of(quiet, summarise(quiet))
 
 
@@ -187,14 +187,12 @@ def test_sentences_by_hand() -> None:
     run = small_run()
     sentences = sentences_of(run, summarise(run))
     assert sentences[0] == "4 steps of 30 min from 19 Jul 00:00 to 19 Jul 02:00 UTC."
-    assert sentences[1] == "The grid was out from 19 Jul 00:30 to 19 Jul 01:30, 1 h in all."
+    assert sentences[1] == "Grid outage from 19 Jul 00:30 to 19 Jul 01:30, 1 h in total."
     assert sentences[2].startswith(
-        "Served in the outage, of all customers and steps: critical 50%, low 25%"
+        "Supplied in the outage, of all customer-steps: critical 50%, low 25%"
     )
     # a and b for half an hour each, c for an hour: 5 + 10 + 40 kWh.
-    assert sentences[3] == (
-        "3 of 3 customers were without supply at some time; 55 kWh were not supplied."
-    )
+    assert sentences[3] == ("3 of 3 customers lost supply; energy not supplied 55 kWh.")
     assert sentences[5] == (
         "The lowest voltage was 0.9500 pu at bus 2, 19 Jul 01:30; the limit is 0.94 pu."
     )
@@ -222,10 +220,10 @@ def test_findings_name_what_is_wrong() -> None:
         "is 0.9300 pu at bus 3, 19 Jul 00:00 UTC."
     )
     assert found[1].startswith("Lines above their rating in 4 steps: at most 131%, line 1 to 2")
-    assert found[2].startswith("In the outage the AC power flow still draws up to 102.0 kW")
+    assert found[2].startswith("During the outage the AC power flow draws up to 102.0 kW")
     assert found[3] == "The plan was corrected in 1 step (SoC)."
-    assert found[4] == ("A device could not do what was decided in 1 step: up to 2.50 kW less.")
-    assert found[5] == ("Not proven optimal to the gap asked for: 2 steps, status limit (2).")
+    assert found[4] == "Set-points clipped to device limits in 1 step, by up to 2.50 kW."
+    assert found[5] == "Gap above the tolerance in 2 steps, status limit (2)."
 
 
 def test_findings_name_fallbacks_and_dark_islands() -> None:
@@ -237,12 +235,9 @@ def test_findings_name_fallbacks_and_dark_islands() -> None:
         ac_failed=[False, False, False, True],
     )
     found = findings(replace(run, steps=steps))
-    assert "The island was dark in 2 steps: no battery." in found
-    assert "The AC power flow had no solution in 1 step." in found
-    assert (
-        "A fallback took the place of the controller's answer: rule (2), previous plan (1)."
-        in found
-    )
+    assert "The island was blacked out in 2 steps: no battery." in found
+    assert "AC power flow had no solution in 1 step." in found
+    assert "Fallback decisions: rule (2), previous plan (1)." in found
 
 
 def test_a_bus_without_voltage_is_no_violation() -> None:

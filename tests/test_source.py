@@ -128,8 +128,8 @@ def test_run_keeps_the_source_and_shows_it(made: Scenario, tmp_path: Path) -> No
 def test_island_without_a_battery_is_dark_and_says_so() -> None:
     day = without_power(tiny_scenario(), 1e-3)
     assert "No battery has the power" in darkness(day, "physical")
-    assert "nobody is served in the 2 steps" in darkness(day, "physical")
-    assert "in truth the island would be dark" in darkness(day, "paper")
+    assert "no supply in the 2 steps" in darkness(day, "physical")
+    assert "a real island would be blacked out" in darkness(day, "paper")
     assert darkness(tiny_scenario(), "physical") == ""
     for controller in ("mpc", "idle"):
         run = run_day(day, RunOptions(controller, mode="physical"))

@@ -318,7 +318,7 @@ def test_the_report_shows_the_belief_beside_what_came(tiny: Scenario, tmp_path: 
     assert curve.get_ydata()[1:-1] == pytest.approx(np.diagonal(believed, 1))
     write_run(run, tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "Outages: what was believed, and what came" in page
+    assert "Outage forecasts and outcomes" in page
     assert "2, 4, 6" in page
     read = read_run(tmp_path / "run")
     assert read.scenario.warnings == run.scenario.warnings

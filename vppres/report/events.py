@@ -1,4 +1,4 @@
-"""What happened in a run, in words: sentences about the day, and events with their time."""
+"""A run in words: sentences about the day, and events with their time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vppres.day.metrics import service_by_customer
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
-from vppres.report.key_figures import number
+from vppres.report.key_figures import amount, number
 
 NAMES_SHOWN = 6
 EMPTY_SHARE = 0.01  # of the usable energy
@@ -49,7 +49,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
-    """The day in a few sentences: its length, the outage, who was served, energy, voltages."""
+    """The day in a few sentences: its length, the outage, supply, energy, voltages."""
     return [*opening_of(run, summary), *_service(run), _import(summary), _voltage(run)]
 
 
@@ -71,29 +71,29 @@ def named(names: Sequence[str], most: int = NAMES_SHOWN) -> str:
 def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     energy = stored_energy_kwh(run)
     for first, last in outage_spans(run):
-        held = f", {energy[first]:,.0f} kWh in the batteries" if len(run.batteries) else ""
+        held = f", {energy[first]:,.0f} kWh stored" if len(run.batteries) else ""
         yield first, f"Outage begins{held}."
-        left = f", {energy[last]:,.0f} kWh left in the batteries" if len(run.batteries) else ""
+        left = f", {energy[last]:,.0f} kWh stored" if len(run.batteries) else ""
         yield last, f"Outage ends{left}."
 
 
 def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
-    """Who lost supply and who got it back, relative to the step before."""
+    """Customers that lost supply and were restored, relative to the step before."""
     c = run.scenario.customers
     served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
     before = np.vstack([np.ones_like(served[:1]), served[:-1]])
     for t in range(len(served)):
         for changed, words in (
-            (before[t] & ~served[t], "without supply"),
-            (~before[t] & served[t], "supplied again"),
+            (before[t] & ~served[t], "off supply"),
+            (~before[t] & served[t], "restored"),
         ):
             if changed.any():
                 order = np.argsort(-c.weight[changed], kind="stable")
-                who = [
+                names = [
                     f"{name} ({tier})"
                     for name, tier in zip(c.id[changed][order], c.tier[changed][order], strict=True)
                 ]
-                yield t, f"{len(who)} {_customers(len(who))} {words}: {named(who)}."
+                yield t, f"{len(names)} {_customers(len(names))} {words}: {named(names)}."
 
 
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
@@ -103,7 +103,7 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     for first, last in outage_spans(run):
         empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
-            yield first + 1 + int(empty[0]), "The batteries are down to their lower limit."
+            yield first + 1 + int(empty[0]), "Batteries are at their lower limit."
 
 
 def _day(run: Trajectory) -> str:
@@ -119,7 +119,7 @@ def _day(run: Trajectory) -> str:
 def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     spans = outage_spans(run)
     if not spans:
-        return ["The grid was there all the time."]
+        return ["No grid outage."]
     clock = Clock.of(run)
     when = " and ".join(f"from {clock.at(a)} to {clock.at(b)}" for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
@@ -129,8 +129,8 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
         if share is not None
     )
     return [
-        f"The grid was out {when}, {hours:g} h in all.",
-        f"Served in the outage, of all customers and steps: {shares}; weighted by priority "
+        f"Grid outage {when}, {hours:g} h in total.",
+        f"Supplied in the outage, of all customer-steps: {shares}; weighted by priority "
         f"{number(summary['resilience'], '.1%')}.",
     ]
 
@@ -141,20 +141,20 @@ def _service(run: Trajectory) -> list[str]:
     if lost.empty:
         return [f"All {len(table)} customers were supplied at all times."]
     return [
-        f"{len(lost)} of {len(table)} customers were without supply at some time; "
-        f"{lost['unserved_kwh'].sum():,.0f} kWh were not supplied."
+        f"{len(lost)} of {len(table)} customers lost supply; energy not supplied "
+        f"{lost['unserved_kwh'].sum():,.0f} kWh."
     ]
 
 
 def _import(summary: Mapping[str, Any]) -> str:
     imported = (
-        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {summary['cost_gbp']:,.2f} GBP"
+        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {amount(summary['cost_gbp'])}"
     )
     if not summary.get("export_kwh"):
         return f"{imported}."
     return (
-        f"{imported}, and exported {summary['export_kwh']:,.0f} kWh, which earned "
-        f"{summary['export_revenue_gbp']:,.2f} GBP."
+        f"{imported} and exported {summary['export_kwh']:,.0f} kWh for "
+        f"{amount(summary['export_revenue_gbp'])}."
     )
 
 

@@ -1,4 +1,4 @@
-"""What a reader of a run has to know first: limits exceeded, plans corrected, proofs missing."""
+"""Key findings of a run: limits exceeded, plans corrected, gaps above the tolerance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ISLAND_TOLERANCE_KW = 0.5
 
 
 def findings(run: Trajectory) -> list[str]:
-    """One sentence for each thing that is not as it should be; empty if all is well."""
+    """One sentence for each exception; empty if there is none."""
     return [
         *_unlit(run),
         *_voltages(run),
@@ -66,17 +66,19 @@ def _loadings(run: Trajectory) -> Iterator[str]:
 
 
 def _island(run: Trajectory) -> Iterator[str]:
-    """Power that the AC check draws from a grid that is out."""
+    """Power that the AC check draws from the slack bus during an outage."""
     island = island_figures(run)
     drawn = island["island_import_max_kw"]
     surplus = island["island_export_max_kw"]
     if drawn is not None and drawn > ISLAND_TOLERANCE_KW:
         yield (
-            f"In the outage the AC power flow still draws up to {drawn:,.1f} kW from the grid's "
-            "bus: losses and mismatch that no battery covered."
+            f"During the outage the AC power flow draws up to {drawn:,.1f} kW from the slack bus: "
+            "losses and mismatch that no battery covers."
         )
     if surplus is not None and surplus > ISLAND_TOLERANCE_KW:
-        yield (f"In the outage up to {surplus:,.1f} kW more was made than used and lost.")
+        yield (
+            f"During the outage generation exceeded demand and losses by up to {surplus:,.1f} kW."
+        )
 
 
 def _decisions(run: Trajectory) -> Iterator[str]:
@@ -91,28 +93,28 @@ def _decisions(run: Trajectory) -> Iterator[str]:
         kinds = steps.loc[steps["fallback"] != "none", "fallback"]
         if len(kinds):
             counts = ", ".join(f"{_plain(kind)} ({n})" for kind, n in kinds.value_counts().items())
-            yield f"A fallback took the place of the controller's answer: {counts}."
+            yield f"Fallback decisions: {counts}."
     if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
         yield (
-            f"A device could not do what was decided in "
-            f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}: up to "
-            f"{steps['clipped_kw'].max():,.2f} kW less."
+            "Set-points clipped to device limits in "
+            f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}, by up to "
+            f"{steps['clipped_kw'].max():,.2f} kW."
         )
 
 
 def _answers(run: Trajectory) -> Iterator[str]:
-    """Decisions without a proof to the gap that was asked for."""
+    """Decisions with a gap above the tolerance."""
     if run.options["controller"] in RULES:
         return
     status = run.steps["status"].astype(str)
     others = status[status != PROVEN]
     if len(others):
         kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
-        yield f"Not proven optimal to the gap asked for: {_steps(len(others))}, status {kinds}."
+        yield f"Gap above the tolerance in {_steps(len(others))}, status {kinds}."
 
 
 def _unlit(run: Trajectory) -> Iterator[str]:
-    """Islands that went dark, AC power flows without a solution, and guessed measurements."""
+    """Blacked-out islands, AC power flows without a solution, and estimated measurements."""
     steps = run.steps
     mode = run.options.get("mode", "paper")
     told = darkness(run.scenario, mode)
@@ -122,14 +124,14 @@ def _unlit(run: Trajectory) -> Iterator[str]:
         dark = steps[steps["dark"] > 0]
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
         why = f": {'; '.join(reasons)}" if reasons else ""
-        yield f"The island was dark in {_steps(len(dark))}{why}."
+        yield f"The island was blacked out in {_steps(len(dark))}{why}."
     failed = steps.get("ac_failed", pd.Series("", steps.index))
     not_found = failed.astype(str).str.startswith(NOBODY)
     estimated = steps.get("estimated", pd.Series("", steps.index))
     for where, words in (
-        (failed.astype(bool) & ~not_found, "The AC power flow had no solution"),
-        (not_found, "The AC power flow was not found, and nobody was shed for it,"),
-        (estimated.astype(bool), "A measurement was missing and estimated"),
+        (failed.astype(bool) & ~not_found, "AC power flow had no solution"),
+        (not_found, "AC power flow did not converge (no load shed)"),
+        (estimated.astype(bool), "Measurements were estimated"),
     ):
         if where.any():
             yield f"{words} in {_steps(int(where.sum()))}."

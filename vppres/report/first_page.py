@@ -1,4 +1,4 @@
-"""The page that is read first: what happened, who was off and why, energy, limits, price."""
+"""The first page: the day, customers off supply and why, energy, limits, price."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
 from vppres.report.events import named
 from vppres.report.findings import LIMIT_TOLERANCE_PU
-from vppres.report.key_figures import number
+from vppres.report.key_figures import amount, number
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
 NAMES_SHOWN = 5
@@ -80,7 +80,7 @@ def _tier_row(tier: str, row: pd.Series[Any], share: float | None) -> TierRow:
 
 
 def who_and_why(run: Trajectory) -> list[str]:
-    """Who was without supply for longest, and what decided it."""
+    """Customers without supply for longest, and the reasons."""
     table = service_by_customer(run).assign(weight=run.scenario.customers.weight)
     lost = table[table["unserved_h"] > 0]
     if lost.empty:
@@ -91,7 +91,7 @@ def who_and_why(run: Trajectory) -> list[str]:
         for row in longest.to_dict("records")
     ]
     return [
-        f"{len(lost)} of {len(table)} customers lost supply at some time. Most important first: "
+        f"{len(lost)} of {len(table)} customers lost supply. Most important first: "
         f"{named(names, NAMES_SHOWN)}.",
         *_reasons(run),
     ]
@@ -100,13 +100,13 @@ def who_and_why(run: Trajectory) -> list[str]:
 def _reasons(run: Trajectory) -> Iterator[str]:
     """What left customers without supply, most frequent first."""
     if run.explanations is None:
-        yield "Reasons are not on record: the run was made without them."
+        yield "No reasons recorded: the run used --no-explain."
         return
     out = run.explanations[run.explanations["action"] == "not_served"]
     counts = out["driver"].value_counts()
     told = [f"{DRIVERS[str(driver)]} {count}" for driver, count in counts.items()]
     if told:
-        yield f"What decided it, in {len(out):,} customer steps: {named(told, REASONS_SHOWN)}."
+        yield f"Reasons ({len(out):,} customer-steps): {named(told, REASONS_SHOWN)}."
 
 
 def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -129,11 +129,11 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
         charged = per_step(run, run.batteries["charge_kw"], run.batteries)
         given = per_step(run, run.batteries["discharge_kw"], run.batteries)
         stored = stored_energy_kwh(run)
-        rows.append(("Batteries took in", float(charged.sum()) * dt_h))
-        rows.append(("Batteries gave", float(given.sum()) * dt_h))
+        rows.append(("Batteries charged", float(charged.sum()) * dt_h))
+        rows.append(("Batteries discharged", float(given.sum()) * dt_h))
         rows.append(("Stored at the start", float(stored[0])))
         rows.append(("Stored at the end", float(stored[-1])))
-    rows.append(("Losses of the lines", float(run.steps["losses_kw"].sum()) * dt_h))
+    rows.append(("Line losses", float(run.steps["losses_kw"].sum()) * dt_h))
     return [(words, number(value, ",.0f")) for words, value in rows]
 
 
@@ -147,7 +147,7 @@ def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
     clock = Clock.of(run)
     live = run.buses[run.buses["v_ac_pu"] > 0]
     if live.empty:
-        yield LimitRow("Voltage", "none", "no bus was live", "", exceeded=False)
+        yield LimitRow("Voltage", "none", "no live bus", "", exceeded=False)
         return
     v = live["v_ac_pu"].to_numpy(float)
     for what, at, limit, sign in (
@@ -183,7 +183,7 @@ def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
 
 
 def price_sentence(summary: Mapping[str, Any]) -> str:
-    """What the energy that was not supplied is worth, and by whose reckoning."""
+    """The price of the energy not supplied, and its source."""
     voll = summary["voll_gbp_per_kwh"]
     origin = (
         "homes and small businesses in Great Britain, winter peak, prices of 2013; London "
@@ -193,17 +193,17 @@ def price_sentence(summary: Mapping[str, Any]) -> str:
     )
     return (
         f"{summary['energy_not_supplied_kwh']:,.0f} kWh not supplied at {voll:g} GBP/kWh, the "
-        f"value of lost load ({origin}): {summary['energy_not_supplied_gbp']:,.0f} GBP."
+        f"value of lost load ({origin}): £{summary['energy_not_supplied_gbp']:,.0f}."
     )
 
 
 def money_sentence(summary: Mapping[str, Any]) -> str:
-    """What the exchange with the grid cost."""
-    text = f"{summary['import_kwh']:,.0f} kWh imported for {summary['cost_gbp']:,.2f} GBP"
+    """Cost of the exchange with the grid."""
+    text = f"{summary['import_kwh']:,.0f} kWh imported for {amount(summary['cost_gbp'])}"
     if summary.get("export_kwh"):
         text += (
             f", {summary['export_kwh']:,.0f} kWh exported for "
-            f"{summary['export_revenue_gbp']:,.2f} GBP"
+            f"{amount(summary['export_revenue_gbp'])}"
         )
     return f"{text}."
 

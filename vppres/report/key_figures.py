@@ -11,13 +11,13 @@ NOT_DEFINED = "n/a"
 
 # Key of the summary, words, unit, format.
 KEY_FIGURES = (
-    ("resilience", "Resilience: weighted share served in the outage", "", ".4f"),
-    ("resilience_planned", "Resilience that was planned", "", ".4f"),
+    ("resilience", "Resilience: weighted share supplied in the outage", "", ".4f"),
+    ("resilience_planned", "Planned resilience", "", ".4f"),
     ("cost_gbp", "Cost of imported energy", "GBP", ",.2f"),
     ("import_kwh", "Imported energy", "kWh", ",.1f"),
     ("export_kwh", "Exported energy", "kWh", ",.1f"),
-    ("export_revenue_gbp", "Earned by the export", "GBP", ",.2f"),
-    ("net_cost_gbp", "Cost of imported energy less what the export earns", "GBP", ",.2f"),
+    ("export_revenue_gbp", "Export revenue", "GBP", ",.2f"),
+    ("net_cost_gbp", "Cost of imported energy less export revenue", "GBP", ",.2f"),
     ("pv_curtailed_kwh", "Curtailed PV energy", "kWh", ",.1f"),
     ("energy_not_supplied_kwh", "Energy not supplied", "kWh", ",.1f"),
     ("energy_not_supplied_gbp", "Energy not supplied, at the value of lost load", "GBP", ",.0f"),
@@ -38,7 +38,7 @@ KEY_FIGURES = (
         ",.1f",
     ),
     ("corrections", "Steps in which the plan was corrected", "", "d"),
-    ("fallbacks", "Steps in which a fallback took the place of the controller's answer", "", "d"),
+    ("fallbacks", "Steps decided by a fallback", "", "d"),
     ("estimated_steps", "Steps with measurements that were estimated", "", "d"),
     (
         "ac_failures",
@@ -46,7 +46,7 @@ KEY_FIGURES = (
         "",
         "d",
     ),
-    ("ac_not_found", "Steps whose AC power flow was not found; nobody was shed for it", "", "d"),
+    ("ac_not_found", "Steps whose AC power flow did not converge; no load was shed", "", "d"),
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
@@ -70,3 +70,12 @@ def number(value: float | None, form: str) -> str:
     ('0.919', 'n/a')
     """
     return NOT_DEFINED if value is None or pd.isna(value) else format(value, form)
+
+
+def amount(gbp: float) -> str:
+    """An amount of money, to a penny.
+
+    >>> amount(20321.4), amount(-3.0)
+    ('£20,321.40', '-£3.00')
+    """
+    return f"{'-' if gbp < 0.0 else ''}£{abs(gbp):,.2f}"

@@ -206,7 +206,7 @@ def _info(run: Trajectory) -> list[str]:
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         v_pu = step["v_min_ac_pu"]
         voltage = f"lowest voltage {v_pu:.4f} pu" if v_pu > 0 else "no voltage"
-        lines.append(f"{grid}; served: {tiers}; {voltage}")
+        lines.append(f"{grid}; supplied: {tiers}; {voltage}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""What a person should know of a scenario before its results: dark islands, what was simplified."""
+"""Remarks on a scenario: islands without a voltage source, simplifications of the import."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
-    """Why every island of a scenario is dark, or would be; empty where a battery forms a grid.
+    """Why every island of a scenario blacks out, or would; empty if a battery can form the grid.
 
     Parameters
     ----------
@@ -28,14 +28,13 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     cause = (
         "No battery has the power to form a grid"
         if len(scenario.batteries)
-        else "There is no battery that could form a grid"
+        else "No battery can form a grid"
     )
     if (mode or scenario.controller.mode) == "physical":
-        return f"{cause}: the island is dark, and nobody is served in {steps} without grid."
+        return f"{cause}: the island is blacked out, with no supply in {steps} without grid."
     return (
-        f"{cause}: in truth the island would be dark in {steps} without grid. The "
-        "paper's mode takes its voltage for granted and counts whoever the sun supplies as served; "
-        "physical mode does not."
+        f"{cause}: a real island would be blacked out in {steps} without grid. Paper mode assumes "
+        "its voltage and counts customers supplied by PV as served; physical mode does not."
     )
 
 

@@ -36,19 +36,18 @@ BELIEF_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {"outage_belief": ou
 
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
-    "import_load_pv": "Import at the slack bus (above); demand, demand served and available PV "
+    "import_load_pv": "Import at the slack bus (above); demand, supplied demand and available PV "
     "power (below).",
     "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
     "and AC power flow at any bus.",
-    "service_by_tier": "Who was served in each step, customer by customer, and the share of each "
-    "tier.",
+    "service_by_tier": "Supply of each customer in each step, and the share of each tier.",
     "line_loadings": "The most loaded line of each step, from the AC power flow.",
-    "solve_times": "Time from forecast to decision, and proven relative gap (linear below 1e-6).",
-    "timeline": "The day at a glance; numbers count the customers not served.",
+    "solve_times": "Time from forecast to decision, and relative gap (linear below 1e-6).",
+    "timeline": "The day at a glance; numbers count customers off supply.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
     "current; dashed: the outage.",
-    "outage_belief": "Probability of an outage in each step, as it was believed some hours before, "
-    "and what one more stored kWh was believed to be worth.",
+    "outage_belief": "Forecast probability of an outage in each step, some hours before, and the "
+    "expected value of one more stored kWh.",
 }
 """What each figure shows."""
 

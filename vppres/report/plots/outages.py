@@ -53,7 +53,7 @@ def outage_belief(run: Trajectory) -> Figure:
     fan.set_ylabel("Probability of an outage")
     if valued:
         _draw_worth(axes[1], run)
-    figure.suptitle("What was believed of outages; shaded: what came")
+    figure.suptitle("Outage forecasts; shaded: actual outages")
     return with_legend(figure, fan, columns=len(LEADS_H))
 
 

@@ -1,4 +1,4 @@
-"""What happened when, what bound, and what one more unit would have bought."""
+"""Decisions, binding limits and shadow prices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def explain_section(run: Run) -> Section | None:
         return None
     return section(
         "explain",
-        "What happened when, and why",
+        "Decisions and reasons",
         {
             "episodes": episodes(trajectory, explanations, prices),
             "steps": _steps(trajectory, prices, _counts(run)),
@@ -118,7 +118,7 @@ def _worth(prices: pd.DataFrame, name: str) -> str:
     if (rows["weighted_h"] != 0).any() and rows["weighted_h"].notna().any():
         return f"{figure(float(rows['weighted_h'].max()))} h{where}"
     gbp = rows["gbp"].dropna()
-    return f"{money(float(gbp.max()))} GBP{where}" if len(gbp) and gbp.max() > 0 else ""
+    return f"{money(float(gbp.max()))}{where}" if len(gbp) and gbp.max() > 0 else ""
 
 
 def _reasons(explanations: pd.DataFrame) -> list[Row]:

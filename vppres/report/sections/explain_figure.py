@@ -11,7 +11,7 @@ from vppres.report.plots.base import BLUE, GREY, VERMILLION, draw_steps, panels
 
 
 def draw_worth(trajectory: Trajectory) -> Figure:
-    """What one more kWh in store would have bought, in weighted customer hours and in GBP."""
+    """The value of one more stored kWh, in weighted customer hours and in GBP."""
     figure, (service, cost) = panels({"run": trajectory}, heights=(1, 1), height_in=4.4)
     for ax, column, color in ((service, "weighted_h", VERMILLION), (cost, "gbp", BLUE)):
         draw_steps(ax, trajectory, worth_per_step(trajectory, column), {"color": color})
@@ -26,7 +26,7 @@ def draw_worth(trajectory: Trajectory) -> Figure:
     for ax in (service, cost):
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     cost.legend(frameon=False, fontsize=8)
-    figure.suptitle("Worth of one more kWh in store")
+    figure.suptitle("Value of one more stored kWh")
     return figure
 
 

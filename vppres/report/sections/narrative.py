@@ -98,7 +98,7 @@ def _service(tables: Tables) -> str:
     served = tables.customers.groupby("time")["served"].sum()
     total = len(tables.customers) // max(len(served), 1)
     if served.min() == total:
-        return f"All {total} customers were served."
+        return f"All {total} customers were supplied."
     low = int(served.min())
     high = int(served.max())
     many = f"{low}" if low == high else f"{low} to {high}"
@@ -106,7 +106,7 @@ def _service(tables: Tables) -> str:
     why = ", ".join(
         f"{DRIVERS[str(driver)]} {count}" for driver, count in out["driver"].value_counts().items()
     )
-    return f"{many} of {total} customers were served; reasons of the others, step by step: {why}."
+    return f"{many} of {total} customers were supplied; reasons for the others, by step: {why}."
 
 
 def _batteries(tables: Tables) -> str:
@@ -118,7 +118,7 @@ def _batteries(tables: Tables) -> str:
         for verb, energy in (("took in", into), ("gave", out))
         if energy >= 1.0
     ]
-    return f"The batteries {' and '.join(parts)}." if parts else "The batteries rested."
+    return f"The batteries {' and '.join(parts)}." if parts else "The batteries were idle."
 
 
 def _worth(tables: Tables) -> list[str]:
@@ -126,21 +126,19 @@ def _worth(tables: Tables) -> list[str]:
     stored = _range(tables.shadow_prices, "stored_energy", "weighted_h")
     sentences = []
     if stored:
-        sentences.append(
-            f"One more kWh in store would have served {stored} weighted customer hours more."
-        )
+        sentences.append(f"One more stored kWh would have added {stored} weighted customer hours.")
     elif saved := _range(tables.shadow_prices, "stored_energy", "gbp"):
-        sentences.append(f"One more kWh in store would have saved {saved} GBP.")
+        sentences.append(f"One more stored kWh would have saved {saved}.")
     for name, what in (
         ("energy_ceiling", "One more kWh of battery capacity"),
         ("reactive", "One more kvar"),
         ("battery_inverter", "One more kVA of a battery's inverter"),
-        ("voltage_floor", "0.001 pu more room below the lowest voltage"),
+        ("voltage_floor", "A voltage limit 0.001 pu lower"),
     ):
         if value := _range(tables.shadow_prices, name, "weighted_h"):
             sentences.append(
-                f"{what} would have served {value} weighted customer hours "
-                f"more{_where(tables.shadow_prices, name)}."
+                f"{what} would have added {value} weighted customer hours"
+                f"{_where(tables.shadow_prices, name)}."
             )
     return sentences
 

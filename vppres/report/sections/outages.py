@@ -1,4 +1,4 @@
-"""What was believed of outages, and the messages behind it."""
+"""Outage forecasts, and the warnings behind them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def outages_section(run: Run) -> Section | None:
     messages = sorted(map(completed, scenario.warnings), key=lambda message: message.issued_at)
     return section(
         "outages",
-        "Outages: what was believed, and what came",
+        "Outage forecasts and outcomes",
         {
             "kind": run.trajectory.options["outages"],
             "figure": run.figure("outage_belief"),

@@ -1,4 +1,4 @@
-"""Who was served when."""
+"""Supply by customer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def service_section(run: Run) -> Section:
     unserved = service_by_customer(run.trajectory)
     return section(
         "service",
-        "Who was served when",
+        "Supply by customer",
         {
             "summary": run.summary,
             "tiers": run.trajectory.scenario.tiers,

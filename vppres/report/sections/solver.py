@@ -14,7 +14,7 @@ def solver_section(run: Run) -> Section:
     """Times of the decisions and the table of the steps."""
     return section(
         "solver",
-        "How each decision was found",
+        "Solver results",
         {
             "summary": run.summary,
             "steps": _rows(run.trajectory),

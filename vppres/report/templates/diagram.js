@@ -19,7 +19,7 @@
   function lineWords(line, step) {
     const amps = data.amps[step][line], rating = data.ratings[line];
     return data.lines[line] + ": " + amps + " A"
-      + (rating === null ? "" : ", " + Math.round(100 * amps / rating) + " % of " + rating + " A");
+      + (rating === null ? "" : ", " + Math.round(100 * amps / rating) + "% of " + rating + " A");
   }
 
   function busWords(circle, step) {
@@ -27,10 +27,10 @@
     const parts = [circle.dataset.name + ": " + (v === null ? "no voltage"
                                                  : (v / 10000).toFixed(4) + " pu")];
     for (const c of JSON.parse(circle.dataset.customers)) {
-      parts.push(data.customers[c] + (data.served[step][c] === "1" ? " served" : " not served"));
+      parts.push(data.customers[c] + (data.served[step][c] === "1" ? " supplied" : " off supply"));
     }
     for (const b of JSON.parse(circle.dataset.batteries)) {
-      parts.push("battery " + data.batteries[b] + " at " + data.soc[step][b] + " %");
+      parts.push("battery " + data.batteries[b] + " at " + data.soc[step][b] + "%");
     }
     return parts.join("\n");
   }
