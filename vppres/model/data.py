@@ -19,6 +19,9 @@ from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
 
+SOC_ROUNDING = 1e-6
+"""What a state of charge may miss its limits by, as a share of the capacity: no meter reads it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Physics:
@@ -124,6 +127,15 @@ class WindowData:
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
         )
+
+    def with_sound_soc(self, batteries: Batteries) -> WindowData:
+        """The window with states of charge at their limits that miss them by rounding.
+
+        A state outside leaves a battery that may not move no dispatch, however little it is.
+        """
+        inside = np.clip(self.soc, batteries.soc_min, batteries.soc_max)
+        rounding = np.abs(self.soc - inside) <= SOC_ROUNDING
+        return replace(self, soc=np.where(rounding, inside, self.soc))
 
     @property
     def physical(self) -> bool:

@@ -24,6 +24,7 @@ from vppres.model.reduction import Reduction
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.tie_breakers import TieBreakerModel, charging_modes
+from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Candidate
 from vppres.solve.compiled import compiled_for
@@ -185,12 +186,25 @@ def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     data = task.data.for_service(found.dispatch.served)
     attempt = _by_tie_breakers(task, data, found.dispatch)
     task.certificate.note("tie_breakers", attempt.outcome)
-    if attempt.dispatch is None:
+    return carried(task, data, found, attempt.dispatch)
+
+
+def carried(
+    task: WindowTask, data: WindowData, found: Candidate, dispatch: Dispatch | None
+) -> Candidate | None:
+    """The candidate with a dispatch in the network, None if that breaks a row of the window.
+
+    Every answer comes through here: none is one because a solver calls it so.
+    """
+    if dispatch is None:
         return None
-    return found.carried_by(task.site, data, attempt.dispatch)
+    if broken(task.site, data, dispatch):
+        task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
+        return None
+    return found.carried_by(task.site, data, dispatch)
 
 
-def polished(task: WindowTask, found: Candidate) -> Candidate:
+def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch of the network with the tie-breakers, or with the least reactive power.
 
     What only minimises cost has any reactive power that the discs allow. Its losses would be the
@@ -199,13 +213,12 @@ def polished(task: WindowTask, found: Candidate) -> Candidate:
     return with_tie_breakers(task, found) or with_least_reactive(task, found)
 
 
-def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate:
+def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch with the least reactive power that its active power needs."""
     data = task.data.for_service(found.dispatch.served)
     attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
-    assert attempt.dispatch is not None
-    return found.carried_by(task.site, data, attempt.dispatch)
+    return carried(task, data, found, attempt.dispatch)
 
 
 def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:

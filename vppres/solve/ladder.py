@@ -132,6 +132,7 @@ class WindowSolver:
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
         limits = self.limits.at_most(within_s)
+        data = data.with_sound_soc(self.site.batteries)
         if self.method == "decomposed" and falls_apart(self.site, data):
             return solve_apart(data, limits, self._solve)
         return self._solve(data, limits)
@@ -179,6 +180,7 @@ class WindowSolver:
         within_s : float, optional
             Time that it may take, in s, where that is less than the limit.
         """
+        data = data.with_sound_soc(self.site.batteries)
         task = self._task(data, self.limits.at_most(within_s))
         if before is not None and keeps_turns:
             keep_with_turns(task, before)

@@ -43,10 +43,15 @@ class Status(enum.StrEnum):
 
     @property
     def has_answer(self) -> bool:
-        """Whether values came with it."""
-        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.GAP_OPEN, Status.INACCURATE)
+        """Whether values came with it that the solver vouches for."""
+        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.GAP_OPEN)
 
 
+_GAVE_UP = (
+    NumericalError,
+    "made the solver give up for numerical reasons. Try another "
+    "--solver, or check the data for extreme values",
+)
 _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
     Status.INFEASIBLE: (
         InfeasibleError,
@@ -55,11 +60,8 @@ _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
         "PV inverters' ratings",
     ),
     Status.UNBOUNDED: (UnboundedError, "is unbounded. A price, weight or limit is not finite"),
-    Status.NUMERICAL: (
-        NumericalError,
-        "made the solver give up for numerical reasons. Try another "
-        "--solver, or check the data for extreme values",
-    ),
+    Status.NUMERICAL: _GAVE_UP,
+    Status.INACCURATE: _GAVE_UP,
     Status.NO_ANSWER: (
         LimitError,
         "was not solved before the time limit. Raise --time-limit, or use --method decomposed",

@@ -20,7 +20,7 @@ from vppres.model.squares import Squares, largest_flow
 from vppres.model.units import dispatch_in_kw, site_in_unit, window_in_unit
 from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
-from vppres.solve.dispatch import window_model
+from vppres.solve.dispatch import carried, window_model
 from vppres.solve.result import WindowSolution
 from vppres.solve.solvers import run_with
 from vppres.solve.task import WindowTask
@@ -135,7 +135,8 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
     dispatch = dispatch_in_kw(model.dispatch(), choices.unit_kw)
     served = task.data.for_service(dispatch.served)
     known.bound_by(outcome.bound)
-    known.keep(Candidate.of(task.site, served, dispatch, np.inf, in_network=True))
+    found = Candidate.of(task.site, served, dispatch, np.inf, in_network=False)
+    known.keep(carried(task, served, found, dispatch))
     return replace(_with_gaps(task, task.solution()), status=outcome.status)
 
 

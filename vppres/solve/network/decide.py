@@ -259,5 +259,5 @@ class InNetwork:
         netted, fits = net_modes(task.site, data, dispatch)
         if not fits:
             return None
-        carried = Candidate.of(task.site, data, netted, 0.0, in_network=True)
-        return with_least_reactive(task, carried) if task.is_large else polished(task, carried)
+        cheapest = Candidate.of(task.site, data, netted, 0.0, in_network=False)
+        return with_least_reactive(task, cheapest) if task.is_large else polished(task, cheapest)

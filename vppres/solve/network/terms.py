@@ -80,7 +80,7 @@ def _carried(task: WindowTask, terms: NetworkTerms, chosen: Floats) -> Candidate
     if dispatch is None:
         return None
     data = task.data.for_service(dispatch.served)
-    found = Candidate.of(task.site, data, dispatch, np.inf, in_network=True)
+    found = Candidate.of(task.site, data, dispatch, np.inf, in_network=False)
     return polished(task, found)
 
 

@@ -1,0 +1,188 @@
+"""How far a dispatch is from what its window asks for: every row again, in numpy, apart from cvxpy.
+
+A solver's status says that it is content. This says whether the dispatch can be had: an answer is
+one only if it breaks no row of its window by more than the tolerances here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
+from vppres.model.data import SOC_ROUNDING, WindowData
+from vppres.model.formulas import bus_injections, cell_kw, soc_after, voltage_drop_pu2
+from vppres.model.site import Site
+
+POWER_TOLERANCE_KW = 1e-3
+POWER_TOLERANCE_REL = 1e-5
+"""By how much a power may miss a limit or a balance: a watt, or this share of the largest demand or
+rating, which is far below what a meter reads and ten times what the solvers leave."""
+
+VOLTAGE_TOLERANCE_PU2 = 1e-5
+"""By how much a squared voltage may miss a limit, in pu²: about 5e-6 pu."""
+
+Excess = dict[str, float]
+"""What each family of rows is exceeded by at most, as a multiple of its tolerance."""
+
+
+def broken(site: Site, data: WindowData, dispatch: Dispatch) -> list[str]:
+    """Families of rows that a dispatch in the network breaks, empty if it is one of the window.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window, with the demand that the service brings about (``WindowData.for_service``).
+    dispatch : Dispatch
+        Flows, reactive power and voltages included.
+    """
+    found = excesses(site, data, dispatch)
+    return [name for name, excess in found.items() if not excess <= 1.0]
+
+
+def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
+    """Worst excess over each family of rows as a multiple of its tolerance; NaN exceeds all."""
+    families: tuple[Callable[[Site, WindowData, Dispatch], Excess], ...] = (
+        _batteries,
+        _energy,
+        _pv,
+        _grid,
+        _balances,
+        _voltages,
+    )
+    rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
+    found = {"switching rules": 2.0 * rules}
+    for family in families:
+        found |= family(site, data, dispatch)
+    return found
+
+
+def _most(tolerance: float, *over: Floats) -> float:
+    """Largest of some excesses in the unit of a tolerance, NaN where there is any."""
+    return float(np.max([np.max(each, initial=0.0) for each in over])) / tolerance
+
+
+def _power_tolerance(site: Site, data: WindowData) -> float:
+    """Tolerance of powers in kW."""
+    ratings = (site.batteries.s_max_kva, site.pv.s_max_kva, data.load_kw)
+    largest = max(float(np.max(each, initial=0.0)) for each in ratings)
+    return POWER_TOLERANCE_KW + POWER_TOLERANCE_REL * largest
+
+
+def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Powers of the batteries: ratings, one direction at a time, inverters, headroom."""
+    b = site.batteries
+    tolerance = _power_tolerance(site, data)
+    net_kw = d.charge_kw - d.discharge_kw
+    physics = data.physics
+    kept_kw = 0.0 if physics is None else physics.headroom_kw
+    room_kw = b.p_max_kw if physics is None else active_room_kw(site, physics)
+    both_kw = np.minimum(d.charge_kw, d.discharge_kw)
+    apparent_kva = np.hypot(net_kw, d.batt_q_kvar)
+    return {
+        "battery power": _most(
+            tolerance,
+            -d.charge_kw,
+            -d.discharge_kw,
+            d.charge_kw - b.p_max_kw,
+            d.discharge_kw - b.p_max_kw,
+        ),
+        "battery modes": _most(tolerance, both_kw),
+        "battery inverter": _most(tolerance, apparent_kva + kept_kw - b.s_max_kva),
+        "battery headroom": _most(tolerance, np.abs(net_kw) - room_kw),
+    }
+
+
+def _energy(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """States of charge: where they begin, how they move, their limits."""
+    b = site.batteries
+    cells_kw = cell_kw(d.charge_kw, d.discharge_kw, data.eta_charge, data.eta_discharge)
+    moved = soc_after(data.soc, np.cumsum(cells_kw, axis=0), b, site.dt_h)
+    reserve = 0.0 if data.physics is None else data.physics.soc_reserve
+    return {
+        "state of charge": _most(
+            SOC_ROUNDING, np.abs(d.soc[0] - data.soc), np.abs(d.soc[1:] - moved)
+        ),
+        "lowest state of charge": _most(SOC_ROUNDING, b.soc_min + reserve - moved),
+        "highest state of charge": _most(SOC_ROUNDING, moved - b.soc_max),
+    }
+
+
+def _pv(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """PV power: its balance, self-consumption, inverters."""
+    tolerance = _power_tolerance(site, data)
+    served = np.where(site.alone, False, d.served[:, site.owner])
+    own_kw = data.self_limit_kw(site) * served
+    through_kw = d.pv_self_kw + d.pv_export_kw
+    return {
+        "pv power": _most(tolerance, -d.pv_self_kw, -d.pv_export_kw, -d.pv_curtailed_kw),
+        "pv balance": _most(tolerance, np.abs(through_kw + d.pv_curtailed_kw - data.pv_kw)),
+        "self-consumption": _most(tolerance, np.abs(d.pv_self_kw - own_kw)),
+        "pv inverter": _most(tolerance, np.hypot(through_kw, d.pv_q_kvar) - site.pv.s_max_kva),
+    }
+
+
+def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Exchange with the grid, and what batteries charge from."""
+    tolerance = _power_tolerance(site, data)
+    imported_kw = np.maximum(d.p_grid_kw, 0.0)
+    charged_kw = d.charge_kw.sum(axis=1)
+    fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
+    return {
+        "import": _most(tolerance, d.p_grid_kw - np.maximum(data.grid_limit_kw, 0.0)),
+        "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site)),
+        "reactive exchange": _most(tolerance, np.abs(d.q_grid_kvar)[data.dark]),
+        "circular charging": _most(tolerance, charged_kw - fed_kw),
+    }
+
+
+def _balances(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Active and reactive balance at every bus."""
+    tolerance = _power_tolerance(site, data)
+    load_kw = data.load_kw * d.served
+    battery_kw = d.discharge_kw - d.charge_kw
+    p = bus_injections(
+        site,
+        {"pv": d.pv_self_kw + d.pv_export_kw, "batteries": battery_kw, "customers": -load_kw},
+    )
+    load_kvar = load_kw * site.customers.q_per_p
+    q = bus_injections(
+        site, {"pv": d.pv_q_kvar, "batteries": d.batt_q_kvar, "customers": -load_kvar}
+    )
+    p[:, 0] += d.p_grid_kw
+    q[:, 0] += d.q_grid_kvar
+    if data.drawn is not None:
+        p = p - data.drawn.kw
+        q = q - data.drawn.kvar
+    if data.physics is not None:
+        p = p - at_far_ends(data.physics.loss_kw)
+        q = q - at_far_ends(data.physics.loss_kvar)
+    incidence = site.network.incidence.T
+    return {
+        "active balance": _most(tolerance, np.abs(p + d.p_flow_kw @ incidence)),
+        "reactive balance": _most(tolerance, np.abs(q + d.q_flow_kvar @ incidence)),
+    }
+
+
+def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Voltage drop along every line, the voltage that is held, limits; referred to the slack."""
+    net = site.network
+    u = net.u_pu2(d.v_pu)
+    steps = np.arange(d.n_steps)
+    held = np.zeros(d.n_steps, dtype=int) if data.physics is None else data.physics.reference
+    held_pu2 = net.u_pu2(net.held_pu)[held]
+    drop = voltage_drop_pu2(net, d.p_flow_kw, d.q_flow_kvar)
+    expected = u[:, net.parent] - drop + data.delta_pu2
+    limited = np.ones_like(u, dtype=bool)
+    limited[:, 0] = held > 0  # the grid's own voltage has no limit
+    return {
+        "voltage held": _most(VOLTAGE_TOLERANCE_PU2, np.abs(u[steps, held] - held_pu2)),
+        "voltage drop": _most(VOLTAGE_TOLERANCE_PU2, np.abs(u[:, 1:] - expected)),
+        "lowest voltage": _most(VOLTAGE_TOLERANCE_PU2, (net.u_min_pu2 - u)[limited]),
+        "highest voltage": _most(VOLTAGE_TOLERANCE_PU2, (u - net.u_max_pu2)[limited]),
+    }
