@@ -492,20 +492,20 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
     "computes": (
         "net.m",
-        lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1) = system('touch canary');\n",
+        lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1, 1) = system(7);\n",
         "net.m, row 3: calls 'system', which is not evaluated",
     ),
     "calls": (
         "net.m",
         lambda: b"function mpc = c\nsystem('touch canary');\n",
-        "net.m, row 2: has 'system', which is not an assignment",
+        "net.m, row 2: has 'system', which is not evaluated",
     ),
     "many names": (
         "net.m",
         lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
-        "has more than 300000 words",
+        "net.m, row 2: has the character '='",
     ),
-    "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "has more than 500000 lines"),
+    "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "mpc.baseMVA is missing"),
     "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
 }
 

@@ -1,4 +1,4 @@
-"""MATPOWER cases as pandapower nets: tables, and the arithmetic that a case does on them."""
+"""MATPOWER cases as pandapower nets."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.matpower.arithmetic import tables_of
 from vppres.feeders.matpower.names import ALL
-from vppres.feeders.matpower.text import Refused, parse
+from vppres.feeders.matpower.text import CURE, Refused, tables_of
 from vppres.feeders.net.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
 from vppres.feeders.strangers.confined import confined
 from vppres.feeders.strangers.files import read_bytes, read_text
@@ -31,12 +30,13 @@ FINITE = {
     "gen": ("GEN_BUS", "PG", "QG", "VG", "GEN_STATUS"),
     "branch": ("F_BUS", "T_BUS", "BR_R", "BR_X", "BR_B", "TAP", "SHIFT", "BR_STATUS"),
 }
+LARGEST_BUS = 1_000_000_000  # numbers of buses in published cases have at most eight digits
 F_HZ = 50.0  # pandapower has charging as capacitance; any frequency gives it back as it was
 Case = dict[str, Floats]
 
 
 def read_m(path: Path) -> Any:
-    """A case written as a MATLAB function; its arithmetic is evaluated, nothing is run.
+    """A case written as a MATLAB function; the units that it converts are computed, nothing is run.
 
     Raises
     ------
@@ -45,11 +45,11 @@ def read_m(path: Path) -> Any:
     """
     text = read_text(path, LARGEST_BYTES)
     try:
-        case = tables_of(parse(text))
+        case = tables_of(text)
     except* Refused as refused:
         raise InputError(
             [
-                Problem(path.name, one.message, one.cure, row=one.line)
+                Problem(path.name, one.message, CURE, row=one.line)
                 for one in refused.exceptions
                 if isinstance(one, Refused)
             ]
@@ -161,7 +161,16 @@ def _check_values(case: Case, name: str) -> list[Problem]:
     faults = (
         ("bus", np.setdiff1d(np.arange(len(bus)), first), "has the number of another bus"),
         ("bus", np.flatnonzero(~(_of(bus, "BASE_KV") > 0)), "has no positive BASE_KV"),
-        ("bus", np.flatnonzero((numbers < 0) | (numbers % 1 != 0)), "has no whole number"),
+        (
+            "bus",
+            np.flatnonzero((numbers < 0) | (numbers % 1 != 0) | (numbers > LARGEST_BUS)),
+            f"has no whole number up to {LARGEST_BUS}",
+        ),
+        (
+            "bus",
+            np.flatnonzero(~np.isin(_of(bus, "BUS_TYPE"), (1, 2, 3, 4))),
+            "has no BUS_TYPE from 1 to 4",
+        ),
         ("gen", _strange(_of(case["gen"], "GEN_BUS"), known), "is at a bus that is not in mpc.bus"),
         *(
             ("branch", _strange(_of(case["branch"], end), known), f"has an unknown {end}")

@@ -1,597 +1,384 @@
-"""Text of a MATLAB file as a tree of assignments; nothing of it is run here.
+"""A MATPOWER case written as a MATLAB function: its tables, and the units that it converts.
 
-What is read is the arithmetic that case files do on their tables: assignments, indices, operators,
-calls of functions by name, and loops over known values. Any other statement is refused with its
-line.
+Nothing is run. A statement is a table of numbers, a text or cell, which are left out, or arithmetic
+on columns: ``mpc.branch(:, [BR_R BR_X]) = mpc.branch(:, [BR_R BR_X]) / (Vbase^2 / Sbase)``. Such an
+expression is written in Python's words, parsed by Python, and computed node by node with numpy.
+What is neither is refused with its line.
 """
 
 from __future__ import annotations
 
+import ast
+import operator
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Floats
-
-DEEPEST = 30
-MOST_LINES = 500_000
-MOST_TOKENS = 300_000  # without the rows of plain numbers, which are one each
-MOST_REFUSED = 20
+from vppres.feeders.matpower.names import ALL, FUNCTIONS
 
 CURE = "Load the case in MATPOWER, write it with savecase, and import that file."
 """The way out for whatever is not read here."""
 
-_BLOCKS = {"if", "while", "switch", "try", "parfor", "do", "function", "unwind_protect"}
-_NUMBER = re.compile(r"(?:\d+(?:\.(?![*/^\\'])\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
-_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
-_OPERATOR = re.compile(r"\.[*/^']|[=~!<>]=|&&|\|\||[-+*/^=<>&|~!(),;:\[\]{}.'@\\\"]")
-_BLANK = re.compile(r"[ \t\r\f]+")
-# Rows of plain numbers, which is what nearly all of a case is.
-_PLAIN = re.compile(r"\[([0-9eE.+\-\s;,InfNaN]*)\]")
-_SIGNS = re.compile(r"(?<![eE\s;,])[+-]|[+-]\s")
-_ROWS = re.compile(r"[;\n]")
-_TEXT = re.compile(r"'(?:[^'\n]|'')*'|\"(?:[^\"\n]|\"\")*\"")  # a quote twice stands for itself
-_BEFORE_TRANSPOSE = re.compile(r"[\w)\]}'.]")
-_OPENS = {"(": ")", "[": "]", "{": "}"}
+MOST_REFUSED = 20
+MOST_STATEMENTS = 1000  # the cases that come with MATPOWER have some 40
+MOST_SIGNS = 200_000  # brackets, and ends of statements and lines outside of tables
+MOST_WORK = 100_000_000  # numbers that all operations together may make
+LONGEST_EXPRESSION = 300  # characters
+
+_TEXT_OR_COMMENT = re.compile(r"'(?:[^'\n]|'')*'|\"[^\"\n]*\"|[%#][^\n]*")
+_CONTINUED = re.compile(r"\.\.\.[^\n]*\n")
+_END_OR_BRACKET = re.compile(r"[;,\n()\[\]{}]")
+_PLAIN_ROWS = re.compile(r"[^()\[\]{}]*")
+
+_HEAD = re.compile(r"function\s+(?:(\w+)\s*=\s*)?\w+(?:\s*\(\s*\))?$")
+_OUTPUTS = re.compile(r"\[([\w\s,~!]*)\]\s*=\s*(\w+)(?:\s*\(\s*\))?$")
+_ASSIGNMENT = re.compile(r"([A-Za-z][\w.]*)\s*(\(.*\))?\s*=(?!=)\s*(.*)$", re.DOTALL)
+_CELL_OR_STRUCTURE = re.compile(r"[A-Za-z]\w*(?:\.\w+){2,}|[A-Za-z][\w.]*\s*\{")
+_NAME = re.compile(r"[A-Za-z]\w*")
+_EXPRESSION = re.compile(r"[\w\s.,:+\-*/^()\[\]]*", re.ASCII)
+_COLUMNS = re.compile(r"\[([^\[\]]*)\]")
+_COLUMN = re.compile(r"\w+")
+_WHOLE = re.compile(r"(?<=[(,])\s*:\s*(?=[,)])")  # all rows or columns
+# From MATLAB's operators to such of Python's that bind alike: `*` and `/` take no two matrices, a
+# range binds last, and `^`, which takes no matrix, has a sign for its exponent.
+_OPERATORS = re.compile(r"\.\*|\./|\.\^|\*|\^|:")
+_PYTHON = {".*": "*", "./": "//", ".^": "**", "*": "@", "^": "** +", ":": "|"}
+
+_ELEMENTWISE: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.MatMult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_CALLS: dict[str, Callable[[Any], Any]] = {
+    "abs": np.abs,
+    "acos": np.arccos,
+    "asin": np.arcsin,
+    "atan": np.arctan,
+    "cos": np.cos,
+    "sin": np.sin,
+    "sqrt": np.sqrt,
+    "tan": np.tan,
+}
 
 
 class Refused(Exception):
-    """A statement that is not read: its line, why, and the cure."""
+    """A statement that is not read: its line, and why."""
 
-    def __init__(self, line: int, message: str, cure: str = CURE) -> None:
+    def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
         self.line = line
         self.message = message
-        self.cure = cure
 
 
-# Expressions
-
-
-@dataclass(frozen=True)
-class Table:
-    """A number, or rows of numbers."""
-
-    value: Floats
-
-
-@dataclass(frozen=True)
-class Opaque:
-    """A text or a cell: kept away from arithmetic."""
-
-
-@dataclass(frozen=True)
-class Colon:
-    """All rows or columns."""
-
-
-@dataclass(frozen=True)
-class End:
-    """The last row or column."""
-
-
-@dataclass(frozen=True)
-class Name:
-    """A variable or constant, or a field of the case, which has a dot."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class Call:
-    """An indexed variable or a function of arguments: MATLAB writes both alike."""
-
-    name: str
-    arguments: tuple[Expression, ...]
-
-
-@dataclass(frozen=True)
-class Operation:
-    """An operator between its operands; transposition and signs have one."""
-
-    operator: str
-    operands: tuple[Expression, ...]
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Rows of expressions in brackets."""
-
-    rows: tuple[tuple[Expression, ...], ...]
-
-
-Expression = Table | Opaque | Colon | End | Name | Call | Operation | Rows
-
-
-# Statements
-
-
-@dataclass(frozen=True)
-class Assign:
-    """``target = value`` or ``target(index) = value``."""
-
-    line: int
-    target: str
-    index: tuple[Expression, ...]
-    value: Expression
-
-
-@dataclass(frozen=True)
-class Define:
-    """Names for the outputs of one of MATPOWER's functions of constants; none for all of them."""
-
-    line: int
-    names: tuple[str, ...]
-    function: str
-
-
-@dataclass(frozen=True)
-class Loop:
-    """``for name = values``, with what is done for each."""
-
-    line: int
-    name: str
-    values: Expression
-    body: tuple[Statement, ...]
-
-
-Statement = Assign | Define | Loop
-
-
-@dataclass(frozen=True)
-class Program:
-    """The statements of a case, in order, and the name of the case in them."""
-
-    case: str
-    statements: tuple[Statement, ...]
-
-
-def parse(text: str) -> Program:
-    r"""The statements of a file.
+def tables_of(text: str) -> dict[str, Floats]:
+    r"""The fields of a case after its last statement, by name, shape (rows, columns) each.
 
     Raises
     ------
     ExceptionGroup
-        Of :class:`Refused`, one for each statement that is not read.
+        Of :class:`Refused`, one for each statement that is not read; arithmetic is only tried
+        before the first of them.
 
     Examples
     --------
-    >>> parse("function mpc = c\nmpc.baseMVA = 2 * 5;").statements[0].target
-    'mpc.baseMVA'
+    >>> tables_of("mpc.bus = [1 5e3; 2 7e3];\nmpc.bus(:, 2) = mpc.bus(:, 2) / 1e3;")["bus"]
+    array([[1., 5.],
+           [2., 7.]])
     """
-    if text.count("\n") > MOST_LINES:
-        raise ExceptionGroup("", [Refused(MOST_LINES, f"has more than {MOST_LINES} lines")])
-    return _Parser(list(_tokens(_without_comments(text)))).program()
+    case = _Case()
+    refused: list[Refused] = []
+    for count, (line, statement) in enumerate(_statements(text)):
+        if statement == "return":
+            break
+        try:
+            if count >= MOST_STATEMENTS:
+                raise _Wrong(f"has more than {MOST_STATEMENTS} statements")
+            case.read(statement, compute=not refused)
+        except RecursionError:
+            refused.append(Refused(line, "has too long an expression"))
+        except _Wrong as wrong:
+            refused.append(Refused(line, str(wrong)))
+            if count >= MOST_STATEMENTS or len(refused) == MOST_REFUSED:
+                break
+    if refused:
+        raise ExceptionGroup("", refused)
+    prefix = f"{case.name}."
+    return {
+        name.removeprefix(prefix): value
+        for name, value in case.values.items()
+        if name.startswith(prefix)
+    }
 
 
-# From text to tokens
+class _Wrong(Exception):
+    """Why a statement is not read; it is given its line where it is."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Token:
-    """``kind`` is ``number``, ``name``, ``text``, ``table``, ``line``, ``end`` or the operator."""
-
-    kind: str
-    text: str
-    line: int
-    blank_before: bool
-    value: Floats | None = None
-
-
-def _without_comments(text: str) -> str:
-    """The same lines without comments; form feeds stand for the ends of continued lines."""
-    found = []
-    in_block = False
-    for line in text.replace("\f", " ").split("\n"):
-        word = line.strip()
-        if word in ("%{", "#{"):
-            in_block = True
-        kept = "" if in_block else _code_of(line)
-        if word in ("%}", "#}"):
-            in_block = False
-        code, dots, _ = kept.partition("...")
-        found.append(f"{code}\f" if dots else f"{code}\n")
-    return "".join(found)
-
-
-def _code_of(line: str) -> str:
-    """A line up to its comment; a quote after an operand transposes, any other opens a text."""
-    if "%" not in line and "#" not in line:
-        return line
-    at = 0
-    while at < len(line):
-        if line[at] in "%#":
-            return line[:at]
-        text = _TEXT.match(line, at)
-        transposes = line[at] == "'" and at and _BEFORE_TRANSPOSE.match(line[at - 1])
-        at = text.end() if text and not transposes else at + 1
-    return line
-
-
-def _tokens(text: str) -> Iterator[_Token]:
-    """The tokens of a text."""
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """The statements with the lines in which they begin; texts are empty, comments left out."""
+    text = _without_block_comments(text.replace("\v", " "))
+    text = _TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] in "%#" else "''", text)
+    text = _CONTINUED.sub("\v", text) + "\n"
+    begin = at = depth = 0
     line = 1
-    at = 0
-    count = 0
-    blank = False
-    previous = ""
-    while at < len(text):
-        space = _BLANK.match(text, at)
-        if space:
-            line += space[0].count("\f")
-            at = space.end()
-            blank = True
-            continue
-        token = _token_at(text, at, line, blank, previous)
-        count += 1
-        if count > MOST_TOKENS:
-            raise ExceptionGroup("", [Refused(line, f"has more than {MOST_TOKENS} words")])
-        yield token
-        line += text.count("\n", at, at + len(token.text)) + text.count(
-            "\f", at, at + len(token.text)
-        )
-        at += len(token.text)
-        blank = False
-        previous = token.kind
-    yield _Token("end", "", line, True)
+    for _ in range(MOST_SIGNS):
+        found = _END_OR_BRACKET.search(text, at)
+        if found is None:
+            break
+        at = found.end()
+        sign = found[0]
+        if sign in "([{":
+            depth += 1
+            rows = _PLAIN_ROWS.match(text, at)
+            at = rows.end() if rows else at
+        elif sign in ")]}":
+            depth = max(depth - 1, 0)
+        elif depth == 0:
+            statement = text[begin : found.start()]
+            ahead = len(statement) - len(statement.lstrip())
+            line += _lines(statement[:ahead])
+            if statement.strip():
+                yield line, statement.strip()
+            line += _lines(statement[ahead:] + sign)
+            begin = at
+    rest = text[begin:]
+    if rest.strip():  # a bracket that is not closed, or too many signs
+        yield line + _lines(rest[: len(rest) - len(rest.lstrip())]), rest.strip()
 
 
-def _token_at(text: str, at: int, line: int, blank: bool, previous: str) -> _Token:
-    """The token that begins at a place."""
-    sign = text[at]
-    if sign == "\n":
-        return _Token("line", sign, line, blank)
-    if sign == "[":
-        plain = _PLAIN.match(text, at)
-        table = _plain_table(plain[1]) if plain else None
-        if plain and table is not None:
-            return _Token("table", plain[0], line, blank, table)
-    after_operand = previous in ("number", "name", "table", "text", ")", "]", "}", "'", ".'")
-    if sign == '"' or (sign == "'" and not (after_operand and not blank)):
-        closing = _TEXT.match(text, at)
-        if closing is None:
-            raise ExceptionGroup("", [Refused(line, "has a quote that is not closed")])
-        return _Token("text", closing[0], line, blank)
-    for kind, pattern in (("number", _NUMBER), ("name", _NAME), ("", _OPERATOR)):
-        found = pattern.match(text, at)
-        if found:
-            return _Token(kind or found[0], found[0], line, blank)
-    shown = sign if sign.isprintable() else "?"
-    raise ExceptionGroup("", [Refused(line, f"has the character '{shown}'")])
+def _without_block_comments(text: str) -> str:
+    """The same lines, those between ``%{`` and ``%}`` empty."""
+    found = []
+    inside = False
+    for line in text.splitlines():
+        word = line.strip()
+        inside = inside or word in ("%{", "#{")
+        found.append("" if inside else line)
+        inside = inside and word not in ("%}", "#}")
+    return "\n".join(found)
 
 
-def _plain_table(content: str) -> Floats | None:
-    """Rows of numbers; None where signs or words need a closer look."""
-    if _SIGNS.search(content):
+def _lines(text: str) -> int:
+    return text.count("\n") + text.count("\v")
+
+
+@dataclass
+class _Case:
+    """Values by name, and the work that is left."""
+
+    name: str = "mpc"
+    values: dict[str, Floats] = field(default_factory=dict)
+    work_left: int = MOST_WORK
+
+    def read(self, statement: str, compute: bool) -> None:
+        """Take one statement in; without ``compute`` only its kind is looked at."""
+        word = _NAME.match(statement)
+        first = word[0] if word else statement[0]
+        if first == "function":
+            self._begin(statement)
+        elif statement in ("end", "endfunction", self.name) or _CELL_OR_STRUCTURE.match(statement):
+            pass
+        elif statement == "define_constants":
+            self._name_columns(ALL)
+        elif outputs := _OUTPUTS.match(statement):
+            self._name_outputs(outputs[1].replace(",", " ").split(), outputs[2])
+        elif assignment := _ASSIGNMENT.match(statement):
+            if assignment[1] == self.name:
+                raise _Wrong(f"builds {self.name} from something else than its tables")
+            if compute:
+                self._assign(assignment[1], assignment[2] or "", assignment[3].strip())
+        else:
+            raise _Wrong(f"has '{first}', which is not evaluated")
+
+    def _begin(self, statement: str) -> None:
+        """``function mpc = name``."""
+        head = _HEAD.match(statement)
+        if head is None or self.values:
+            raise _Wrong(
+                "is a case of version 1" if "[" in statement else "is a function that is no case"
+            )
+        self.name = head[1] or self.name
+
+    def _name_outputs(self, names: list[str], function: str) -> None:
+        """``[A, B] = idx_bus``."""
+        outputs = FUNCTIONS.get(function, {})
+        if len(names) > len(outputs):
+            raise _Wrong(f"takes {len(names)} outputs of '{function}'")
+        self._name_columns(dict(zip(names, outputs.values(), strict=False)))
+
+    def _name_columns(self, columns: dict[str, int]) -> None:
+        self.values |= {name: np.array([[float(column)]]) for name, column in columns.items()}
+
+    def _assign(self, name: str, index: str, text: str) -> None:
+        """``name = value`` or ``name(index) = value``."""
+        if text.startswith(("''", "{")):
+            self.values.pop(name, None)
+        elif not index:
+            table = _table(text)
+            value = self._value(_parsed(text)) if table is None else table
+            self.values[name] = value.copy()
+        elif name not in self.values:
+            raise _Wrong(f"changes '{name}', which has no value yet")
+        else:
+            whole = self.values[name]
+            place = _parsed(f"x{index}")
+            if not isinstance(place, ast.Call):
+                raise _Wrong(f"changes something else than elements of '{name}'")
+            places = self._places(place.args, whole)
+            value = self._value(_parsed(text))
+            shape = whole[places].shape
+            if value.shape not in ((1, 1), shape):
+                raise _Wrong(f"puts {_by(value.shape)} values into {_by(shape)} places of '{name}'")
+            whole[places] = value
+
+    def _value(self, node: ast.expr) -> Floats:
+        """Value of an expression as a matrix."""
+        with np.errstate(all="ignore"):
+            found = self._computed(node)
+        self.work_left -= found.size
+        if self.work_left < 0:
+            raise _Wrong("takes more work than the arithmetic of a case")
+        return found
+
+    def _computed(self, node: ast.expr) -> Floats:
+        match node:
+            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+                return np.array([[float(str(number))]])  # infinite beyond the largest
+            case ast.Name() | ast.Attribute():
+                return self._named(ast.unparse(node))
+            case ast.List(elts=columns):
+                return np.hstack([self._value(column) for column in columns])
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return -self._value(operand)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self._value(operand)
+            case ast.BinOp(left=left, op=ast.BitOr(), right=right):
+                return self._range(self._value(left), self._value(right))
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _ELEMENTWISE:
+                return self._operated(node, self._value(left), self._value(right))
+            case ast.Call(func=ast.Name() | ast.Attribute(), args=arguments):
+                return self._called(ast.unparse(node.func), arguments)
+        raise _Wrong("has an expression that is not evaluated")
+
+    def _named(self, name: str) -> Floats:
+        if name in self.values:
+            return self.values[name]
+        if name == "pi":
+            return np.array([[np.pi]])
+        if name in ALL:
+            raise _Wrong(f"has '{name}' before define_constants or another function defines it")
+        raise _Wrong(f"has '{name}', which is no number that is known here")
+
+    def _operated(self, node: ast.BinOp, left: Floats, right: Floats) -> Floats:
+        """An operator's value, element by element."""
+        numbers = left.size == 1, right.size == 1
+        if isinstance(node.op, ast.MatMult) and not any(numbers):
+            raise _Wrong("multiplies matrices: '.*' multiplies element by element")
+        if isinstance(node.op, ast.Div) and not numbers[1]:
+            raise _Wrong("divides by a matrix: './' divides element by element")
+        if isinstance(node.op, ast.Pow):
+            if any(isinstance(part, ast.Pow) for part in ast.walk(node.right)):
+                raise _Wrong("has a power of a power")
+            if isinstance(node.right, ast.UnaryOp) and not all(numbers):
+                raise _Wrong("has the power of a matrix: '.^' takes it element by element")
+        heights, widths = zip(left.shape, right.shape, strict=True)
+        fits = all(len({*sizes} - {1}) < 2 for sizes in (heights, widths))
+        if not fits or max(heights) * max(widths) > max(left.size, right.size):
+            raise _Wrong(f"combines {_by(left.shape)} and {_by(right.shape)} numbers")
+        return _real(_ELEMENTWISE[type(node.op)](left, right), left, right)
+
+    def _range(self, first: Floats, last: Floats) -> Floats:
+        """``first:last``, for columns."""
+        ends = first.flatten().tolist() + last.flatten().tolist()
+        most = max(ALL.values())
+        if len(ends) != 2 or not all(1 <= end <= most for end in ends):
+            raise _Wrong("has a range that is not one of columns")
+        return np.arange(ends[0], ends[1] + 1).reshape(1, -1)
+
+    def _called(self, name: str, arguments: list[ast.expr]) -> Floats:
+        """Elements of a variable, or a function's value."""
+        if name in self.values:
+            whole = self.values[name]
+            found: Floats = whole[self._places(arguments, whole)]
+            return found
+        if name not in _CALLS:
+            raise _Wrong(f"calls '{name}', which is not evaluated")
+        if len(arguments) != 1:
+            raise _Wrong(f"gives '{name}' {len(arguments)} arguments")
+        value = self._value(arguments[0])
+        return _real(_CALLS[name](value), value)
+
+    def _places(self, index: list[ast.expr], whole: Floats) -> Any:
+        """Rows and columns from 0 that an index of two parts means."""
+        if len(index) != 2:
+            raise _Wrong(f"has {len(index)} indices where rows and columns are expected")
+        return np.ix_(*(self._along(*part) for part in zip(index, whole.shape, strict=True)))
+
+    def _along(self, index: ast.expr, size: int) -> Any:
+        if isinstance(index, ast.Constant) and index.value is ...:
+            return np.arange(size)
+        found = self._value(index).flatten()
+        if not np.isfinite(found).all() or (found != np.floor(found)).any() or (found < 1).any():
+            raise _Wrong("has an index that is no whole number from 1")
+        if (found > size).any():
+            raise _Wrong(f"has the index {found.max():.0f}, beyond the last, {size}")
+        return found.astype(int) - 1
+
+
+def _table(text: str) -> Floats | None:
+    """Rows of plain numbers in brackets, None for anything else."""
+    if not (text.startswith("[") and text.endswith("]")):
         return None
-    rows = [row.replace(",", " ").split() for row in _ROWS.split(content)]
+    rows = [row.replace(",", " ").split() for row in re.split(r"[;\n]", text[1:-1])]
     filled = [row for row in rows if row]
     width = len(filled[0]) if filled else 0
     if any(len(row) != width for row in filled):
-        return None
+        raise _Wrong("has rows of different lengths")
     try:
         return np.array(filled, dtype=float).reshape(len(filled), width)
     except ValueError:
         return None
 
 
-# From tokens to statements
-
-_LEVELS: tuple[tuple[str, ...], ...] = (
-    ("||", "|"),
-    ("&&", "&"),
-    ("==", "~=", "!=", "<", "<=", ">", ">="),
-    (":",),
-    ("+", "-"),
-    ("*", "/", ".*", "./"),
-)
-_SIGN_LEVEL = len(_LEVELS)
-
-
-@dataclass
-class _Parser:
-    """Tokens and the place in them."""
-
-    tokens: list[_Token]
-    at: int = 0
-    depth: int = 0
-    brackets: int = 0
-    case: str = "mpc"
-
-    @property
-    def next(self) -> _Token:
-        return self.tokens[self.at]
-
-    def take(self, kind: str = "") -> _Token:
-        """The next token, which must be of a kind."""
-        token = self.next
-        if kind and token.kind != kind:
-            raise Refused(token.line, f"has '{_shown(token)}' where '{kind}' is expected")
-        self.at = min(self.at + 1, len(self.tokens) - 1)
-        return token
-
-    def program(self) -> Program:
-        """All statements."""
-        refused: list[Refused] = []
-        found: list[Statement] = []
-        while self._skip_ends() != "end" and len(refused) < MOST_REFUSED:
-            try:
-                if self.next.text == "function" and not found:
-                    self._head()
-                elif self.next.text == "return":
-                    break
-                elif self.next.text in ("end", "endfunction"):
-                    self.take()
-                else:
-                    found += self._statement()
-            except Refused as one:
-                refused.append(one)
-                self._to_next_line()
-        if refused:
-            raise ExceptionGroup("", refused)
-        return Program(self.case, tuple(found))
-
-    def _skip_ends(self) -> str:
-        """Pass over the ends of statements; the kind of what comes then."""
-        while self.next.kind in ("line", ";", ","):
-            self.take()
-        return self.next.kind
-
-    def _to_next_line(self) -> None:
-        """Give up the line at hand."""
-        self.depth = 0
-        self.brackets = 0
-        while self.next.kind not in ("line", "end"):
-            self.take()
-
-    def _head(self) -> None:
-        """``function mpc = name``."""
-        line = self.take().line
-        if self.next.kind == "[":
-            raise Refused(line, "is a case of version 1")
-        name = self.take("name").text
-        if self.next.kind == "=":
-            self.case = name
-            self.take()
-            self.take("name")
-        if self.next.kind == "(":
-            raise Refused(line, "is a case with arguments")
-
-    def _statement(self) -> list[Statement]:
-        """One statement; none for those without effect."""
-        first = self.next
-        if first.kind == "[":
-            return [self._outputs()]
-        if first.text == "for":
-            return [self._loop()]
-        if first.kind != "name" or first.text in _BLOCKS:
-            raise Refused(first.line, f"has '{_shown(first)}', which is not evaluated")
-        if first.text == "define_constants":
-            self.take()
-            return [Define(first.line, (), first.text)]
-        return self._assignment()
-
-    def _assignment(self) -> list[Statement]:
-        """``name = value``, ``mpc.field = value`` and both with an index."""
-        first = self.next
-        name = self._dotted()
-        if name == self.case and self.next.kind in ("line", ";", "end"):
-            return []
-        if name.count(".") > 1 or self.next.kind == "{":
-            self._skip_value()  # structures and cells take no part in arithmetic
-            return []
-        index = self._arguments() if self.next.kind == "(" else ()
-        if self.next.kind != "=":
-            raise Refused(first.line, f"has '{first.text}', which is not an assignment")
-        self.take()
-        if name == self.case:
-            raise Refused(first.line, f"builds {name} from something else than its tables")
-        value = self._expression(0)
-        if self.next.kind not in ("line", ";", ",", "end"):
-            raise Refused(first.line, f"has '{_shown(self.next)}' after a value")
-        return [Assign(first.line, name, index, value)]
-
-    def _skip_value(self) -> None:
-        """Pass over a statement, whatever it holds."""
-        depth = 0
-        while self.next.kind != "end" and (depth or self.next.kind not in ("line", ";")):
-            depth += (self.next.kind in _OPENS) - (self.next.kind in _OPENS.values())
-            self.take()
-
-    def _outputs(self) -> Define:
-        """``[A, B] = idx_bus``."""
-        line = self.take().line
-        names = []
-        while self.next.kind != "]":
-            token = self.take()
-            if token.kind in ("name", "~", "!"):
-                names.append(token.text)
-            elif token.kind not in (",", "line"):
-                raise Refused(line, f"has '{_shown(token)}' among the names of outputs")
-        self.take()
-        self.take("=")
-        function = self.take("name").text
-        if self.next.kind == "(":
-            self._arguments()
-        return Define(line, tuple(names), function)
-
-    def _loop(self) -> Loop:
-        """``for name = values ... end``."""
-        line = self._deeper(self.take()).line
-        wrapped = self.next.kind == "("
-        if wrapped:
-            self.take()
-        name = self.take("name").text
-        self.take("=")
-        values = self._expression(0)
-        if wrapped:
-            self.take(")")
-        body: list[Statement] = []
-        while self._skip_ends() != "end" and self.next.text not in ("end", "endfor"):
-            body += self._statement()
-        if self.take().kind == "end":
-            raise Refused(line, "has a loop without its end")
-        self.depth -= 1
-        return Loop(line, name, values, tuple(body))
-
-    # Expressions
-
-    def _deeper(self, token: _Token) -> _Token:
-        """The token that opens a level."""
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise Refused(token.line, f"is nested more than {DEEPEST} deep")
-        return token
-
-    def _expression(self, level: int) -> Expression:
-        """Operators of a level and all that bind closer, from the left."""
-        if level == _SIGN_LEVEL:
-            return self._signed()
-        left = self._expression(level + 1)
-        operands = [left]
-        while self.next.kind in _LEVELS[level] and not self._begins_element():
-            operator = self.take().kind
-            right = self._expression(level + 1)
-            if operator == ":":
-                operands.append(right)
-                continue
-            left = Operation(operator, (left, right))
-        if len(operands) > 3:
-            raise Refused(self.next.line, "has a range of more than three parts")
-        return Operation(":", tuple(operands)) if len(operands) > 1 else left
-
-    def _begins_element(self) -> bool:
-        """Whether a sign opens the next element of a row: ``[a -b]`` has two, ``[a - b]`` one."""
-        if not self.brackets or self.next.kind not in ("+", "-") or not self.next.blank_before:
-            return False
-        return not self.tokens[self.at + 1].blank_before
-
-    def _signed(self) -> Expression:
-        """A sign or negation before a power."""
-        if self.next.kind in ("+", "-", "~", "!"):
-            token = self._deeper(self.take())
-            found = Operation(token.kind.replace("!", "~"), (self._signed(),))
-            self.depth -= 1
-            return found
-        return self._power()
-
-    def _power(self) -> Expression:
-        """Powers, from the left; a sign may stand before an exponent."""
-        base = self._transposed()
-        while self.next.kind in ("^", ".^"):
-            operator = self.take().kind
-            sign = self.take().kind if self.next.kind in ("+", "-") else ""
-            exponent = self._transposed()
-            base = Operation(operator, (base, Operation(sign, (exponent,)) if sign else exponent))
-        return base
-
-    def _transposed(self) -> Expression:
-        found = self._operand()
-        while self.next.kind in ("'", ".'"):
-            self.take()
-            found = Operation("'", (found,))
-        return found
-
-    def _operand(self) -> Expression:
-        """A number, a name, a call, brackets or parentheses."""
-        token = self.next
-        if token.kind == "number":
-            self.take()
-            return Table(np.array([[float(token.text.lower().replace("d", "e"))]]))
-        if token.kind == "table":
-            self.take()
-            assert token.value is not None
-            return Table(token.value)
-        if token.kind == "text":
-            self.take()
-            return Opaque()
-        if token.kind == "[":
-            return self._rows()
-        if token.kind == "{":
-            self._skip_cell()
-            return Opaque()
-        if token.kind == "(":
-            return self._parenthesis()
-        if token.kind == "name" and token.text == "end":
-            self.take()
-            return End()
-        if token.kind == "name" and token.text not in _BLOCKS:
-            name = self._dotted()
-            calls = self.next.kind == "(" and not (self.brackets and self.next.blank_before)
-            return Call(name, self._arguments()) if calls else Name(name)
-        raise Refused(token.line, f"has '{_shown(token)}' where a value is expected")
-
-    def _dotted(self) -> str:
-        """A name with its fields."""
-        name = self.take("name").text
-        while self.next.kind == "." and not self.next.blank_before:
-            self.take()
-            name += f".{self.take('name').text}"
-        return name
-
-    def _parenthesis(self) -> Expression:
-        self._deeper(self.take())
-        outside, self.brackets = self.brackets, 0
-        found = self._expression(0)
-        self.take(")")
-        self.brackets = outside
-        self.depth -= 1
-        return found
-
-    def _arguments(self) -> tuple[Expression, ...]:
-        """What stands in the parentheses of an index or a call."""
-        self._deeper(self.take())
-        outside, self.brackets = self.brackets, 0
-        found: list[Expression] = []
-        while self.next.kind != ")":
-            whole = self.next.kind == ":" and self.tokens[self.at + 1].kind in (",", ")")
-            found.append(Colon() if whole else self._expression(0))
-            if whole:
-                self.take()
-            if self.next.kind != ")":
-                self.take(",")
-        self.take()
-        self.brackets = outside
-        self.depth -= 1
-        return tuple(found)
-
-    def _rows(self) -> Rows:
-        """Brackets: elements part at commas and blanks, rows at semicolons and ends of lines."""
-        opening = self._deeper(self.take())
-        outside, self.brackets = self.brackets, 1
-        rows: list[tuple[Expression, ...]] = []
-        row: list[Expression] = []
-        while self.next.kind != "]":
-            if self.next.kind == "end":
-                raise Refused(opening.line, "has a bracket that is not closed")
-            if self.next.kind in (";", "line"):
-                self.take()
-                rows += [tuple(row)] if row else []
-                row = []
-            elif self.next.kind == ",":
-                self.take()
-            else:
-                row.append(self._expression(0))
-        rows += [tuple(row)] if row else []
-        self.take()
-        self.brackets = outside
-        self.depth -= 1
-        return Rows(tuple(rows))
-
-    def _skip_cell(self) -> None:
-        """Pass over a cell."""
-        line = self.next.line
-        depth = 0
-        while True:
-            depth += (self.next.kind == "{") - (self.next.kind == "}")
-            if self.take().kind == "end":
-                raise Refused(line, "has a brace that is not closed")
-            if not depth:
-                return
+def _parsed(text: str) -> ast.expr:
+    """An expression as Python's syntax tree."""
+    if "''" in text:
+        raise _Wrong("has a text where a number is expected")
+    odd = next((c for c in text if not _EXPRESSION.fullmatch(c)), None)
+    if odd is not None:
+        raise _Wrong(f"has the character '{odd if odd.isprintable() else '?'}'")
+    if len(text) > LONGEST_EXPRESSION:
+        raise _Wrong("has too long an expression")
+    words = _WHOLE.sub("...", _COLUMNS.sub(_comma_separated, text))
+    words = _OPERATORS.sub(lambda found: _PYTHON[found[0]], words)
+    try:
+        return ast.parse(" ".join(words.split()), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise _Wrong("has an expression that is not evaluated") from None
 
 
-def _shown(token: _Token) -> str:
-    """A token in a message."""
-    return {"line": "end of line", "end": "end of file"}.get(token.kind, token.text[:40])
+def _comma_separated(brackets: re.Match[str]) -> str:
+    """Columns in brackets, which blanks may part."""
+    columns = brackets[1].replace(",", " ").split()
+    if not columns or not all(_COLUMN.fullmatch(column) for column in columns):
+        raise _Wrong("has brackets that hold more than columns")
+    return f"[{', '.join(columns)}]"
+
+
+def _by(shape: tuple[int, ...]) -> str:
+    return " by ".join(map(str, shape))
+
+
+def _real(found: Floats, *sources: Floats) -> Floats:
+    """A result, unless it is not a number though all that it comes from are."""
+    if np.isnan(found).any() and all(np.isfinite(source).all() for source in sources):
+        raise _Wrong("has a result that is no real number")
+    return found
