@@ -29,7 +29,7 @@ from vppres.model.data import WindowData
 from vppres.model.forms import Form, WindowModel
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
-from vppres.report.plots import BLUE, GREEN, ORANGE, RULE_COLOUR
+from vppres.report.plots.palette import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status

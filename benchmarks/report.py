@@ -17,7 +17,7 @@ from experiments.tables import template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.report.plots import save_figure
+from vppres.studies.drawing import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN = "report.md"

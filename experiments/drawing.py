@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from experiments.results import DayResult
 from vppres.core.arrays import Floats
-from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, draw_grid
+from vppres.report.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+from vppres.studies.drawing import draw_grid
 
 MPC = "MPC"
 FULL = "full horizon"

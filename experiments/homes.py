@@ -26,8 +26,9 @@ from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
-from vppres.report.plots import BLUE, draw_grid, save_figure
+from vppres.report.plots.palette import BLUE
 from vppres.scenario.scenario import Scenario
+from vppres.studies.drawing import draw_grid, save_figure
 
 FORECASTERS = {
     "paper": "perfect forecasts",

@@ -21,12 +21,9 @@ from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
 
-from matplotlib.figure import Figure
-
 from experiments.mutations import small_folder
 from vppres.cli.commands import app
 from vppres.io import atomic_write_text
-from vppres.report.plots import FIGURES, RUN_FIGURES
 
 MARK = "VPPRES_KILLED"  # in the environment of all that a killed command has started
 PATIENCE_S = 20.0  # in which orphans must be gone; they look every half second
@@ -253,13 +250,6 @@ def study(day: Path, kills: int, seed: int = 0, kinds: Sequence[str] = tuple(COM
         return killing.tally
 
 
-def draw_nothing() -> None:
-    """Let this process and its copies draw empty figures: more of the kills fall on files."""
-    for figures in (FIGURES, RUN_FIGURES):
-        for name in figures:
-            figures[name] = lambda _: Figure(figsize=(1.0, 1.0))
-
-
 def main() -> None:
     """Command line of the study."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -271,11 +261,8 @@ def main() -> None:
     )
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--plain", action="store_true", help="figures are drawn empty, in no time")
     parser.add_argument("--out", type=Path, default=Path("results/studies"))
     chosen = parser.parse_args()
-    if chosen.plain:
-        draw_nothing()
     with tempfile.TemporaryDirectory() as place:
         day = chosen.day or small_folder(Path(place) / "day")
         tally = study(day, chosen.kills, chosen.seed)

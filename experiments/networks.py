@@ -186,7 +186,7 @@ def _run(
         state["deviation"] = scenario.source.deviation
         options = RunOptions(horizon_h=HORIZON_H, mode=scenario.controller.mode)
         done = run_day(scenario, options)
-        write_run(done, Path(place) / "run", interactive=False)
+        write_run(done, Path(place) / "run")
     rows = done.customers[~done.customers["time"].map(_outage_of(done)).astype(bool)]
     met = float((rows["p_load_kw"] * rows["served"]).sum() / rows["p_load_kw"].sum())
     v_min = float(done.steps["v_min_ac_pu"].min())

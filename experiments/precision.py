@@ -28,8 +28,9 @@ from experiments.seeds import Results as Folder
 from experiments.settings import At, Setting, jobs_of, rows_of
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import plain_errors, show_report
-from vppres.report.plots import BLACK, draw_grid, save_figure
+from vppres.report.plots.palette import BLACK
 from vppres.scenario.weighted_gap import service_of, terms_beside_gap
+from vppres.studies.drawing import draw_grid, save_figure
 
 LABEL = "all"
 TITLE = "The paper at the precision of a weighted solve"

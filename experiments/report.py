@@ -19,7 +19,7 @@ from experiments.runner import Results
 from experiments.tables import template_environment
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.report.plots import save_figure
+from vppres.studies.drawing import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 HTML = "report.html"

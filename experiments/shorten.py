@@ -11,8 +11,8 @@ from experiments.results import DayResult
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.core.plain import json_safe
 from vppres.day.metrics import summarise
+from vppres.day.series import served_kw, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots import served_kw, stored_energy_kwh
 
 # Columns of the steps table that are kept as they are.
 STEP_COLUMNS = (

@@ -17,8 +17,9 @@ from experiments.rows import Row
 from experiments.runner import Results
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
-from vppres.report.plots import GREEN, GREY, draw_grid
+from vppres.report.plots.palette import GREEN, GREY
 from vppres.scenario.rules import SwitchingRules
+from vppres.studies.drawing import draw_grid
 
 LABEL = "not in the paper"
 TITLE = "Switching rules"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +13,6 @@ from markdown_it import MarkdownIt
 
 from vppres.core.plain import json_safe
 from vppres.io.atomic import atomic_write_text
-from vppres.report.pages import embedded_svg
 
 PAGE = """<!DOCTYPE html>
 <html lang="en-GB">
@@ -75,7 +75,8 @@ def template_environment(templates: Path, figures: Path, escape: bool) -> Enviro
     )
 
     def embedded(name: str) -> str:
-        return embedded_svg(figures / f"{name}.svg")
+        image = base64.b64encode((figures / f"{name}.svg").read_bytes()).decode("ascii")
+        return f"data:image/svg+xml;base64,{image}"
 
     environment.globals["embedded"] = embedded
     return environment

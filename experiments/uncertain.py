@@ -43,8 +43,9 @@ from vppres.day.simulate import Day
 from vppres.day.trajectory import Trajectory
 from vppres.io.find import load_scenario
 from vppres.outlook.belief import OutageBelief
-from vppres.report.plots import BLUE, draw_grid, save_figure
+from vppres.report.plots.palette import BLUE
 from vppres.scenario.scenario import Scenario
+from vppres.studies.drawing import draw_grid, save_figure
 from vppres.studies.side_by_side import Where
 
 Part = Literal["heatwave", "cigre", "wrong"]

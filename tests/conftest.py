@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 
 from tests.support.durations import Durations
 from tests.support.tiny_day import tiny_scenario
 from vppres.io import write_scenario
-from vppres.report.plots import FIGURES, RUN_FIGURES
 from vppres.scenario.scenario import Scenario
 
 
@@ -54,11 +52,3 @@ def tiny_folder(tiny: Scenario, tmp_path: Path) -> Path:
     folder = tmp_path / "tiny"
     write_scenario(tiny, folder)
     return folder
-
-
-@pytest.fixture
-def plain_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Empty figures in run folders and pages, where what they show is not what is tested."""
-    for figures in (FIGURES, RUN_FIGURES):
-        for name in figures:
-            monkeypatch.setitem(figures, name, lambda _: Figure(figsize=(1.0, 1.0)))

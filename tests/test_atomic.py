@@ -301,7 +301,7 @@ def test_a_day_is_kept_where_its_report_cannot_be_made(
 
     monkeypatch.setattr(run_folder, "save_figures", fail)
     with pytest.raises(error) as caught:
-        write_run(run, folder, interactive=False)
+        write_run(run, folder)
     assert str(caught.value) == f"{folder}: " + words.format(folder=folder)
     assert not (folder / "report.html").exists()
     kept = read_finished(folder)
@@ -416,7 +416,6 @@ def test_killed_commands_leave_the_old_result_and_no_process(
             str(tiny_folder),
             "--kills",
             "5",
-            "--plain",
             "--out",
             str(tmp_path),
         ],

@@ -20,6 +20,18 @@ from tests.support.offenders import assert_for_all
 from vppres.cli import commands as cli
 from vppres.day import simulate
 
+NOT_OF_A_RUN = (
+    "distributed",
+    "fastapi",
+    "matplotlib",
+    "networkx",
+    "opendssdirect",
+    "pandapower",
+    "resvg_py",
+    "sqlalchemy",
+)
+"""What other commands need, and no run."""
+
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
 
 
@@ -37,6 +49,40 @@ def test_start_loads_no_heavy_library(argument: str) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
+
+
+def test_a_run_with_its_report_loads_what_it_needs(tiny_folder: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom vppres.cli.commands import app\n"
+        "app(sys.argv[1:], standalone_mode=False)\n"
+        f"print('loaded', [name for name in {NOT_OF_A_RUN!r} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "run", str(tiny_folder), "--out", str(tmp_path / "run")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "loaded []"
+    assert (tmp_path / "run" / "report.html").is_file()
+
+
+def test_figures_on_demand(tiny_folder: Path, tmp_path: Path) -> None:
+    def kinds(folder: Path) -> set[str]:
+        return {file.suffix for file in (folder / "figures").glob("*")}
+
+    run = tmp_path / "run"
+    assert call("run", tiny_folder, "--out", run, "--figures", "none").exit_code == 0
+    assert (run / "report.html").is_file()
+    assert not (run / "figures").exists()
+    assert call("report", run, "--figures", "png,svg").exit_code == 0
+    assert kinds(run) == {".png", ".svg"}
+    wrong = call("run", tiny_folder, "--out", tmp_path / "no", "--figures", "pdf")
+    assert wrong.exit_code == 2
+    assert wrong.stderr == (
+        "--figures pdf: 'pdf' is not a kind of figure. Give svg, png, svg,png or none.\n"
+    )
+    assert not (tmp_path / "no").exists()
 
 
 def test_module_is_the_command() -> None:
@@ -368,10 +414,10 @@ def documented_options(command: str) -> list[str]:
 
 # What these take of `run`'s own options beside those of the day.
 OF_RUN_ALONE = {
-    "sweep": {"--out", "--explain", "--figures"},
-    "serve": {"--out", "--explain", "--figures", "--json", "--quiet"},
-    "serve export": {"--figures", "--quiet"},
-    "serve simulate": {"--out", "--explain", "--figures"},
+    "sweep": {"--out", "--explain", "--figures", "--no-figures"},
+    "serve": {"--out", "--explain", "--figures", "--no-figures", "--json", "--quiet"},
+    "serve export": {"--figures", "--no-figures", "--quiet"},
+    "serve simulate": {"--out", "--explain", "--figures", "--no-figures"},
 }
 
 

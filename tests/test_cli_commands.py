@@ -22,7 +22,7 @@ from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots import FIGURES
+from vppres.report.plots.files import FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies import sweep, sweep_parameters
@@ -78,7 +78,7 @@ def without_solving(scenario: Scenario, options: RunOptions) -> Trajectory:
 
 
 @pytest.fixture
-def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plain_figures: None) -> Path:
+def small_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The small day as a scenario folder, and runs of it that are not solved."""
     monkeypatch.setattr(sweep, "run_day", without_solving)
     folder = tmp_path / "small"
@@ -220,7 +220,6 @@ def test_validate_loads_neither_solver_nor_power_flow_nor_figures() -> None:
 # JSON of run and scenarios
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
     result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -246,7 +245,6 @@ def test_report_is_drawn_again(two_runs: list[Path]) -> None:
     assert file.read_text(encoding="utf-8") == old
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_report_keeps_recorded_figures_and_adds_missing_ones(
     two_runs: list[Path], tmp_path: Path
 ) -> None:
@@ -264,7 +262,6 @@ def test_report_keeps_recorded_figures_and_adds_missing_ones(
     assert OUTWARD.findall(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) == []
 
 
-@pytest.mark.usefixtures("plain_figures")
 @pytest.mark.parametrize(
     ("spoiled", "message"),
     [
@@ -297,7 +294,6 @@ def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> 
     assert message in result.stderr
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_report_of_a_file(two_runs: list[Path]) -> None:
     file = two_runs[0] / "summary.json"
     assert call("report", file).stderr == (
@@ -305,7 +301,6 @@ def test_report_of_a_file(two_runs: list[Path]) -> None:
     )
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> None:
     (tmp_path / "letter").write_text("keep", encoding="utf-8")
     result = call("report", two_runs[0], "--out", tmp_path / "letter" / "report.html")
@@ -317,7 +312,6 @@ def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> No
 # compare
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_compare_by_hand(two_runs: list[Path], tmp_path: Path) -> None:
     result = call("compare", *two_runs, "--out", tmp_path / "both.html", "--json")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -353,7 +347,6 @@ def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path
     assert "The runs differ in their scenario." not in text
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     shutil.copytree(two_runs[0], tmp_path / "copy")
     call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
@@ -362,7 +355,6 @@ def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     assert "None: every customer was off supply for the same time in each run." in text
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_compare_says_that_scenarios_differ(two_runs: list[Path], tmp_path: Path) -> None:
     day = small_scenario()
     write_run(small_run(replace(day, load_kw=day.load_kw * 2)), tmp_path / "double")
@@ -380,7 +372,6 @@ def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path], tmp_
     ]
 
 
-@pytest.mark.usefixtures("plain_figures")
 @pytest.mark.parametrize(
     ("choose", "message"),
     [
@@ -407,7 +398,6 @@ def test_runs_that_cannot_be_compared(two_runs: list[Path], choose: Any, message
     assert result.stderr == message.format(a=two_runs[0], b=two_runs[1])
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
     write_run(small_run(small_scenario(step_minutes=15.0)), tmp_path / "quarters")
     result = call("compare", two_runs[0], tmp_path / "quarters", "--out", tmp_path / "x.html")

@@ -102,9 +102,7 @@ def test_actions_are_limited_by_the_day_of_the_run(tiny: Scenario) -> None:
     assert by_24_h.sum(axis=0).max() == 4  # more than two in the run
 
 
-def test_a_run_of_days_has_a_table_and_a_section_of_them(
-    tmp_path: Path, plain_figures: None
-) -> None:
+def test_a_run_of_days_has_a_table_and_a_section_of_them(tmp_path: Path) -> None:
     run = made_up("2022-07-18T23:00Z")
     write_run(run, tmp_path / "two")
     assert pd.read_parquet(tmp_path / "two" / DAYS_FILE).equals(daily_figures(run))

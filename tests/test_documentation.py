@@ -132,11 +132,9 @@ SYBIL = Sybil(
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_blocks_of_the_page_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if page.name != "README.md":  # one page draws what a reader gets; the others run commands
-        request.getfixturevalue("plain_figures")
     for example in SYBIL.parse(page).examples():
         example.evaluate()
 

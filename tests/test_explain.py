@@ -339,7 +339,6 @@ def test_a_second_explanation_is_the_same(heatwave: Trajectory, explained: Traje
         pd.testing.assert_frame_equal(before, after)
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
     explained: Trajectory, tmp_path: Path
 ) -> None:
@@ -356,7 +355,6 @@ def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
         assert "11 to 20 of 32 customers were served" in page
 
 
-@pytest.mark.usefixtures("plain_figures")
 def test_a_report_without_explanation_has_no_such_section(tmp_path: Path) -> None:
     write_run(small_run(), tmp_path / "run")
     assert "and why" not in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots import energy_and_price
+from vppres.report.plots.energy import energy_and_price
 from vppres.scenario.scenario import Scenario
 
 
@@ -62,5 +62,4 @@ def test_the_day_takes_more_when_it_is_paid(tiny: Scenario, paid: Scenario) -> N
 
 def test_prices_below_zero_are_drawn(paid: Scenario) -> None:
     run = run_day(paid, RunOptions(horizon_h=0.0))
-    price = energy_and_price(run).axes[2]
-    assert price.get_ylim()[0] < -0.45
+    assert energy_and_price(run).panels[2]._range[0] < -0.45

@@ -20,7 +20,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.report.plots import figure_names
+from vppres.report.plots.files import figure_names
 from vppres.report.plots.outages import outage_belief
 from vppres.report.run_folder import write_run
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -314,8 +314,8 @@ def test_the_report_shows_the_belief_beside_what_came(tiny: Scenario, tmp_path: 
     assert np.diagonal(believed).tolist() == run.scenario.outage.astype(float).tolist()
     assert np.isnan(believed[np.tril_indices(6, -1)]).all()
     figure = outage_belief(run)
-    curve = next(line for line in figure.axes[0].lines if line.get_label() == "1 h before")
-    assert curve.get_ydata()[1:-1] == pytest.approx(np.diagonal(believed, 1))
+    curve = next(curve for curve in figure.panels[0].curves if curve.name == "1 h before")
+    assert curve.values[1:] == pytest.approx(np.diagonal(believed, 1))
     write_run(run, tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "Outage forecasts and outcomes" in page

@@ -12,7 +12,6 @@ import math
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -29,10 +28,12 @@ from vppres.cli.options import (
     Commands,
     DayCommand,
     Debug,
+    Figures,
     Json,
     Quiet,
     RunFolder,
     ScenarioName,
+    figure_kinds,
     run_options,
 )
 from vppres.cli.progress import progress_bar, run_with_bar
@@ -53,7 +54,6 @@ from vppres.core.errors import InputError, Problem, VerificationError
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
     from vppres.feeders.cross_check import CrossCheck
-    from vppres.report.drawing import DrawingProcesses
     from vppres.scenario.scenario import Scenario
     from vppres.studies.sweep import SweepRow
 
@@ -136,13 +136,14 @@ def run(
         bool,
         typer.Option(help="Find a reason for every action and the shadow prices after the day."),
     ] = True,
-    figures: Annotated[
+    figures: Figures = "svg",
+    no_figures: Annotated[
         bool,
         typer.Option(
-            help="Draw the figures and write the report; without them there are tables, and report "
-            "writes the page later."
+            "--no-figures",
+            help="Write tables alone; report draws the figures and writes the page later.",
         ),
-    ] = True,
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -152,14 +153,16 @@ def run(
         from vppres.io.atomic import check_target
         from vppres.io.find import load_scenario
 
+        kinds = figure_kinds(figures)
         day = load_scenario(scenario)
-        too_long = figures and day.grid.n_steps > MOST_DRAWN
-        with _drawing(figures and not too_long) as drawing:
-            options = run_options(day, context.obj)
-            folder = out or RESULTS / f"{day.name}-{options.controller}"
-            check_target(folder)  # before the work, not after it
-            done = run_with_bar(day, options, quiet)
-            summary = _write(done, folder, explain, drawing)
+        too_long = not no_figures and day.grid.n_steps > MOST_DRAWN
+        options = run_options(day, context.obj)
+        folder = out or RESULTS / f"{day.name}-{options.controller}"
+        check_target(folder)  # before the work, not after it
+        done = run_with_bar(day, options, quiet)
+        if explain:
+            done = _explained(done)
+        summary = _written(done, folder, not (no_figures or too_long), kinds)
         if as_json:
             _print_json({"folder": str(folder), "summary": summary})
             return
@@ -249,6 +252,7 @@ def report(
             help="Value of lost load for energy not supplied; the scenario's if not given.",
         ),
     ] = None,
+    figures: Figures = "none",
     debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
@@ -264,7 +268,7 @@ def report(
         browser = find_browser() if pdf else ""
         done = read_finished(run_folder)
         done = done if voll is None else priced(done, voll)
-        for written in rewrite_report(done, file, browser):
+        for written in rewrite_report(done, file, browser, figure_kinds(figures)):
             typer.echo(f"Written to {written}")
 
 
@@ -549,7 +553,9 @@ def export(
         day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj))
         run = past.export(served, state or f"{day.name}.live", begin, end)
-        summary = _write(run, out, explain, None)
+        if explain:
+            run = _explained(run)
+        summary = _written(run, out, False, ())
         if as_json:
             _print_json({"folder": str(out), **summary})
             return
@@ -682,27 +688,18 @@ def scenarios(as_json: Json = False) -> None:
             typer.echo(name)
 
 
-def _drawing(figures: bool) -> AbstractContextManager[DrawingProcesses | None]:
-    """Processes that begin to load what they draw with, before this one loads the solvers."""
-    from vppres.report.drawing import DrawingProcesses
-
-    return DrawingProcesses.where_they_help() if figures else nullcontext()
-
-
-def _write(
-    done: Trajectory, folder: Path, explain: bool, drawing: DrawingProcesses | None
-) -> dict[str, Any]:
-    """Write a run folder; the figures are drawn while the day is explained."""
+def _explained(done: Trajectory) -> Trajectory:
+    """A finished day with the reasons of its actions and the shadow prices."""
     from vppres.explain.day import explain_day
+
+    return explain_day(done)
+
+
+def _written(done: Trajectory, folder: Path, figures: bool, kinds: Sequence[str]) -> dict[str, Any]:
+    """Write a run folder; its summary."""
     from vppres.report.run_folder import write_run
 
-    if drawing is not None:
-        drawing.begin(done)
-    if explain:
-        done = explain_day(done)
-    if drawing is None:
-        return write_run(done, folder, figures=False)
-    return write_run(done, folder, draw=drawing.save)
+    return write_run(done, folder, figures, kinds)
 
 
 def _print_json(record: object) -> None:

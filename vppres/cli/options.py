@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from vppres.core.errors import InputError
 from vppres.scenario.option_table import OPTIONS, POSITIVE, Option
 
 if TYPE_CHECKING:
@@ -44,6 +45,33 @@ ScenarioName = Annotated[
     ),
 ]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN_FOLDER", help="A folder that run wrote.")]
+
+
+def figure_kinds(text: str) -> tuple[str, ...]:
+    """Kinds of files of figures, as ``--figures`` names them; others are an InputError.
+
+    >>> figure_kinds("png,svg"), figure_kinds("none")
+    (('png', 'svg'), ())
+    """
+    kinds = tuple(kind.strip() for kind in text.split(","))
+    if kinds in (("none",), ("",)):
+        return ()
+    wrong = [kind for kind in kinds if kind not in ("png", "svg")]
+    if wrong:
+        raise InputError(
+            f"--figures {text}: {wrong[0]!r} is not a kind of figure. Give svg, png, svg,png or "
+            "none."
+        )
+    return kinds
+
+
+Figures = Annotated[
+    str,
+    typer.Option(
+        metavar="KINDS",
+        help="Files of the figures beside the report: svg, png, svg,png or none.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress bar.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]

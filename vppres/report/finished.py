@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,11 @@ from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_figures
 from vppres.day.run_files import read_run
 from vppres.day.trajectory import Trajectory
-from vppres.io.atomic import remove_leftovers, scratch_folder
+from vppres.io.atomic import remove_leftovers
 from vppres.report.pages import write_page
 from vppres.report.pdf import write_pdf
-from vppres.report.plots import save_figures
-from vppres.report.run_folder import SUMMARY_FILE, render_report
+from vppres.report.plots.files import save_figures
+from vppres.report.run_folder import FIGURES_FOLDER, SUMMARY_FILE, render_report
 
 _CURE = "Give a folder written by a run."
 
@@ -75,7 +75,9 @@ def priced(run: FinishedRun, voll_gbp_per_kwh: float) -> FinishedRun:
     return FinishedRun(run.folder, trajectory, summary)
 
 
-def rewrite_report(run: FinishedRun, file: Path, browser: str = "") -> list[Path]:
+def rewrite_report(
+    run: FinishedRun, file: Path, browser: str = "", kinds: Sequence[str] = ()
+) -> list[Path]:
     """Draw the figures of a run again and write its report into a file.
 
     Parameters
@@ -87,22 +89,27 @@ def rewrite_report(run: FinishedRun, file: Path, browser: str = "") -> list[Path
     browser : str
         From :func:`vppres.report.pdf.find_browser`, to print the report beside the file as PDF;
         not printed without.
+    kinds : sequence of str
+        Files of the figures to write into ``figures/`` beside the file: ``svg``, ``png``, both or
+        none.
 
     Returns
     -------
     list of Path
-        The files written.
+        What was written; of the figures their folder.
     """
-    with scratch_folder() as aside:
-        save_figures(run.trajectory, aside)
-        text = render_report(run.trajectory, dict(run.summary), aside)
-        paper = render_report(run.trajectory, dict(run.summary), aside, False) if browser else ""
+    text = render_report(run.trajectory, dict(run.summary))
     write_page(file, text)
-    if not browser:
-        return [file]
-    printed = file.with_suffix(".pdf")
-    write_pdf(paper, printed, browser)
-    return [file, printed]
+    written = [file]
+    if kinds:
+        figures = file.parent / FIGURES_FOLDER
+        save_figures(run.trajectory, figures, kinds)
+        written.append(figures)
+    if browser:
+        printed = file.with_suffix(".pdf")
+        write_pdf(text, printed, browser)
+        written.append(printed)
+    return written
 
 
 def _read_summary(file: Path) -> dict[str, Any]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import to_hex
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
+from vppres.report.plots.palette import cividis
 from vppres.report.tree_layout import tree_layout
 
 COLUMN_PX = 50
@@ -116,8 +115,7 @@ def voltage_edges(run: Trajectory) -> Floats:
 
 def voltage_colours(n_classes: int) -> list[str]:
     """A colour for each voltage class, lowest first; dark to light in a grey print too."""
-    cividis = matplotlib.colormaps["cividis"]
-    return [to_hex(cividis(share)) for share in np.linspace(0.0, 1.0, n_classes)]
+    return [cividis(share) for share in np.linspace(0.0, 1.0, n_classes)]
 
 
 def worst_step(run: Trajectory) -> int:

@@ -1,21 +1,16 @@
-"""Self-contained HTML pages: templates, and figures embedded in them."""
+"""HTML pages that need nothing beside them."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from vppres.core.errors import InputError, Problem, StorageError
 from vppres.io.atomic import atomic_write_bytes, full_disk, is_full
-from vppres.report.plots import SVG_HASH_SALT
 
 
 def page(template: str, content: Mapping[str, Any]) -> str:
@@ -33,19 +28,6 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-
-
-def embedded(figure: Figure) -> str:
-    """A figure as a data URI of an SVG image; equal figures give equal text."""
-    image = BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-        figure.savefig(image, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(image.getvalue()).decode("ascii")
-
-
-def embedded_svg(svg: Path) -> str:
-    """An SVG file as a data URI."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg.read_bytes()).decode("ascii")
 
 
 def write_page(file: Path, content: str | bytes) -> None:

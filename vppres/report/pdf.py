@@ -69,7 +69,7 @@ def write_pdf(html: str, file: Path, browser: str) -> None:
     Parameters
     ----------
     html : str
-        A page that needs nothing beside it and no scripts.
+        A page that needs nothing beside it.
     file : Path
         PDF file; an older one is replaced.
     browser : str

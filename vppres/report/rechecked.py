@@ -12,7 +12,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
-from vppres.report.plots.base import save_figure
+from vppres.report.plots.files import save_chart
 from vppres.report.plots.phases import voltages_per_phase
 
 DECIMALS = 6
@@ -47,7 +47,7 @@ def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, An
             table.round(DECIMALS).to_csv(aside / f"{name}.csv", index=False, lineterminator="\n")
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
         (aside / "summary.json").write_text(text, encoding="utf-8", newline="\n")
-        save_figure(voltages_per_phase(run, found), aside / "voltages_per_phase")
+        save_chart(voltages_per_phase(run, found), aside)
     return summary
 
 

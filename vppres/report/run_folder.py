@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from markupsafe import Markup
 
 from vppres.core.errors import ReportError, StorageError, VppresError
 from vppres.day.daily import daily_figures, spans_days
@@ -19,25 +17,19 @@ from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
 from vppres.report.clock import Clock
 from vppres.report.pages import page
-from vppres.report.plots import save_figures
+from vppres.report.plots.files import SVG, save_figures
 from vppres.report.sections import SECTIONS
 from vppres.report.sections.base import Run
 
 SUMMARY_FILE = "summary.json"
 REPORT_FILE = "report.html"
+FIGURES_FOLDER = "figures"
 DAYS_FILE = "days.parquet"
 TEMPLATE = "run_report.html.j2"
 
 
-Draw = Callable[[Trajectory, Path], object]
-
-
 def write_run(
-    trajectory: Trajectory,
-    folder: Path,
-    interactive: bool = True,
-    figures: bool = True,
-    draw: Draw | None = None,
+    trajectory: Trajectory, folder: Path, figures: bool = True, kinds: Sequence[str] = (SVG,)
 ) -> dict[str, Any]:
     """Write a run folder, whole or not at all.
 
@@ -50,13 +42,10 @@ def write_run(
         A finished run.
     folder : Path
         The folder to make; an older run in its place is replaced.
-    interactive : bool
-        Whether the report also has the charts that scripts draw, some 5 MB.
     figures : bool
-        Whether to draw the figures and write the report, which embeds them.
-    draw : callable, optional
-        What puts the figures into a folder, ``draw(trajectory, folder)``;
-        :func:`vppres.report.plots.save_figures` if not given.
+        Whether to draw the figures and write the report, which has them.
+    kinds : sequence of str
+        Files of the figures in ``figures/``: ``svg``, ``png``, both or none.
 
     Returns
     -------
@@ -79,23 +68,22 @@ def write_run(
             daily_figures(trajectory).to_parquet(aside / DAYS_FILE, index=False)
         write_scenario(trajectory.scenario, aside / "scenario")
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-        draw = draw or save_figures
-        failure = _illustrate(trajectory, summary, aside, interactive, draw) if figures else None
+        failure = _illustrate(trajectory, summary, aside, kinds) if figures else None
     if failure is not None:
         raise _without_report(folder, failure) from failure
     return summary
 
 
 def _illustrate(
-    trajectory: Trajectory, summary: Mapping[str, Any], folder: Path, interactive: bool, draw: Draw
+    trajectory: Trajectory, summary: Mapping[str, Any], folder: Path, kinds: Sequence[str]
 ) -> Exception | None:
     """Figures and report of a run, or why they could not be made; then neither is there."""
     try:
-        draw(trajectory, folder / "figures")
-        report = render_report(trajectory, summary, folder / "figures", interactive)
-        _write(folder / REPORT_FILE, report)
+        if kinds:
+            save_figures(trajectory, folder / FIGURES_FOLDER, kinds)
+        _write(folder / REPORT_FILE, render_report(trajectory, summary))
     except Exception as error:  # whatever it is: hours of computing must not go with a figure
-        shutil.rmtree(folder / "figures", ignore_errors=True)
+        shutil.rmtree(folder / FIGURES_FOLDER, ignore_errors=True)
         (folder / REPORT_FILE).unlink(missing_ok=True)
         return error
     return None
@@ -115,9 +103,7 @@ def _without_report(folder: Path, failure: Exception) -> VppresError:
     )
 
 
-def render_report(
-    trajectory: Trajectory, summary: Mapping[str, Any], figures: Path, interactive: bool = True
-) -> str:
+def render_report(trajectory: Trajectory, summary: Mapping[str, Any]) -> str:
     """The report as HTML.
 
     Parameters
@@ -126,12 +112,8 @@ def render_report(
         A finished run.
     summary : mapping
         Its figures, from :func:`vppres.day.metrics.summarise`.
-    figures : Path
-        Folder with the SVG files of :func:`vppres.report.plots.save_figures`; they are embedded.
-    interactive : bool
-        Whether to add the figures that scripts draw, some 5 MB.
     """
-    run = Run(trajectory, summary, figures, interactive)
+    run = Run(trajectory, summary)
     made = [make(run) for make in SECTIONS]
     return page(
         TEMPLATE,
@@ -141,16 +123,8 @@ def render_report(
             "mode": trajectory.options.get("mode", ""),
             "clock_note": Clock.of(trajectory).note,
             "sections": [section for section in made if section is not None],
-            "plotly": Markup(_plotly()) if interactive else "",
         },
     )
-
-
-def _plotly() -> str:
-    """The library that draws the charts; a static report does without it."""
-    from vppres.report.charts import plotly_script
-
-    return plotly_script()
 
 
 def _write(file: Path, text: str) -> None:

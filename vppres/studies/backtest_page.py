@@ -15,9 +15,10 @@ from vppres.core.arrays import Floats
 from vppres.forecasts.interface import quantiles
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
 from vppres.report.key_figures import number
-from vppres.report.pages import embedded, page
-from vppres.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, draw_grid
+from vppres.report.pages import page
+from vppres.report.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
 from vppres.studies.backtest import Backtest
+from vppres.studies.drawing import draw_grid, embedded
 from vppres.studies.issue_scores import ENERGY_H, SHARES
 from vppres.studies.warning_scores import WarningScores
 

@@ -14,8 +14,10 @@ from vppres.day.trajectory import OPTIONS
 from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
 from vppres.report.key_figures import KEY_FIGURES, number
-from vppres.report.pages import embedded, page
-from vppres.report.plots import FIGURE_TEXTS, FIGURES, RUN_STYLES
+from vppres.report.pages import page
+from vppres.report.plots.files import FIGURE_TEXTS, FIGURES
+from vppres.report.plots.palette import RUN_STYLES
+from vppres.report.sections.base import figure_of
 
 COMPARISON_FILE = "comparison.html"
 TEMPLATE = "comparison.html.j2"
@@ -166,7 +168,7 @@ def render_comparison(runs: Runs) -> str:
             "findings": {label: findings(run.trajectory) for label, run in runs.items()},
             "same_scenario": same_scenario(runs),
             "images": [
-                (FIGURE_TEXTS[name], embedded(draw(trajectories))) for name, draw in FIGURES.items()
+                figure_of(draw(trajectories), FIGURE_TEXTS[name]) for name, draw in FIGURES.items()
             ],
             "number": number,
         },

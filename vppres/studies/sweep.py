@@ -139,7 +139,7 @@ def run_case(numbered: tuple[int, Case], folder: Path) -> SweepRow:
     _, case = numbered
     try:
         summary = write_run(
-            run_day(case.scenario, case.options), folder / case.folder, interactive=False
+            run_day(case.scenario, case.options), folder / case.folder
         )  # many reports: leave out 5 MB of scripts each
     except (SolveError, VerificationError, StorageError, ReportError) as error:
         return SweepRow(case.value, case.folder, None, str(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from matplotlib.figure import Figure
 
 from vppres.io.atomic import atomic_write_text
 from vppres.report.key_figures import KEY_FIGURES, number
-from vppres.report.pages import embedded, page
-from vppres.report.plots import BLUE, TIER_STYLES, draw_grid, plain, save_figure
+from vppres.report.pages import page
+from vppres.report.plots.palette import BLUE, TIER_STYLES
 from vppres.scenario.scenario import Scenario
+from vppres.studies.drawing import draw_grid, embedded, plain, save_figure
 from vppres.studies.sweep import SweepRow, outcome_table
 from vppres.studies.sweep_parameters import Value, value_text
 
@@ -31,6 +33,9 @@ _PANELS = (
     ("solve_s.total", "Time for decisions (s)"),
 )
 # Key figures that fit on a page side by side; the table of the folder has all of them.
+LINES = (("-", "o"), ("--", "s"), ("-.", "^"), (":", "D"))
+"""Line and marker of each tier."""
+
 _ON_PAGE = ("cost_gbp", "import_kwh", "pv_curtailed_kwh", "v_min_ac_pu", "corrections", "gap_max")
 
 
@@ -63,17 +68,17 @@ def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[s
     for ax, (column, words) in zip(panels[1:], _PANELS, strict=True):
         ax.plot(x, _column(table, column), color=BLUE, marker="o", linestyle="" if labels else "-")
         ax.set_ylabel(words)
-    for position, tier in enumerate(tiers):
-        style = TIER_STYLES[position % len(TIER_STYLES)]
+    looks = itertools.cycle(zip(TIER_STYLES, LINES, strict=True))
+    for tier, (style, (linestyle, marker)) in zip(tiers, looks, strict=False):
         share = 100.0 * _column(table, f"served_share.{tier}")
         panels[0].plot(
             x,
             share,
             color=style.color,
-            marker=style.marker,
+            marker=marker,
             label=plain(tier),
-            linewidth=style.linewidth,
-            linestyle="" if labels else style.linestyle,
+            linewidth=style.width,
+            linestyle="" if labels else linestyle,
         )
     panels[0].set_ylabel("Served in the outage (%)")
     panels[0].set_ylim(-4.0, 104.0)

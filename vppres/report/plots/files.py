@@ -1,22 +1,21 @@
-"""All figures by name, and their files."""
+"""All figures of runs by name, and their files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.base import Runs, save_figure
+from vppres.report.plots.chart import Chart, Runs
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
 from vppres.report.plots.outages import has_beliefs, outage_belief
+from vppres.report.plots.pixels import png_of
 from vppres.report.plots.service import service_by_tier
 from vppres.report.plots.strips import timeline
 
 # Figures of one run or of several.
-FIGURES: dict[str, Callable[[Runs], Figure]] = {
+FIGURES: dict[str, Callable[[Runs], Chart]] = {
     "energy_and_price": energy_and_price,
     "import_load_pv": import_load_pv,
     "voltages": voltages,
@@ -26,13 +25,13 @@ FIGURES: dict[str, Callable[[Runs], Figure]] = {
 }
 
 # Figures of one run alone.
-RUN_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {
+RUN_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {
     "timeline": timeline,
     "feeder_maps": feeder_maps,
 }
 
 # Figures of one run that did not know the outages ahead.
-BELIEF_FIGURES: dict[str, Callable[[Trajectory], Figure]] = {"outage_belief": outage_belief}
+BELIEF_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"outage_belief": outage_belief}
 
 FIGURE_TEXTS = {
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
@@ -42,7 +41,7 @@ FIGURE_TEXTS = {
     "and AC power flow at any bus.",
     "service_by_tier": "Supply of each customer in each step, and the share of each tier.",
     "line_loadings": "The most loaded line of each step, from the AC power flow.",
-    "solve_times": "Time from forecast to decision, and relative gap (linear below 1e-6).",
+    "solve_times": "Time from forecast to decision, and relative gap (below 1e-9 at the bottom).",
     "timeline": "The day at a glance; numbers count customers off supply.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
     "current; dashed: the outage.",
@@ -51,19 +50,16 @@ FIGURE_TEXTS = {
 }
 """What each figure shows."""
 
+PNG, SVG = "png", "svg"
+KINDS = (PNG, SVG)
 
-def save_figures(runs: Runs, folder: Path) -> list[Path]:
-    """Write every figure as PNG and SVG into a folder, which is made if missing.
 
-    Those of one run alone are left out for several.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    return [file for name in figure_names(runs) for file in draw_figure(runs, name, folder)]
+def chart_of(runs: Runs, name: str) -> Chart:
+    """A figure by its name."""
+    if name in FIGURES:
+        return FIGURES[name](runs)
+    assert isinstance(runs, Trajectory)
+    return (RUN_FIGURES | BELIEF_FIGURES)[name](runs)
 
 
 def figure_names(runs: Runs) -> list[str]:
@@ -73,9 +69,36 @@ def figure_names(runs: Runs) -> list[str]:
     return [*FIGURES, *RUN_FIGURES, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
 
 
-def draw_figure(runs: Runs, name: str, folder: Path) -> list[Path]:
-    """Write one figure as PNG and SVG into an existing folder."""
-    if name in FIGURES:
-        return save_figure(FIGURES[name](runs), folder / name)
-    assert isinstance(runs, Trajectory)
-    return save_figure((RUN_FIGURES | BELIEF_FIGURES)[name](runs), folder / name)
+def save_figures(runs: Runs, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
+    """Write every figure into a folder, which is made if missing.
+
+    Those of one run alone are left out for several.
+
+    Parameters
+    ----------
+    runs : Trajectory or mapping of str to Trajectory
+        One run, or several of the same day by their labels.
+    folder : Path
+        Where to.
+    kinds : sequence of str
+        ``png``, ``svg`` or both.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    names = figure_names(runs)
+    return [file for name in names for file in save_chart(chart_of(runs, name), folder, kinds)]
+
+
+def save_chart(chart: Chart, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
+    """Write one figure into an existing folder, under its name; equal figures give equal files."""
+    svg = chart.svg()
+    written = []
+    for kind in kinds:
+        file = folder / f"{chart.key}.{kind}"
+        file.write_bytes(svg.encode() if kind == SVG else png_of(svg))
+        written.append(file)
+    return written

@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from vppres.core.arrays import Floats
 from vppres.day.outages import BELIEF, LIKELY, believed_outages
-from vppres.day.series import edges_of
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.base import (
-    BLACK,
-    BLUE,
-    VERMILLION,
-    closed,
-    draw_steps,
-    panels,
-    with_legend,
-)
+from vppres.report.plots.chart import Band, Chart, Curve, Curves
+from vppres.report.plots.palette import BLACK, BLUE, VERMILLION, Style
 
-LEADS_H = (1.0, 3.0, 6.0)
-"""How long before a step its probability is shown."""
+LEADS = {1.0: Style(BLUE, "", 2.6), 3.0: Style(BLUE, "7 3", 1.8), 6.0: Style(BLUE, "2 3", 1.4)}
+"""How many hours before a step its probability is shown, and how."""
 
 WIDE = 30.0
 """Ratio of worths from which they are drawn on a logarithmic scale."""
@@ -32,29 +22,20 @@ def has_beliefs(run: Trajectory) -> bool:
     return run.options.get("outages") in (BELIEF, LIKELY)
 
 
-def outage_belief(run: Trajectory) -> Figure:
+def outage_belief(run: Trajectory) -> Chart:
     """Probability of an outage some hours before each step, and what stored energy was worth."""
     believed = believed_outages(run.scenario, run.options)[: len(run.steps), : len(run.steps)]
-    valued = "stored_value_gbp_per_kwh" in run.steps
-    heights = (3.0, 1.6) if valued else (3.0,)
-    figure, axes = panels({"": run}, heights=heights, height_in=1.7 + 1.1 * sum(heights))
-    fan = axes[0]
     dt_h = run.scenario.grid.dt_h
-    curves = {lead_h: _before(believed, round(lead_h / dt_h)) for lead_h in LEADS_H}
-    lower = np.fmin.reduce(list(curves.values()))
-    upper = np.fmax.reduce(list(curves.values()))
-    edges = edges_of(run)
-    low, high = closed(lower), closed(upper)
-    fan.fill_between(edges, low, high, step="post", color=BLUE, alpha=0.12, linewidth=0.0)
-    for (lead_h, curve), width in zip(curves.items(), (2.2, 1.5, 0.9), strict=True):
-        line = {"color": BLUE, "linewidth": width, "label": f"{lead_h:g} h before"}
-        draw_steps(fan, run, curve, line)
-    fan.set_ylim(0.0, 1.02)
-    fan.set_ylabel("Probability of an outage")
-    if valued:
-        _draw_worth(axes[1], run)
-    figure.suptitle("Outage forecasts; shaded: actual outages")
-    return with_legend(figure, fan, columns=len(LEADS_H))
+    curves = [
+        Curve(f"{lead_h:g} h before", _before(believed, round(lead_h / dt_h)), style)
+        for lead_h, style in LEADS.items()
+    ]
+    values = [curve.values for curve in curves]
+    fan = Band(np.fmin.reduce(values), np.fmax.reduce(values), BLUE)
+    panels = [Curves("Probability of an outage", curves, 220.0, low=0.0, high=1.02, bands=[fan])]
+    if "stored_value_gbp_per_kwh" in run.steps:
+        panels.append(_worth(run))
+    return Chart("outage_belief", "Outage forecasts; grey: actual outages", run, panels)
 
 
 def _before(believed: Floats, steps: int) -> Floats:
@@ -65,14 +46,17 @@ def _before(believed: Floats, steps: int) -> Floats:
     return found
 
 
-def _draw_worth(ax: Axes, run: Trajectory) -> None:
+def _worth(run: Trajectory) -> Curves:
     """What one more stored kWh was worth, and what one costs."""
     worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
     price = run.steps["price_gbp_per_kwh"].to_numpy(float)
-    draw_steps(ax, run, worth, {"color": VERMILLION, "linewidth": 1.6})
-    draw_steps(ax, run, price, {"color": BLACK, "linewidth": 0.9, "linestyle": ":"})
     least = min(float(np.nanmin(worth)), float(price.min()))
-    if least > 0.0 and np.nanmax(worth) > WIDE * least:
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")
-    ax.set_ylabel("Worth of one more\nstored kWh (GBP)\ndotted: price")
+    return Curves(
+        "GBP per kWh",
+        [
+            Curve("worth of one more stored kWh", worth, Style(VERMILLION, "", 2.0)),
+            Curve("import price", price, Style(BLACK, "2 3", 1.3)),
+        ],
+        130.0,
+        logarithmic=bool(least > 0.0 and np.nanmax(worth) > WIDE * least),
+    )

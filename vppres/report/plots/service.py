@@ -3,65 +3,69 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier as share_by_tier
-from vppres.day.series import edges_of
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.base import (
+from vppres.report.plots.axes import TimeAxis
+from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
+from vppres.report.plots.chart import (
+    EDGE_PX,
+    Chart,
+    Curve,
+    Curves,
+    Entry,
+    Frame,
+    Panel,
+    Runs,
+    named_runs,
+)
+from vppres.report.plots.heat import draw_row_names, row_names_px
+from vppres.report.plots.palette import (
     BLACK,
-    GREY,
-    RASTER_ABOVE,
     SERVED,
     TIER_STYLES,
     UNSERVED,
-    Runs,
-    clock,
-    draw_grid,
-    draw_steps,
-    mark_outage,
-    named_runs,
-    plain,
+    WHITE,
+    blend,
 )
 from vppres.report.tree_layout import tree_layout
 
 MAX_NAMED_CUSTOMERS = 60
 MAX_ROWS = 120
+MOST_CROSSES = 1000
+"""Tiles up to which those without supply are crossed; more would only be grey."""
+
+ROW_PX, TIER_PX, MOST_PX = 12.0, 44.0, 600.0
+"""Least heights of a row and of a tier's name, and the most of all rows."""
 
 
-def service_by_tier(runs: Runs) -> Figure:
+def service_by_tier(runs: Runs) -> Chart:
     """Who was served, step by step: a tile per customer, and the share of each tier."""
     named = named_runs(runs)
-    n_customers = max(len(run.scenario.customers) for run in named.values())
-    tiles_in = float(np.clip(0.16 * n_customers, 2.0, 9.0))
-    figure = Figure(figsize=(3.6 + 4.6 * len(named), tiles_in + 3.2), layout="constrained")
-    axes = figure.subplots(
-        2, len(named), squeeze=False, sharex="col", height_ratios=(tiles_in, 1.7)
-    )
-    for column, (label, run) in enumerate(named.items()):
-        tiles = axes[0, column]
-        share = axes[1, column]
-        tiles.set_title(label, fontsize=10, loc="left")
-        _draw_tiles(tiles, run)
-        _draw_shares(share, run)
-        mark_outage(tiles, run, shade=False)
-        mark_outage(share, run, text=False)
-        clock(share, run, max_ticks=9)
-    handles = [
-        Patch(facecolor=SERVED, edgecolor=GREY, label="served"),
-        Patch(facecolor=UNSERVED, label="not served (x)"),
-        *axes[1, 0].get_legend_handles_labels()[0],
+    panels: list[Panel] = []
+    for label, run in named.items():
+        title = f"{label}\n" if len(named) > 1 else ""
+        panels.append(Tiles(f"{title}Customer", run, tile_rows(run)))
+        panels.append(_shares(run, f"{title}Customers\nserved (%)"))
+    first = next(iter(named.values()))
+    return Chart("service_by_tier", "Service by customer and tier", first, panels)
+
+
+def _shares(run: Trajectory, axis: str) -> Curves:
+    """Share of each tier's customers that are served, in per cent."""
+    curves = [
+        Curve(str(tier), 100.0 * share.to_numpy(float), style)
+        for (tier, share), style in zip(
+            share_by_tier(run).items(), itertools.cycle(TIER_STYLES), strict=False
+        )
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
-    figure.suptitle("Service by customer and tier")
-    return figure
+    return Curves(axis, curves, 110.0, low=-4.0, high=104.0)
 
 
 @dataclass(frozen=True)
@@ -99,65 +103,93 @@ def tile_rows(run: Trajectory) -> TileRows:
     return TileRows(names, np.array(shares).reshape(len(names), -1), tiers)
 
 
-def _draw_tiles(ax: Axes, run: Trajectory) -> None:
+@dataclass(frozen=True, eq=False)
+class Tiles:
     """A tile per row and step, grouped by tier; crosses carry the message without colour."""
-    rows = tile_rows(run)
-    edges = edges_of(run)
-    many = rows.share.size > RASTER_ABOVE
-    ax.pcolormesh(
-        edges,
-        np.arange(len(rows.names) + 1),
-        rows.share,
-        vmin=0,
-        vmax=1,
-        cmap=LinearSegmentedColormap.from_list("service", [UNSERVED, SERVED]),
-        edgecolors="none" if many else "white",
-        linewidth=0.6,
-        rasterized=many,
-    )
-    if not many:
-        at, steps = np.nonzero(rows.share == 0.0)
-        middles = edges[:-1] + (edges[1:] - edges[:-1]) / 2
-        ax.scatter(middles[steps], at + 0.5, marker="x", s=14, color="white", linewidths=1.0)
-    ax.set_ylim(len(rows.names), 0)
-    named = len(rows.names) <= MAX_NAMED_CUSTOMERS
-    ax.set_yticks(
-        np.arange(len(rows.names)) + 0.5 if named else [],
-        labels=[plain(name) for name in rows.names] if named else [],
-        fontsize=6.5,
-    )
-    ax.tick_params(axis="y", length=0)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    _name_tiers(ax, run, rows)
 
+    axis: str
+    run: Trajectory
+    rows: TileRows
+    shaded: bool = False
 
-def _name_tiers(ax: Axes, run: Trajectory, rows: TileRows) -> None:
-    """Rules between the tiers, and each tier's name, size and share in the outage at the right."""
-    top = 0
-    in_outage = share_by_tier(run)[run.steps["outage"].to_numpy(bool)].mean()
-    for tier, share in in_outage.items():
-        count = int(np.sum(run.scenario.customers.tier == tier))
-        height = rows.tiers.count(str(tier))
-        share_text = f"\n{share:.0%} served\nin outage" if np.isfinite(share) else ""
-        ax.text(
-            1.01,
-            top + height / 2,
-            f"{plain(tier)} ({count}){share_text}",
-            fontsize=8,
-            va="center",
-            transform=ax.get_yaxis_transform(),
-        )
-        top += height
-        ax.axhline(top, color=BLACK, linewidth=1.0)
+    @property
+    def height(self) -> float:
+        """Height in px: the smallest tier has room for its name, within reason."""
+        smallest = min(map(self.rows.tiers.count, self.rows.tiers))
+        row_px = max(TIER_PX / smallest, ROW_PX)
+        return min(row_px * len(self.rows.names), MOST_PX)
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the rows, if there is room for them."""
+        return self.rows.names if len(self.rows.names) <= MAX_NAMED_CUSTOMERS else []
 
-def _draw_shares(ax: Axes, run: Trajectory) -> None:
-    """Share of each tier's customers that are served, in per cent."""
-    shares = share_by_tier(run)
-    for (tier, share), style in zip(shares.items(), itertools.cycle(TIER_STYLES), strict=False):
-        draw_steps(ax, run, 100.0 * share.to_numpy(), style.line(plain(tier)))
-    ax.set_ylim(-4.0, 104.0)
-    ax.set_yticks([0, 50, 100])
-    ax.set_ylabel("Customers\nserved (%)")
-    draw_grid(ax)
+    @property
+    def left_px(self) -> float:
+        """What the names take."""
+        return row_names_px(self.names) + 1.2 * FONT_PX * (1 + self.axis.count("\n"))
+
+    @property
+    def right_px(self) -> float:
+        """What the names of the tiers take."""
+        return max(map(text_px, self._tier_texts().values())) + 10.0
+
+    def _tier_texts(self) -> dict[str, str]:
+        """Each tier's name, size and share in the outage."""
+        island = self.run.steps["outage"].to_numpy(bool)
+        in_outage = share_by_tier(self.run)[island].mean()
+        texts = {}
+        for tier, share in in_outage.items():
+            count = int(np.sum(self.run.scenario.customers.tier == tier))
+            served = f"\n{share:.0%} served\nin outage" if np.isfinite(share) else ""
+            texts[str(tier)] = f"{tier} ({count}){served}"
+        return texts
+
+    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+        """Tiles, crosses, names of the rows and tiers."""
+        share = self.rows.share
+        width = frame.right - frame.left
+        height = frame.bottom - frame.top
+        canvas.image(frame.left, frame.top, width, height, blend((UNSERVED, SERVED), share))
+        row_px = height / len(share)
+        if share.size <= MOST_CROSSES:
+            self._draw_tiles(canvas, frame, time, row_px)
+        if self.names:
+            draw_row_names(canvas, frame, self.names)
+        middle = (frame.top + frame.bottom) / 2
+        at = EDGE_PX + 0.6 * FONT_PX * (1 + self.axis.count("\n"))
+        canvas.text(at, middle, self.axis, anchor="middle", turned=True)
+        top = frame.top
+        for tier, text in self._tier_texts().items():
+            below = top + row_px * self.rows.tiers.count(tier)
+            room = below - top >= TIER_PX
+            canvas.text(frame.right + 8, (top + below) / 2, text if room else text.split("\n")[0])
+            top = below
+            canvas.line([(frame.left, top), (frame.right, top)], BLACK)
+
+    def _draw_tiles(self, canvas: Canvas, frame: Frame, time: TimeAxis, row_px: float) -> None:
+        """Seams between the tiles, and a cross where nobody of a row is served."""
+        edges = time.edges
+        gap = (np.nan, np.nan)
+        seams = [[(x, frame.top), (x, frame.bottom), gap] for x in edges[1:-1]]
+        for row in range(1, len(self.rows.share)):
+            y = frame.top + row * row_px
+            seams.append([(frame.left, y), (frame.right, y), gap])
+        canvas.line(itertools.chain.from_iterable(seams), WHITE, 0.7)
+        arm = min(3.0, 0.3 * row_px)
+        crosses = []
+        for row, t in np.argwhere(self.rows.share == 0.0).tolist():
+            x = (edges[t] + edges[t + 1]) / 2
+            y = frame.top + (row + 0.5) * row_px
+            crosses += [(x - arm, y - arm), (x + arm, y + arm), gap]
+            crosses += [(x - arm, y + arm), (x + arm, y - arm), gap]
+        canvas.line(crosses, WHITE, 1.2)
+
+    def entries(self) -> Iterable[Entry]:
+        """What the colours mean."""
+        yield Entry("served", fill=SERVED)
+        yield Entry("not served (x)", fill=UNSERVED)
+
+    def readings(self) -> list[dict[str, Any]]:
+        """The panel of shares below says it in numbers."""
+        return []

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from vppres.day.trajectory import Trajectory
-from vppres.report.pages import embedded_svg, page
-from vppres.report.plots import FIGURE_TEXTS
+from vppres.report.pages import page
+from vppres.report.plots.chart import Chart
+from vppres.report.plots.files import FIGURE_TEXTS, chart_of
 
 FOLDED_ABOVE = 40  # rows; longer tables are opened by a click
 
@@ -26,28 +26,38 @@ class Run:
         A finished run.
     summary : mapping
         Its figures, from :func:`vppres.day.metrics.summarise`.
-    figures : Path
-        Folder with the SVG files of :func:`vppres.report.plots.save_figures`.
-    interactive : bool
-        Whether figures may also be drawn by scripts; the static ones then serve the print.
     """
 
     trajectory: Trajectory
     summary: Mapping[str, Any]
-    figures: Path
-    interactive: bool
 
-    def figure(self, name: str) -> tuple[str, str]:
-        """What a figure shows, and the figure as a data URI."""
-        return FIGURE_TEXTS[name], embedded_svg(self.figures / f"{name}.svg")
+    def figure(self, name: str) -> Figure:
+        """A figure of :mod:`vppres.report.plots.files`."""
+        return figure_of(chart_of(self.trajectory, name), FIGURE_TEXTS[name])
 
-    def chart(self, name: str) -> tuple[str, Markup] | None:
-        """Name and JSON of a chart of :mod:`vppres.report.charts`; None in a static report."""
-        if not self.interactive:
-            return None
-        from vppres.report.charts import chart_json
 
-        return name, Markup(chart_json(self.trajectory, name))
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the page.
+
+    Parameters
+    ----------
+    text : str
+        What it shows.
+    svg : Markup
+        The drawing.
+    data : mapping
+        Where scripts find its time axis, and the values of its curves.
+    """
+
+    text: str
+    svg: Markup
+    data: Mapping[str, Any]
+
+
+def figure_of(chart: Chart, text: str) -> Figure:
+    """A chart as a figure of the page."""
+    return Figure(text, Markup(chart.svg()), chart.data())
 
 
 @dataclass(frozen=True)

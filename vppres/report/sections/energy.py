@@ -11,7 +11,6 @@ def energy_section(run: Run) -> Section:
         "energy",
         "Energy, import and price",
         {
-            "chart": run.chart("energy"),
             "figures": [run.figure("energy_and_price"), run.figure("import_load_pv")],
         },
     )

@@ -9,12 +9,17 @@ import pandas as pd
 from vppres.day.trajectory import Trajectory
 from vppres.explain.words import DRIVERS, figure, money
 from vppres.report.clock import Clock
-from vppres.report.pages import embedded
-from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
-from vppres.report.sections.explain_figure import draw_worth
+from vppres.report.plots.worth import worth_of_energy
+from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
 from vppres.report.sections.narrative import episodes
 
 Row = dict[str, Any]
+
+WORTH_TEXT = (
+    "Value of one more stored kWh at the start of each step: service (above) if it limits supply, "
+    "otherwise money (below)."
+)
+"""What the figure of the worth shows."""
 
 MOST_NAMED = 3
 """Items of a limit that are named one by one."""
@@ -57,7 +62,7 @@ def explain_section(run: Run) -> Section | None:
             "reasons": _reasons(explanations),
             "folded_above": FOLDED_ABOVE,
             "people": _people(explanations, Clock.of(trajectory)),
-            "figure": embedded(draw_worth(trajectory)),
+            "figure": figure_of(worth_of_energy(trajectory), WORTH_TEXT),
         },
     )
 

@@ -21,7 +21,6 @@ def network_section(run: Run) -> Section:
         "network",
         "Voltages and line loading",
         {
-            "chart": run.chart("grid"),
             "lines": _top_lines(run.trajectory),
             "number": number,
             "heading": Clock.of(run.trajectory).heading,

@@ -25,7 +25,6 @@ def service_section(run: Run) -> Section:
             "folded_above": FOLDED_ABOVE,
             "service": _service_rows(run.trajectory),
             "number": number,
-            "chart": run.chart("service"),
             "figures": [run.figure("service_by_tier")],
         },
     )

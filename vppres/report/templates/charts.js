@@ -1,47 +1,66 @@
-// Draws the charts that wait in the page, and ties them to each other and to the diagram. Only then
-// are the static figures hidden that they replace.
+// Values under the pointer in every chart, and a line at the step that the diagram shows; a click
+// moves the diagram. The page is complete without it.
 (function () {
   "use strict";
-  const charts = [...document.querySelectorAll(".plot")];
-  const config = { displaylogo: false, responsive: true,
-                   modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"] };
-  document.documentElement.classList.add("scripted");
+  const SVG = "http://www.w3.org/2000/svg";
+  const source = document.getElementById("diagram-data");
+  const slider = document.getElementById("step-slider");
+  const times = JSON.parse(source.textContent).time;
 
-  let following = false;  // a zoom that was copied is not copied back
-  function follow(chart, change) {
-    const range = { "xaxis.range[0]": change["xaxis.range[0]"],
-                    "xaxis.range[1]": change["xaxis.range[1]"] };
-    const auto = change["xaxis.autorange"];
-    if (following || (range["xaxis.range[0]"] === undefined && !auto)) { return; }
-    following = true;
-    const home = (other) => ({ "xaxis.range": other.home.slice() });
-    Promise.all(charts.filter((other) => auto || other !== chart)
-      .map((other) => Plotly.relayout(other, auto ? home(other) : range)))
-      .finally(() => { following = false; });
+  function withCursor(figure) {
+    const data = JSON.parse(figure.querySelector("script").textContent);
+    const svg = figure.querySelector("svg");
+    const cursor = document.createElementNS(SVG, "line");
+    cursor.setAttribute("class", "cursor");
+    cursor.setAttribute("y1", data.top);
+    cursor.setAttribute("y2", data.bottom);
+    svg.append(cursor);
+    return { data, svg, cursor, words: figure.querySelector(".readings") };
+  }
+  const charts = [...document.querySelectorAll("figure.plot:has(script)")].map(withCursor);
+
+  function stepAt(chart, event) {
+    const place = new DOMPoint(event.clientX, event.clientY)
+      .matrixTransform(chart.svg.getScreenCTM().inverse());
+    const share = (place.x - chart.data.left) / (chart.data.right - chart.data.left);
+    const step = Math.floor(share * chart.data.steps);
+    return step >= 0 && step < chart.data.steps ? step : null;
   }
 
-  function stepOf(chart, point) {
-    const last = chart.data[0].x.length - 2;  // the last time is the end of the day
-    return Math.min(last, point.pointIndex === undefined ? point.pointNumber : point.pointIndex);
+  function reading(curve, step) {
+    const sample = document.createElement("span");
+    const color = document.createElement("i");
+    color.style.background = curve.color;
+    sample.append(color, curve.name + " " + curve.values[step]);
+    return sample;
   }
 
-  Promise.all(charts.map((chart) => {
-    const figure = JSON.parse(document.getElementById(chart.id + "-data").textContent);
-    chart.home = figure.layout.xaxis.range.slice();
-    return Plotly.newPlot(chart, figure.data, figure.layout, config).then(() => {
-      chart.on("plotly_relayout", (change) => follow(chart, change));
-      chart.on("plotly_click", (event) => document.dispatchEvent(
-        new CustomEvent("vppres-show", { detail: stepOf(chart, event.points[0]) })));
+  function show(chart, step) {
+    const { left, right, steps, curves } = chart.data;
+    const x = left + (right - left) * step / steps;
+    chart.cursor.setAttribute("x1", x);
+    chart.cursor.setAttribute("x2", x);
+    const time = document.createElement("strong");
+    time.textContent = times[step];
+    const known = curves.filter((curve) => curve.values[step] !== "");
+    chart.words.replaceChildren(time, ...known.map((curve) => reading(curve, step)));
+  }
+
+  const showAll = (step) => charts.forEach((chart) => show(chart, step));
+  charts.forEach((chart) => {
+    chart.svg.addEventListener("pointermove", (event) => {
+      const step = stepAt(chart, event);
+      if (step !== null) { showAll(step); }
     });
-  })).then(() => {
-    function mark(step) {
-      charts.forEach((chart) => {
-        const time = chart.data[0].x[step];
-        Plotly.relayout(chart, { "shapes[0].x0": time, "shapes[0].x1": time });
-      });
-    }
-    document.addEventListener("vppres-step", (event) => mark(event.detail));
-    mark(Number(document.getElementById("step-slider").value));
-    document.documentElement.dataset.charts = "drawn";
+    chart.svg.addEventListener("pointerleave", () => showAll(Number(slider.value)));
+    chart.svg.addEventListener("click", (event) => {
+      const step = stepAt(chart, event);
+      if (step !== null) {
+        document.dispatchEvent(new CustomEvent("vppres-show", { detail: step }));
+      }
+    });
   });
+  document.addEventListener("vppres-step", (event) => showAll(event.detail));
+  showAll(Number(slider.value));
+  document.documentElement.dataset.charts = "drawn";
 })();

@@ -1,0 +1,195 @@
+"""Axes: where values and times lie, and where their ticks are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.day.series import edges_of, outage_spans
+from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
+
+MOST_TIMES, MOST_VALUES = 13, 6
+"""Ticks that fit on an axis of a report's width, and of a panel's height."""
+
+HOURS_OF_PLAIN_CLOCK = 48
+"""A run that is longer has dates below its times."""
+
+TIME_STEPS_MIN = (1, 2, 5, 10, 15, 30, 60, 120, 180, 240, 360, 720)
+DAY_MIN = 1440
+
+SMALLEST_DECIMAL = 1e-4
+"""Smaller values are written with a power of ten."""
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """Times of a run across a drawing.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The run.
+    left, right : float
+        Where it begins and ends, in px.
+    """
+
+    run: Trajectory
+    left: float
+    right: float
+
+    @property
+    def edges(self) -> Floats:
+        """Beginning of every step and the end of the last, in px, shape (T + 1,)."""
+        return np.linspace(self.left, self.right, len(self.run.steps) + 1)
+
+    @property
+    def outages(self) -> list[tuple[float, float]]:
+        """Beginning and end of every outage, in px."""
+        edges = self.edges
+        return [(edges[first], edges[last]) for first, last in outage_spans(self.run)]
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Places in px of round times, and their names; local ones stand below."""
+        times = edges_of(self.run)
+        start = pd.Timestamp(times[0])
+        end = pd.Timestamp(times[-1])
+        minutes = (end - start).total_seconds() / 60.0
+        step = pd.Timedelta(minutes=time_step_min(minutes))
+        first = start.floor("D") + step * math.ceil((start - start.floor("D")) / step)
+        across = (self.right - self.left) / (end - start).total_seconds()
+        ticks = pd.date_range(first, end, freq=step)
+        name = _tick_name(self.run, minutes / 60.0)
+        return [(self.left + across * (t - start).total_seconds(), name(t)) for t in ticks]
+
+    @property
+    def title(self) -> str:
+        """Which times these are."""
+        clock = Clock.of(self.run)
+        below = f", {clock.grid.zone} below" if clock.has_local else ""
+        return f"Time (UTC{below}), from {edges_of(self.run)[0]:%d %B %Y}"
+
+
+def _tick_name(run: Trajectory, hours: float) -> Callable[[pd.Timestamp], str]:
+    """How a time is written below its tick."""
+    clock = Clock.of(run)
+    text = "%d %b\n%H:%M" if hours > HOURS_OF_PLAIN_CLOCK else "%H:%M"
+    if not clock.has_local:
+        return lambda time: f"{time:{text}}"
+    return lambda time: f"{time:{text}}\n({clock.grid.local(time):%H:%M})"
+
+
+def time_step_min(minutes: float) -> int:
+    """Minutes from one tick to the next, for a run of so many.
+
+    >>> time_step_min(24 * 60), time_step_min(90), time_step_min(7 * 1440)
+    (120, 10, 1440)
+    """
+    fits = (step for step in TIME_STEPS_MIN if minutes / step < MOST_TIMES)
+    days = math.ceil(minutes / DAY_MIN / MOST_TIMES)
+    return next(fits, DAY_MIN * days)
+
+
+@dataclass(frozen=True)
+class ValueAxis:
+    """Values up a panel.
+
+    Parameters
+    ----------
+    low, high : float
+        Values at its bottom and top.
+    bottom, top : float
+        Their places in px.
+    logarithmic : bool
+        Whether equal ratios are equally far apart; values below ``low`` lie at the bottom.
+    """
+
+    low: float
+    high: float
+    bottom: float
+    top: float
+    logarithmic: bool = False
+
+    def __call__(self, values: Floats) -> Floats:
+        """Places of values in px."""
+        low, high = self._scaled(np.array([self.low, self.high]))
+        share = (self._scaled(np.asarray(values, dtype=float)) - low) / (high - low)
+        return np.asarray(self.bottom + share * (self.top - self.bottom))
+
+    def _scaled(self, values: Floats) -> Floats:
+        if not self.logarithmic:
+            return values
+        # A value that is not a number stays none.
+        return np.asarray(np.log10(np.where(values < self.low, self.low, values)))
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Places in px of round values, and their names."""
+        values = (
+            _decades(self.low, self.high) if self.logarithmic else round_values(self.low, self.high)
+        )
+        names = value_names(values)
+        return [*zip(map(float, self(np.array(values))), names, strict=True)]
+
+
+def round_values(low: float, high: float) -> list[float]:
+    """Round values from low to high, at most six.
+
+    >>> round_values(0.0, 23.0), round_values(0.948, 1.002)
+    ([0.0, 5.0, 10.0, 15.0, 20.0], [0.95, 0.96, 0.97, 0.98, 0.99, 1.0])
+    """
+    unit = 10.0 ** math.floor(math.log10((high - low) / MOST_VALUES))
+    step = next(
+        k * unit
+        for k in (1, 2, 2.5, 5, 10, 20)
+        if math.floor(high / (k * unit)) - math.ceil(low / (k * unit)) < MOST_VALUES
+    )
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [float(f"{step * k:.12g}") for k in range(first, last + 1)]
+
+
+def _decades(low: float, high: float) -> list[float]:
+    """Powers of ten, at most six, or one, two and five times them."""
+    first = math.ceil(math.log10(low) - 1e-9)
+    last = math.floor(math.log10(high) + 1e-9)
+    if last > first:
+        every = -(-(last - first + 1) // MOST_VALUES)
+        return [10.0**k for k in range(first, last + 1, every)]
+    near = [k * 10.0 ** (first - 1) for k in (1, 2, 5, 10, 20, 50)]
+    return [value for value in near if low <= value <= high]
+
+
+def value_names(values: list[float]) -> list[str]:
+    """Round values as texts, all with as many decimals.
+
+    >>> value_names([0.98, 1.0]), value_names([-500.0, 12500.0]), value_names([1e-9, 1e-6])
+    (['0.98', '1.00'], ['\u2212500', '12,500'], ['1e\u22129', '1e\u22126'])
+    """
+    if any(0.0 < abs(value) < SMALLEST_DECIMAL for value in values):
+        texts = [f"{value:.0e}".replace("e-0", "e-") for value in values]
+    else:
+        decimals = max((len(f"{value:.6g}".partition(".")[2]) for value in values), default=0)
+        texts = [f"{value:,.{decimals}f}" for value in values]
+    return [text.replace("-", "\N{MINUS SIGN}") for text in texts]
+
+
+def range_of(
+    values: list[Floats], low: float | None, high: float | None, logarithmic: bool
+) -> tuple[float, float]:
+    """Range of an axis for values: what is given, else a little more than they take."""
+    known = np.concatenate([np.ravel(v) for v in values] or [np.zeros(1)])
+    known = known[np.isfinite(known)]
+    if logarithmic:
+        known = known[known > (low or 0.0)]
+    least = float(known.min()) if len(known) else (low or 0.0)
+    most = float(known.max()) if len(known) else (low or 0.0) + 1.0
+    if logarithmic:
+        return (low or least / 1.3), (high or max(most * 1.3, 10.0 * (low or 0.0)))
+    bottom = least if low is None else low
+    room = 0.06 * ((most - bottom) or abs(most) or 1.0)
+    return bottom - (room if low is None else 0.0), (most + room if high is None else high)
