@@ -94,7 +94,7 @@ def tiles_svg() -> str:
 
 def test_tiers_are_named_with_their_share_in_the_outage():
     found = texts(service_by_tier(small_run()))
-    for words in ("critical (1)", "50% served", "low (2)", "25% served", "in outage", "outage"):
+    for words in ("critical (1)", "50% supplied", "low (2)", "25% supplied", "in outage", "outage"):
         assert words in found
 
 
@@ -159,7 +159,7 @@ def test_the_strips_tell_outage_service_and_phases():
         "Grid",
         "Batteries",
         "PV power",
-        "Not served",
+        "Off supply",
     ]
     assert [look[2] for look in strips.strips[-1].looks] == ["", "2", "2", ""]
     named = replace(run, steps=run.steps.assign(phase=["ready", "hold", "hold", "ready"]))

@@ -73,11 +73,11 @@ def import_load_pv(runs: Runs) -> Chart:
     for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
         drawn = run.steps["p_grid_kw"].to_numpy(float)
         imports.append(Curve(f"{label}: import", drawn, style, in_legend=False))
-        load.append(Curve(f"{label}: import, and demand served", served_kw(run), style))
+        load.append(Curve(f"{label}: import, and supplied demand", served_kw(run), style))
     demand = demand_kw(first)
     load.append(Curve("demand", demand, Style(BLACK, "", 1.2)))
     load.append(Curve("PV available", pv_available_kw(first), Style(ORANGE, "6 2 2 2", 1.8)))
-    unserved = Band(served_kw(first), demand, VERMILLION, "not served")
+    unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
     exports = any(run.scenario.exports for run in named.values())
     below = "; export below 0" if exports else ""
     return Chart(

@@ -52,9 +52,9 @@ def service_by_tier(runs: Runs) -> Chart:
     for label, run in named.items():
         title = f"{label}\n" if len(named) > 1 else ""
         panels.append(Tiles(f"{title}Customer", run, tile_rows(run)))
-        panels.append(_shares(run, f"{title}Customers\nserved (%)"))
+        panels.append(_shares(run, f"{title}Customers\nsupplied (%)"))
     first = next(iter(named.values()))
-    return Chart("service_by_tier", "Service by customer and tier", first, panels)
+    return Chart("service_by_tier", "Supply by customer and tier", first, panels)
 
 
 def _shares(run: Trajectory, axis: str) -> Curves:
@@ -141,7 +141,7 @@ class Tiles:
         texts = {}
         for tier, share in in_outage.items():
             count = int(np.sum(self.run.scenario.customers.tier == tier))
-            served = f"\n{share:.0%} served\nin outage" if np.isfinite(share) else ""
+            served = f"\n{share:.0%} supplied\nin outage" if np.isfinite(share) else ""
             texts[str(tier)] = f"{tier} ({count}){served}"
         return texts
 
@@ -187,8 +187,8 @@ class Tiles:
 
     def entries(self) -> Iterable[Entry]:
         """What the colours mean."""
-        yield Entry("served", fill=SERVED)
-        yield Entry("not served (x)", fill=UNSERVED)
+        yield Entry("supplied", fill=SERVED)
+        yield Entry("off supply (x)", fill=UNSERVED)
 
     def readings(self) -> list[dict[str, Any]]:
         """The panel of shares below says it in numbers."""
