@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,7 +27,9 @@ from experiments.mutations import (
 )
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
-from vppres.io import read_scenario, write_scenario
+from vppres.day.options import RunOptions
+from vppres.feeders import import_network
+from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
 from vppres.io.messages import MAX_PROBLEMS_PER_FILE, MAX_PROBLEMS_PER_KIND
 from vppres.io.python_door import check_scenario
 
@@ -994,6 +999,46 @@ def test_broken_parquet(tiny_folder: Path) -> None:
     assert len(found) == 1
     assert found[0].startswith("load_kw.parquet: is not a readable Parquet file (")
     assert found[0].endswith("). Write the file again.")
+
+
+def test_parquet_with_lists_in_its_cells(tiny_folder: Path) -> None:
+    frame = pd.read_csv(tiny_folder / "customers.csv")
+    frame["bus"] = [[bus] for bus in frame["bus"]]
+    frame.to_parquet(tiny_folder / "customers.parquet", index=False)
+    edit(
+        tiny_folder,
+        "scenario.toml",
+        "[controller]",
+        '[files]\ncustomers = "customers.parquet"\n[controller]',
+    )
+    assert messages(tiny_folder)[0] == (
+        "customers.parquet, bus: holds lists or tables. Write one number a cell."
+    )
+
+
+def test_what_pandas_notes_in_parquet_files_is_not_needed(tiny_folder: Path) -> None:
+    before = read_scenario(tiny_folder)
+    table = pa.Table.from_pandas(pd.read_csv(tiny_folder / "customers.csv"))
+    note = {b"pandas": b'{"index_columns": ["none"], "column_indexes": 3, "columns": [[1]]}'}
+    pq.write_table(table.replace_schema_metadata(note), tiny_folder / "customers.parquet")
+    edit(
+        tiny_folder,
+        "scenario.toml",
+        "[controller]",
+        '[files]\ncustomers = "customers.parquet"\n[controller]',
+    )
+    assert scenario_digest(read_scenario(tiny_folder)) == scenario_digest(before)
+
+
+@pytest.mark.parametrize("length", [200, 5000])
+@pytest.mark.parametrize(
+    "ask", [find_scenario, import_network, lambda name: RunOptions(controller=name)]
+)
+def test_long_names_are_cut_in_messages(ask: Callable[[str], object], length: int) -> None:
+    with pytest.raises(InputError) as caught:
+        ask("x" * length)
+    assert len(str(caught.value)) < 600
+    assert "x" * 200 in str(caught.value)
 
 
 def test_parquet_times_without_zone_and_missing_values(tiny_folder: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from vppres.core.text import visible
+from vppres.core.text import brief, visible
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,9 @@ class Problem:
             if self.value is not None:
                 place += f" = {self.value}"
         more = f", and {self.more} more" if self.more else ""
-        # Places and values are others' text: what would steer a terminal is written out.
-        return visible(f"{place}: {self.message}{more}. {self.cure}")
+        # Places and values are others' text: long words are cut, and what would steer a terminal is
+        # written out.
+        return visible(brief(f"{place}: {self.message}{more}. {self.cure}"))
 
     def in_file(self, file: str, first_row: int = 2) -> Problem:
         """The same problem, located in a file whose first data row is line ``first_row``."""

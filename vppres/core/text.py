@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 
 # Control, surrogate, unassigned and format characters and line separators steer terminals, break
@@ -10,6 +11,8 @@ _HIDDEN = {"Cc", "Cf", "Cs", "Cn", "Zl", "Zp"}
 _JOINERS = "\u200c\u200d"
 # A spreadsheet takes a cell that begins with one of these for a formula, and runs it.
 _FORMULA = "=+@-"
+LONGEST_WORD = 300  # characters of a message; paths are seldom longer
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def is_hidden(character: str) -> bool:
@@ -30,6 +33,15 @@ def visible(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(repr(c)[1:-1] if is_hidden(c) else c for c in text)
+
+
+def brief(text: str) -> str:
+    """A text with its long words cut: names that others wrote may have thousands of characters.
+
+    >>> len(brief("x" * 5000))
+    303
+    """
+    return _LONG_WORD.sub(lambda word: f"{word[0][:LONGEST_WORD]}...", text)
 
 
 def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, get_args
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem, VppresError
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
@@ -108,8 +108,20 @@ def import_network(
             )
         )
     with _quiet():
-        read = NAMED[text] if source is None and text in NAMED else _reader(text, source)
-        return _feeder(read(), Path(text).name, changes)
+        if source is None and text in NAMED:
+            return _feeder(NAMED[text](), text, changes)
+        return _of_file(_reader(text, source), Path(text), changes)
+
+
+def _of_file(read: Callable[[], _Net], path: Path, changes: Changes) -> ImportedFeeder:
+    """The feeder of a file or code."""
+    found = read()
+    try:
+        return _feeder(found, path.name, changes)
+    except VppresError:
+        raise
+    except Exception as error:  # values that no check thought of; the file is the cause
+        raise _unreadable(path, "a network", f"{type(error).__name__}: {error}") from error
 
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:

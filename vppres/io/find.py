@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,7 +74,7 @@ def find_scenario(name_or_folder: str | Path) -> Path:
     if str(name_or_folder) in names and isinstance(name_or_folder, str):
         return _home() / name_or_folder
     folder = Path(name_or_folder)
-    if folder.is_dir():
+    if os.path.isdir(folder):  # False for a name that no file system takes
         return folder
     raise InputError(
         Problem(

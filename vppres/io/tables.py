@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ MAX_CELLS = 10_000_000
 MAX_ROWS = schema.MAX_STEPS + 1  # and the header
 MAX_COLUMNS = schema.MAX_ITEMS + 1  # and the time
 MAX_FILE_BYTES = 100_000_000
+_NAMELESS = re.compile(r"__index_level_\d+__")  # the numbers of the rows, as pandas writes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,13 +255,16 @@ def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
     import pyarrow.parquet as pq  # slow to load, and most folders have none
 
     try:
-        content = pq.ParquetFile(path).metadata
+        sizes = pq.ParquetFile(path).metadata
         # A small file can say that one value repeats without end: ask before reading.
         if path.stat().st_size > MAX_FILE_BYTES or _beyond(
-            content.num_rows, content.num_columns, content.num_rows * content.num_columns
+            sizes.num_rows, sizes.num_columns, sizes.num_rows * sizes.num_columns
         ):
             return None, [_too_many(path.name)]
-        frame = pd.read_parquet(path, engine="pyarrow")
+        content = pq.read_table(path)
+        nested = [field.name for field in content.schema if pa.types.is_nested(field.type)]
+        # What pandas noted in the file is of its author's hand, and not needed.
+        frame = content.to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, ValueError) as error:
         return None, [
             Problem(
@@ -268,10 +273,14 @@ def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
                 "Write the file again.",
             )
         ]
-    named = [name for name in frame.index.names if name is not None]
-    frame = frame.reset_index(level=named) if named else frame
-    frame.columns = pd.Index([str(name).strip() for name in frame.columns])
-    problems = _check_header(path.name, list(frame.columns))
+    frame = frame.loc[:, [_NAMELESS.fullmatch(name) is None for name in frame.columns]]
+    frame.columns = pd.Index([name.strip() for name in frame.columns])
+    problems = _check_header(path.name, list(frame.columns)) + few(
+        range(len(nested)),
+        lambda i: Problem(
+            path.name, "holds lists or tables", "Write one number a cell.", field=nested[i]
+        ),
+    )
     # Rows are counted as in a CSV file, whose header is line 1.
     frame.index = pd.RangeIndex(2, len(frame) + 2)
     return (None, problems) if problems else (Table(path.name, frame), [])

@@ -9,13 +9,16 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.strangers.files import MOST_PROBLEMS, read_text
 
 LARGEST_BYTES = 32 * 2**20
 """A net of 10,000 buses has some 10 MB."""
+
+MOST_BRACKETS = 1_000_000
+"""Each is an object or list in memory; a net of 10,000 buses has some 100,000."""
 
 DEEPEST = 30
 """Nets have some six levels: net, table, its text, rows, cells, and objects in cells."""
@@ -86,6 +89,14 @@ def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...], list[dict[str, An
         Whatever pandapower stumbles over.
     """
     text = read_text(path, LARGEST_BYTES)
+    if text.count("{") + text.count("[") > MOST_BRACKETS:
+        raise InputError(
+            Problem(
+                path.name,
+                f"has more than {MOST_BRACKETS} objects and lists",
+                "Give the feeder alone, without time series.",
+            )
+        )
     check = _Check(path.name)
     omitted = check.run(text)
     from pandapower.file_io import from_json_string
@@ -116,9 +127,11 @@ class _Check:
                 waiting += [(inner, depth + 1) for inner in value.values()]
             elif isinstance(value, list):
                 waiting += [
-                    (inner, depth + 1) for inner in value if isinstance(inner, (dict, list, str))
+                    (inner, depth + 1)
+                    for inner in value
+                    if isinstance(inner, (dict, list)) or _may_be_json(inner)
                 ]
-            elif isinstance(value, str) and value.lstrip()[:1] in ("{", "[", '"'):
+            elif _may_be_json(value):
                 waiting.append((self._inner(value), depth + 1))
         if self.problems:
             raise InputError(list(self.problems.values()))
@@ -188,6 +201,11 @@ class _Check:
 
     def _refuse(self, message: str, cure: str) -> None:
         self.problems.setdefault(message, Problem(self.name, message, cure))
+
+
+def _may_be_json(value: object) -> TypeGuard[str]:
+    """Whether a value is a text that may be JSON itself."""
+    return isinstance(value, str) and value.lstrip()[:1] in ("{", "[", '"')
 
 
 def _is_table(content: object) -> bool:
