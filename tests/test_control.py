@@ -436,7 +436,8 @@ def test_missing_readings_are_estimated(tiny: Scenario) -> None:
     known.step(Measurement(known.times[0], SOC))
     told = known.step(Measurement(known.times[1], left))
     assert second.solve["estimated"] == (
-        f"soc big {left['big']:.4f} (missing); soc small {left['small']:.4f} (missing); "
+        f"soc big {left['big']:.4f} +-0.010 (missing); "
+        f"soc small {left['small']:.4f} +-0.010 (missing); "
         "load shop 41.00 kW (missing); pv roof 28.00 kW (missing)"
     )
     assert second.customers.equals(told.customers)
@@ -448,7 +449,8 @@ def test_state_of_charge_far_outside_is_reckoned(tiny: Scenario) -> None:
     first = controller.step(Measurement(controller.times[3], SOC))
     left = first.batteries["soc_end"]["big"]
     second = controller.step(Measurement(controller.times[4], {"big": 0.95, "small": 0.5}))
-    assert second.solve["estimated"] == f"soc big {left:.4f} (missing)"
+    band = 0.01 + 0.1 * (0.5 - left)
+    assert second.solve["estimated"] == f"soc big {left:.4f} +-{band:.3f} (missing)"
 
 
 def test_set_points_are_held_over_steps_that_were_left_out(tiny: Scenario) -> None:
@@ -457,7 +459,8 @@ def test_set_points_are_held_over_steps_that_were_left_out(tiny: Scenario) -> No
     change = first.batteries["soc_end"]["big"] - 0.5
     later = controller.step(Measurement(controller.times[5], {"small": 0.5}))
     assert change < -0.1
-    assert later.solve["estimated"] == f"soc big {max(0.5 + 2 * change, 0.15):.4f} (missing)"
+    left, band = max(0.5 + 2 * change, 0.15), 2 * (0.01 - 0.1 * change)
+    assert later.solve["estimated"] == f"soc big {left:.4f} +-{band:.3f} (missing)"
 
 
 def test_silent_battery_and_one_that_reports_to_be_out(tiny: Scenario) -> None:

@@ -24,6 +24,8 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.check import Tolerances, violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.guard.moved import Moved
+from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.mpc import MPCController
 from vppres.control.rules import best_subset, carry, rule_dispatch
 from vppres.control.step_state import StepState
@@ -476,6 +478,7 @@ def seen_day(
 
 
 OPTIONS = RunOptions(horizon_h=2.0)
+SOC_NOW = np.array([0.8, 0.5])
 
 
 def same_service(one: Day, other: Day) -> bool:
@@ -489,15 +492,40 @@ def same_service(one: Day, other: Day) -> bool:
 
 def test_missing_soc_is_reckoned_exactly(tiny: Scenario) -> None:
     def without_soc(seen: Observation) -> Observation:
-        return replace(seen, soc=np.full(2, np.nan))
+        return replace(seen, soc=np.full(2, np.nan)) if seen.t0 else seen
 
     blind = seen_day(tiny, without_soc, OPTIONS)
     assert same_service(blind, played(tiny, make_controller(tiny, OPTIONS)))
-    assert (
-        blind.recorder.records[0].steps["estimated"]
-        == "soc big 0.1500 (missing); soc small 0.5000 "
-        "(missing)"
-    )
+    assert [" (missing)" in r.steps["estimated"] for r in blind.recorder.records] == [False] + 5 * [
+        True
+    ]
+
+
+def test_what_is_known_of_a_silent_battery_fades(tiny: Scenario) -> None:
+    """By a hundredth an hour and a tenth of what was ordered, until it may be empty or full."""
+    b = tiny.batteries
+    reckoning = SocReckoning.start(Site.of(tiny))
+    nothing = np.full(2, np.nan)
+    assert reckoning.after(nothing, np.zeros(2), 0.0, Moved.nothing(2)).unknown.all()
+    moved = Moved.nothing(2).ordered(0.0, np.array([0.0, 0.6]), (b.eta_charge, b.eta_discharge))
+    heard = reckoning.after(np.array([0.5, 0.2]), np.zeros(2), 0.0, Moved.nothing(2))
+    later = heard.after(nothing, np.zeros(2), 34.0, moved)
+    assert later.band == pytest.approx([0.34, 0.34 * (1.0 + 0.1 * b.eta_charge[1])])
+    assert later.soc == pytest.approx([0.5, 0.2 + 0.34 * b.eta_charge[1]])
+    assert later.unknown.tolist() == [False, True]  # half of what lies between the limits is 0.35
+
+
+def test_a_reading_that_comes_late_counts_from_when_it_was_read(tiny: Scenario) -> None:
+    b = tiny.batteries
+    eta = (b.eta_charge, b.eta_discharge)
+    moved = Moved.nothing(2)
+    for hour, power_kw in ((0.0, -10.0), (1.0, -20.0), (2.0, 0.0)):
+        moved = moved.ordered(hour, np.array([power_kw, 0.0]), eta)
+    heard = SocReckoning.start(Site.of(tiny)).after(SOC_NOW, np.zeros(2), 0.0, Moved.nothing(2))
+    late = heard.after(np.array([0.75, 0.5]), np.array([0.5, 0.5]), 3.0, moved)
+    assert late.soc[0] == pytest.approx(0.75 - (5.0 + 20.0) / b.eta_discharge[0] / 100.0)
+    older = late.after(np.array([0.8, 0.5]), np.array([0.25, 0.25]), 3.5, moved)
+    assert older.soc == pytest.approx(late.soc) and not older.trusted.any()
 
 
 def test_frozen_soc_is_noticed_once_the_battery_has_moved(tiny: Scenario) -> None:

@@ -185,3 +185,158 @@ def test_a_forecast_has_the_range_of_a_reading(live: tuple[Caller, SetClock]) ->
     assert decided(http, clock, NOON)["status"] in ("ok", "fallback")
     body["assets"] = {"shop": {"p50": [2.0 * RANGES["load_kw"].highest]}}
     assert http.put("/v1/forecasts/load_kw", body).status == 422
+
+
+# The newest reading counts.
+
+
+def spoken(
+    time: pd.Timestamp, soc: float, resolution: str = "PT1H", assets: Any = ("big", "small")
+) -> dict[str, Any]:
+    """Telemetry of batteries at a time."""
+    series = readings(time, "soc", dict.fromkeys(assets, soc))
+    return {"series": [{**one, "resolution": resolution} for one in series]}
+
+
+def test_a_reading_before_the_first_step_holds_the_island(live: tuple[Caller, SetClock]) -> None:
+    """The scenario begins with 0.15 in the big battery; 0.62 was heard ten minutes before."""
+    http, clock = live
+    http.put("/v1/events/storm", DARK)
+    clock.set(NOON)
+    http.post("/v1/telemetry", spoken(NOON - pd.Timedelta("10min"), 0.62, "PT5M"))
+    plan = http.post("/v1/steps").json()
+    assert said(plan, "customers")["hospital"]["served"]
+    assert not any(one["reason"].startswith("default") for one in plan["setpoints"])
+    assert {(one["asset"], one["state"]) for one in plan["late"]} == {
+        ("big", "stale"),
+        ("small", "stale"),
+    }
+
+
+def test_a_reading_denies_what_the_plan_believed(live: tuple[Caller, SetClock]) -> None:
+    """The plan ends above 0.6; ten minutes before the next step 0.25 is heard, in an outage."""
+    http, clock = live
+    first = decided(http, clock, NOON, soc=0.84)
+    assert first["expected"]["soc"]["big"] > 0.6
+    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
+    clock.set(NOON + HOUR)
+    http.post("/v1/telemetry", spoken(NOON + pd.Timedelta("50min"), 0.25))
+    dark = http.post("/v1/steps").json()
+    held_kwh = 0.1 * 160.0  # above the lower limit of 0.15
+    used_kw = -sum(one["p_kw"] for one in said(dark, "batteries").values())
+    assert used_kw <= held_kwh and dark["late"] == []
+    assert not said(dark, "customers")["shop"]["served"]
+
+
+@pytest.mark.parametrize("minutes", [15, 30, 60])
+def test_five_minute_telemetry_is_not_late_at_any_step(
+    tiny: Scenario, tmp_path: Path, minutes: int
+) -> None:
+    """Heard four minutes before the step, as it is on every day."""
+    day = site(tiny, minutes)
+    clock = SetClock(NOON)
+    step = pd.Timedelta(minutes=day.grid.step_minutes)
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        for t in range(3):
+            clock.set(NOON + t * step)
+            http.post("/v1/telemetry", spoken(clock.now() - pd.Timedelta("4min"), 0.5, "PT5M"))
+            plan = http.post("/v1/steps").json()
+            assert plan["late"] == [] and not any("soc" in one for one in plan["estimated"])
+
+
+def test_what_was_ordered_since_is_added_to_an_older_reading(tiny: Scenario) -> None:
+    """Half an hour before the end of a step that discharges: half of what was ordered is gone."""
+    controller = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
+    first = controller.step(Measurement(controller.times[3], SOC))
+    power = first.batteries["p_kw"]["big"]
+    assert power < -10.0
+    second = controller.step(
+        Measurement(
+            controller.times[4],
+            {"big": 0.6, "small": 0.3},
+            soc_at={"big": controller.times[4] - 0.5 * HOUR},
+        )
+    )
+    given_kwh = -power / tiny.batteries.eta_discharge[0] * 0.5
+    assert second.batteries["soc"]["big"] == pytest.approx(0.6 - given_kwh / 100.0)
+    assert second.batteries["soc"]["small"] == 0.3
+    assert second.solve["estimated"] == ""
+
+
+def test_what_was_refused_was_not_stored(live: tuple[Caller, SetClock]) -> None:
+    """The battery said so; its old reading still stands, and it is left out until it is heard."""
+    http, clock = live
+    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
+    first = decided(http, clock, NOON, soc=0.3)
+    point = said(first, "batteries")["big"]
+    assert point["p_kw"] > 10.0
+    clock.set(NOON + pd.Timedelta("5s"))
+    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
+    clock.set(NOON + HOUR)
+    plan = http.post("/v1/steps").json()
+    assert "soc big 0.3000" in " ".join(plan["estimated"])
+    assert "battery big is out" in plan["estimated"]
+
+
+def test_a_battery_that_was_never_heard_is_out_and_says_so(tiny: Scenario) -> None:
+    controller = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
+    found = controller.step(Measurement(controller.times[3], {"small": 0.85}))
+    assert found.solve["estimated"] == "soc big was never heard; battery big is out"
+    assert found.batteries["p_kw"]["big"] == 0.0
+    assert found.customers["served"]["hospital"]  # by the other one and the sun
+
+
+def test_silent_batteries_hold_the_island_as_if_they_were_heard(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """By what was ordered; the other service is told each hour what was expected."""
+    served = []
+    for folder, silent in (("silent", True), ("heard", False)):
+        clock = SetClock(NOON)
+        with client(Service(site(tiny), HERE), tmp_path / folder, clock) as http:
+            http.put("/v1/events/storm", DARK)
+            plans = [decided(http, clock, NOON, soc=0.85)]
+            for hour in range(1, 6):
+                clock.set(NOON + hour * HOUR)
+                if not silent:
+                    soc = readings(clock.now(), "soc", plans[-1]["expected"]["soc"])
+                    assert http.post("/v1/telemetry", {"series": soc}).json()["accepted"] == 2
+                plans.append(http.post("/v1/steps").json())
+            served.append(
+                [{a: p["served"] for a, p in said(q, "customers").items()} for q in plans]
+            )
+        assert not any("is out" in one for plan in plans for one in plan["estimated"])
+    assert served[0] == served[1]
+    assert [on["hospital"] for on in served[0]].count(True) >= 2
+
+
+def test_the_gate_checks_what_was_decided_on(live: tuple[Caller, SetClock]) -> None:
+    """A reading that stands still while the battery moved is not believed; nor does the gate."""
+    http, clock = live
+    decided(http, clock, NOON, soc=0.2)
+    power = {"big": 50.0, "small": 30.0}
+    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
+    clock.set(NOON + HOUR)
+    http.post("/v1/telemetry", {"series": readings(NOON, "battery_kw", power)})
+    http.post("/v1/telemetry", heard(NOON + HOUR, soc=0.2))
+    plan = http.post("/v1/steps").json()
+    assert any("(frozen)" in one for one in plan["estimated"])
+    assert min(one["p_kw"] for one in said(plan, "batteries").values()) < -10.0
+    assert not any(one["reason"].startswith("default") for one in plan["setpoints"])
+
+
+def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
+    live: tuple[Caller, SetClock],
+) -> None:
+    http, clock = live
+    http.put("/v1/events/storm", DARK)
+    clock.set(NOON)
+    http.post("/v1/telemetry", spoken(NOON - 2 * HOUR, 0.16))
+    plan = http.post("/v1/steps").json()
+    assert not said(plan, "customers")["hospital"]["served"]
+    words = "hospital is off, and the state of charge of big, small is not known of now"
+    assert plan["alarms"] == [words]
+    assert http.get("/v1/overview").json()["plan"]["alarms"] == [words]
+    assert http.get("/v1/status").json()["alarms"] == [words]
+    fresh = decided(http, clock, NOON + HOUR, soc=0.16)
+    assert not said(fresh, "customers")["hospital"]["served"] and fresh["alarms"] == []

@@ -27,11 +27,12 @@ HERE = RunOptions(horizon_h=2.0, isolate=False)
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 
 
-def site(tiny: Scenario) -> Scenario:
-    """A day of hours from local midnight, without outage."""
-    day = repeated(tiny, 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+def site(tiny: Scenario, minutes: int = 60) -> Scenario:
+    """A day of steps from local midnight, without outage."""
+    n_steps = 24 * 60 // minutes
+    day = repeated(tiny, n_steps)
+    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), float(minutes), n_steps)
+    return replace(day, grid=grid, grid_limit_kw=np.full(n_steps, np.inf))
 
 
 @contextmanager

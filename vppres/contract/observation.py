@@ -14,6 +14,22 @@ from vppres.core.arrays import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
+class Told:
+    """What batteries were told from a time on, where it was not what was decided.
+
+    Parameters
+    ----------
+    before_h : float
+        How long before now, in h.
+    battery_kw : array, shape (B,)
+        Charging power, negative to discharge.
+    """
+
+    before_h: float
+    battery_kw: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Observation:
     """What may be known at the beginning of a step: forecasts and measurements, no future truth.
 
@@ -47,6 +63,12 @@ class Observation:
     stored_value : StoredValue, optional
         What energy is worth behind the present step, where the steps behind it are believed and not
         known. The window is then the present step alone.
+    elapsed_h : float
+        How much of the step is over, where it is decided anew; states are those of that moment.
+    soc_age_h : array, shape (B,), optional
+        How old the state of charge is; of now if not given.
+    told : tuple of Told
+        What batteries were told since the last decision, where it was something else.
     """
 
     t0: int
@@ -64,6 +86,9 @@ class Observation:
     terminal: Terminal | None = None
     keep_stored: bool = False
     stored_value: StoredValue | None = None
+    elapsed_h: float = 0.0
+    soc_age_h: Floats | None = None
+    told: tuple[Told, ...] = ()
 
     @property
     def end(self) -> Terminal | None:

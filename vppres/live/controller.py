@@ -164,6 +164,11 @@ class Controller:
         """Beginnings of the steps that are known: those that can be decided on, and the past."""
         return self.scenario.grid.times
 
+    @property
+    def decided(self) -> pd.Timestamp | None:
+        """Beginning of the step that was decided last; None before the first."""
+        return None if self._past.t < 0 else self.times[self._past.t - self._forgotten]
+
     def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
         """Times for which the decision at ``time`` uses forecasts, ``time`` itself included.
 
@@ -302,7 +307,8 @@ class Controller:
         """Decide on the step that begins now.
 
         The step that was decided last may be decided again, with other measurements: the second
-        decision takes the place of the first. A call that raises changes nothing.
+        decision takes the place of the first; with ``now`` it goes on from there, for the rest of
+        the step. A call that raises changes nothing.
 
         Parameters
         ----------
@@ -335,7 +341,9 @@ class Controller:
         latest = Memory(self._decider)
         start = (latest, self._past)
         if seen.t + self._forgotten == self._past.t and self._step_before is not None:
-            start = self._step_before
+            # Anew within the step: what was ordered and seen in it has happened.
+            memory = latest if seen.elapsed_h else self._step_before[0]
+            start = (memory, self._step_before[1])
         try:
             start[0].restore()
             points, past = self._decided(seen, start[1])
@@ -349,7 +357,8 @@ class Controller:
             latest.restore()
             raise
         self._past = past
-        self._step_before = start
+        if not seen.elapsed_h or self._step_before is None:
+            self._step_before = start
         return points
 
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:

@@ -27,6 +27,8 @@ WHERE = "measurement"
 MOST_OF_A_KIND = 20
 """Problems of one quantity that are listed; the others are counted."""
 
+HOUR = pd.Timedelta(hours=1)
+
 WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
 LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
 
@@ -72,6 +74,7 @@ class Door:
         self._counts: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
         self.t = int(self._steps("time", [time])[0])
+        self.begun = self._start + max(self.t, 0) * self._length
 
     def finish(self) -> None:
         """Raise all problems at once.
@@ -169,6 +172,28 @@ class Door:
             return None
         value = self._number(field, given, now=True)
         return None if np.isnan(value) else value
+
+    def moment(self, field: str, given: Any, what: str = "") -> pd.Timestamp | None:
+        """A time with an offset; None if it is none, or none is given."""
+        if given is None:
+            return None
+        moment = moment_of(given)
+        if moment is None or moment.tzinfo is None:
+            wrong = "is not a date and time" if moment is None else "has no time zone"
+            self.problem(field, wrong, WRITE_A_TIME, what or field, given)
+            return None
+        return moment
+
+    def ages_h(self, field: str, given: Any, ids: Names, now: pd.Timestamp) -> Floats:
+        """How long ago each item was read, in h; now where no time is given."""
+        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
+        positions = self._positions(field, list(named), ids)
+        result = np.zeros(len(ids))
+        for (name, value), position in zip(named.items(), positions, strict=True):
+            moment = self.moment(field, value, f"{field} of {shown(name)}")
+            if moment is not None and position >= 0:
+                result[position] = max((now - moment) / HOUR, 0.0)  # clocks may be ahead
+        return result
 
     def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
         """Keep a problem, or count it where there are many of its kind."""

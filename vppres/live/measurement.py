@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem, VppresError
-from vppres.live.door import WHERE, Door, readable
+from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -66,6 +67,15 @@ class Measurement:
         Largest import in kW by time while there is grid, as it is known beforehand. It says nothing
         of outages, and so reaches controllers that are not told of them otherwise; where it says
         nothing the limit of now is taken to stay.
+    now : pandas.Timestamp, datetime or str, optional
+        The moment, where a step that was decided is decided anew for the rest of it; its beginning
+        if not given. States are those of then, and means those since the last decision.
+    soc_at : mapping or Series, optional
+        When each state of charge was read; now, if not given. What was stored since is added: by
+        ``battery_kw`` where it is given, else by what was ordered.
+    ordered_kw : DataFrame, optional
+        What batteries were told since the last decision, where it was not what was decided: a row
+        for each time from which on it held, a column for each battery.
 
     Examples
     --------
@@ -90,6 +100,9 @@ class Measurement:
     connected: Switches | None = None
     announced_limit_kw: pd.Series | None = None
     foretold: Mapping[str, Sequence[str]] | None = None
+    now: pd.Timestamp | datetime | str | None = None
+    soc_at: Mapping[str, Any] | pd.Series | None = None
+    ordered_kw: pd.DataFrame | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +134,12 @@ class Seen:
         Of whom the steps ahead are somebody's forecast.
     left_out : tuple of str
         Readings that no device can have, in words; they count as missing.
+    elapsed_h : float
+        How much of the step is over.
+    soc_age_h : array, shape (B,), or None
+        How old the states of charge are.
+    told : tuple of Told
+        What batteries were told since the last decision, where it was something else.
     """
 
     t: int
@@ -138,6 +157,9 @@ class Seen:
     foretold_load: Flags
     foretold_pv: Flags
     left_out: tuple[str, ...] = ()
+    elapsed_h: float = 0.0
+    soc_age_h: Floats | None = None
+    told: tuple[Told, ...] = ()
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -234,6 +256,9 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     connected = door.flags("connected", measured.connected, c.id)
     announced = _announced(door, scenario, measured)
     foretold = measured.foretold or {}
+    now = _now(door, measured)
+    soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
+    told = _told(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, soc, online)
     door.finish()
@@ -262,6 +287,9 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         _among(c.id, foretold.get("load_kw", ())),
         _among(pv.id, foretold.get("pv_kw", ())),
         tuple(door.left_out),
+        (now - door.begun) / HOUR,
+        soc_age_h,
+        told,
     )
 
 
@@ -291,6 +319,27 @@ def _among(ids: Names, named: Sequence[str]) -> Flags:
     """Which identifiers are named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
+
+
+def _now(door: Door, measured: Measurement) -> pd.Timestamp:
+    """The moment of the decision, within its step."""
+    now = door.moment("now", measured.now) or door.begun
+    if not door.begun <= now < door.begun + pd.Timedelta(minutes=door.grid.step_minutes):
+        door.problem("now", "lies outside the step", "Give a time within it.", "now", measured.now)
+    return now
+
+
+def _told(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
+    """What batteries were told from times on, the earliest first."""
+    if ordered_kw is None:
+        return ()
+    found = []
+    for time, row in ordered_kw.iterrows():
+        moment = door.moment("ordered_kw", time)
+        power_kw = door.values("ordered_kw", row, ids, np.zeros(len(ids)))
+        if moment is not None:
+            found.append(Told(max((now - moment) / HOUR, 0.0), np.nan_to_num(power_kw)))
+    return tuple(sorted(found, key=lambda one: -one.before_h))
 
 
 def _check_order(door: Door, measured: Measurement, earliest: int) -> None:

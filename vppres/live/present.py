@@ -145,6 +145,9 @@ class Present:
             served=self.past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             keep_stored=self.options.keep_stored,
+            elapsed_h=seen.elapsed_h,
+            soc_age_h=seen.soc_age_h,
+            told=seen.told,
         )
 
     def day(self, known: Observation) -> Day:

@@ -72,6 +72,7 @@ RANGES: Mapping[str, Range] = {
     "eta_charge": _EFFICIENCY,
     "eta_discharge": _EFFICIENCY,
     "battery_kw": Range(-MAX_KW, MAX_KW, _FINITE, _CORRECT, _UNIT),
+    "ordered_kw": Range(-MAX_KW, MAX_KW, _FINITE, _CORRECT, _UNIT),
     "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, _FINITE, _CORRECT, _UNIT),
     "online": _FLAG,
     "grid_on": _FLAG,

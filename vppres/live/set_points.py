@@ -41,8 +41,8 @@ class SetPoints:
     customers : DataFrame
         ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``.
     batteries : DataFrame
-        ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), and ``soc_end``, the
-        state of charge that is expected after the step.
+        ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
+        of charge that was decided on, and ``soc_end``, the one that is expected after the step.
     pv : DataFrame
         ``bus``, ``available_kw``, ``p_kw`` to be fed, ``curtailed_kw`` and ``q_kvar`` (injection
         positive).
@@ -161,6 +161,7 @@ def _batteries(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         bus=scenario.batteries.bus,
         p_kw=columns["charge_kw"] - columns["discharge_kw"],
         q_kvar=columns["q_kvar"],
+        soc=columns["soc_start"],
         soc_end=columns["soc_end"],
     )
 

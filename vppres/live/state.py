@@ -31,7 +31,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 1
+VERSION = 2
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"

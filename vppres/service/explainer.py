@@ -18,7 +18,7 @@ from vppres.core.errors import StorageError, VppresError
 from vppres.core.parent import command
 from vppres.service.access import Denied
 from vppres.service.explanations import question, unsolved
-from vppres.service.plans import DECIDED
+from vppres.service.records import DECIDED
 from vppres.service.runner import Runner
 
 WITHIN_S = 120.0

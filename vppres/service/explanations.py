@@ -31,7 +31,7 @@ from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.export import as_it_was, replayed, site_of
-from vppres.service.plans import DECIDED
+from vppres.service.records import DECIDED
 from vppres.service.runner import Runner, Service
 
 STEPS_BEFORE = 24

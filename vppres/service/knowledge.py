@@ -1,15 +1,15 @@
 """From what is stored to the measurement of a step: what is heard, late, or lost.
 
-A reading holds for its own resolution and for a step at least; a state of charge, and whether there
-is grid, for a tenth of a step. What is older is left to the guard, which estimates it; a battery
-that has been silent in everything for three steps, or whose state of charge was never heard of, is
-left out of the plan.
+A reading holds for its own resolution, demand and PV power for a step at least. What is older is
+late: of demand and PV power the guard estimates it. Of the state of charge the newest reading
+counts, however old it is, and the guard adds what was stored since.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,21 +26,22 @@ from vppres.service.announced import announced_at, announced_kw, limits_kw, outa
 from vppres.service.clock import written
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
-from vppres.service.records import Event, Reading, moment, seconds
+from vppres.service.records import DECIDED, Event, Reading, moment, seconds
+from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
 INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
-OF_BATTERIES = ("soc", "online", "battery_kw")
 GRID = "grid"
 EARLY_SHARE = 0.1
 """Share of a step that a reading may be ahead of it: clocks are off."""
 
 MOVING = ("soc", "grid_on")
-MOVING_SHARE = 0.1
-"""Share of a step for which readings hold that may have changed since, whatever their resolution:
-what moved a battery the guard reckons, and whether there is grid must not be an old story."""
+"""Readings that are late by their own period, however long a step is."""
+
+MOST_STEPS = 24
+"""Steps over which means are taken where nothing was decided for long."""
 
 LOST_AFTER = 3
 """Multiples of the time for which a reading holds."""
@@ -205,7 +206,11 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
 
 
 def known_at(
-    time: pd.Timestamp, controller: Controller, store: Store, own_days: bool = False
+    time: pd.Timestamp,
+    controller: Controller,
+    store: Store,
+    own_days: bool = False,
+    now: pd.Timestamp | None = None,
 ) -> Known:
     """What is known at the beginning of a step.
 
@@ -219,45 +224,55 @@ def known_at(
         What was heard.
     own_days : bool, optional
         Whether the scenario's own days come, of which the limits ahead are known to nobody.
+    now : pandas.Timestamp, optional
+        The moment, where the step is decided anew within it.
     """
     scenario = controller.scenario
-    readings = _Readings.at(time, scenario, store)
+    at = time if now is None else now
+    readings = _Readings.at(at, scenario, store)
     window = Window.of(controller, time)
     events = list(store.events().values())
-    grid = _grid(controller, window, readings, events)
+    grid = _grid(controller, window, readings, events, at)
     powers = _Powers(window, readings, store)
-    means = _means(store, time, window.length)
+    said = _Said.since(controller.decided, time - window.length, at, store)
+    means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     batteries = [str(name) for name in scenario.batteries.id]
     moved = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
-    soc = readings.now("soc")
-    out = _left_out(batteries, readings, store)
+    soc = readings.newest("soc")
+    out = _refusing(soc, store)
     off = {name for name, value in readings.now("online").items() if value == 0.0}
     lost = lost_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
     measurement = Measurement(
         time,
-        soc={name: value for name, value in soc.items() if name not in out},
+        soc=soc_of(soc),
         load_kw=powers.ahead("load_kw", scenario.customers.id),
         pv_kw=powers.ahead("pv_kw", scenario.pv.id),
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
         battery_kw=moved or None,
         online={name: name not in out | off for name in batteries},
-        import_kw=means.get((GRID, "import_kw")),
+        import_kw=means.get((GRID, "import_kw")) if said.by_controller else None,
         connected=dict.fromkeys(lost, False),
         announced_limit_kw=None
         if announced is None
         else pd.Series(announced, window.times).dropna(),
         foretold=powers.foretold,
+        now=now,
+        soc_at={name: moment(reading.time) for name, reading in soc.items()},
+        ordered_kw=said.ordered_kw,
     )
-    known_soc = {name: value for name, value in soc.items() if np.isfinite(value)}
-    return Known(measurement, readings.heard, grid, powers.estimated, known_soc, lost)
+    return Known(measurement, readings.heard, grid, powers.estimated, soc_of(soc), lost)
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
-    """States of charge that were read."""
-    found = _Readings.at(time, scenario, store).now("soc")
-    return {name: value for name, value in found.items() if np.isfinite(value)}
+    """States of charge that were read last."""
+    return soc_of(_Readings.at(time, scenario, store).newest("soc"))
+
+
+def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
+    """States of charge by battery."""
+    return {name: float(one.value) for name, one in found.items() if one.value is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,18 +289,12 @@ class _Readings:
         By asset and quantity; NaN where it is too old, or known to be missing.
     last : dict
         Readings that are too old too, but not lost.
-    silent : set of str
-        Batteries of which nothing at all is heard any more.
-    times : dict
-        When readings that hold were taken, in seconds, by asset and quantity.
     """
 
     found: list[Reading]
     heard: list[Heard]
     values: dict[tuple[str, str], float]
     last: dict[tuple[str, str], Reading]
-    silent: set[str]
-    times: dict[tuple[str, str], int]
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
@@ -300,22 +309,19 @@ class _Readings:
         last = {
             (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
         }
-        power = [_heard(reading, now_s, step_s) for reading in store.latest(time, ("battery_kw",))]
-        told = [one for one in (*heard, *power) if one.quantity in OF_BATTERIES]
-        alive = {one.asset for one in told if one.state != "lost"}
-        silent = {one.asset for one in told} - alive
-        times = {
-            (r.asset, r.quantity): r.time for r in found if np.isfinite(values[r.asset, r.quantity])
-        }
-        return cls(found, heard, values, last, silent, times)
+        return cls(found, heard, values, last)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
         return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
 
-    def heard_until(self, battery: str) -> int:
-        """Time of the last state of charge that is of now, in seconds; 0 if there is none."""
-        return self.times.get((battery, "soc"), 0)
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity by asset, however old they are."""
+        return {
+            one.asset: one
+            for one in self.found
+            if one.quantity == quantity and one.value is not None
+        }
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
@@ -364,25 +370,85 @@ class _Powers:
         return pd.DataFrame(table, window.times, names)
 
 
-def _left_out(batteries: Iterable[str], readings: _Readings, store: Store) -> set[str]:
-    """Batteries that are silent, or did not do what they were told.
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """What devices were told since the controller decided last.
 
-    The latter are taken back when they say how they are.
+    Parameters
+    ----------
+    decided_at : pandas.Timestamp
+        When that was.
+    ordered_kw : DataFrame or None
+        What batteries were told from times on; None where nobody was told anything.
+    by_controller : bool
+        Whether all of it was the controller's own.
     """
-    soc = readings.now("soc")
-    refusing = {
-        name for name, at in store.refusing("batteries").items() if readings.heard_until(name) < at
+
+    decided_at: pd.Timestamp
+    ordered_kw: pd.DataFrame | None
+    by_controller: bool
+
+    @classmethod
+    def since(
+        cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
+    ) -> _Said:
+        """What plans said from a step on up to now; from ``before`` on if none was decided."""
+        plans = store.plans(before if decided is None else decided, now)
+        if not plans:
+            return cls(before, None, True)
+        ordered = [row for plan in plans for row in _orders(plan, store)]
+        held = [row for row in ordered if row[0] < now]
+        table = pd.DataFrame([power for _, power in held], [time for time, _ in held])
+        own = [plan for plan in plans if plan["status"] in DECIDED]
+        return cls(
+            pd.Timestamp((own or plans)[-1].get("valid_from", before)),
+            table if len(table) else None,
+            plans[-1]["status"] in DECIDED,
+        )
+
+
+def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, dict[str, float]]]:
+    """What batteries were told by a plan, and that they rest when it is over.
+
+    Those that refused did nothing.
+    """
+    points = [one for one in plan["setpoints"] if one["kind"] == "batteries"]
+    if not points:
+        return []
+    said = store.acks(one["id"] for one in points)
+    refused = {name for name, one in said.items() if one["status"] in REFUSED}
+    told = {one["asset"]: 0.0 if one["id"] in refused else one["p_kw"] for one in points}
+    rest = {one["asset"]: one["default"]["p_kw"] for one in points}
+    return [
+        (pd.Timestamp(points[0]["valid_from"]), told),
+        (pd.Timestamp(points[0]["valid_until"]), rest),
+    ]
+
+
+def _refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
+    """Batteries that did not do what they were told, until they say how they are."""
+    return {
+        name
+        for name, at in store.refusing("batteries").items()
+        if name not in soc or soc[name].time < at
     }
-    return readings.silent | refusing | {name for name in batteries if name not in soc}
 
 
-def _grid(controller: Controller, window: Window, readings: _Readings, events: list[Event]) -> Grid:
+def _grid(
+    controller: Controller,
+    window: Window,
+    readings: _Readings,
+    events: list[Event],
+    now: pd.Timestamp,
+) -> Grid:
     """Whether there is grid: by its own reading, else by what is announced or believed."""
     limits = limits_kw(events, window)
     out = outages(events, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)
     last = readings.last.get((GRID, "grid_on"))
     known_by = "profile"
+    if read == 1.0 and last is not None and _begun_since(events, moment(last.time), now):
+        read = np.nan  # it says nothing of an outage that was announced and has begun since
     if np.isfinite(read):
         known_by = "reading"
         if read == 0.0 and not out[0]:
@@ -402,24 +468,29 @@ def _grid(controller: Controller, window: Window, readings: _Readings, events: l
     return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
+def _begun_since(events: list[Event], then: pd.Timestamp, now: pd.Timestamp) -> bool:
+    """Whether a certain outage has begun since a time."""
+    return announced_at(events, now) and not announced_at(events, then)
+
+
 def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
     """How old a reading is."""
     held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
     age_s = max(now_s - held, 0)
-    lost_s = LOST_AFTER * max(reading.resolution_s, step_s)
-    moves = reading.quantity in MOVING
-    holds_s = MOVING_SHARE * step_s if moves else max(reading.resolution_s, step_s)
+    alone = reading.quantity in MOVING
+    holds_s = reading.resolution_s if alone else max(reading.resolution_s, step_s)
+    lost_s = LOST_AFTER * holds_s
     state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
-def _means(store: Store, time: pd.Timestamp, step: pd.Timedelta) -> dict[tuple[str, str], float]:
-    """Means of the step that is over, of the readings whose middle lies in it."""
-    begun = time - step
+def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[tuple[str, str], float]:
+    """Means over a time, of the readings whose middle lies in it."""
+    length = now - begun
     values: dict[tuple[str, str], list[float]] = {}
-    for reading in store.between(begun - step, time + step, MEAN):
+    for reading in store.between(begun - length, now, MEAN):
         middle_s = reading.time + reading.resolution_s / 2
-        if reading.value is not None and seconds(begun) <= middle_s < seconds(time):
+        if reading.value is not None and seconds(begun) <= middle_s < seconds(now):
             values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
     return {key: sum(each) / len(each) for key, each in values.items()}
 

@@ -33,9 +33,6 @@ DEFAULT = "default: "
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that nobody can switch on."""
 
-DECIDED = ("ok", "fallback")
-"""Outcomes of steps in which the controller decided."""
-
 
 def plan_of(
     decision: SetPoints, scenario: Scenario, known: Known, refused: Mapping[tuple[str, str], str]
@@ -78,6 +75,7 @@ def plan_of(
         ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
+        "alarms": _alarms(decision, scenario, known),
         "setpoints": _set_points(decision, scenario, known, refused, reason),
         "expected": {
             "import_kw": _number(decision.import_kw),
@@ -90,6 +88,21 @@ def plan_of(
         },
         "ahead": _ahead(decision, known),
     }
+
+
+def _alarms(decision: SetPoints, scenario: Scenario, known: Known) -> list[str]:
+    """What somebody has to look at: a first tier that is off on readings that are old."""
+    on = decision.customers
+    off = on.index[~on["served"] & (on["tier"] == scenario.tiers[0])]
+    names = [str(name) for name in off if str(name) not in known.lost]
+    heard = {one.asset: one.state for one in known.heard if one.quantity == "soc"}
+    old = [str(b) for b in scenario.batteries.id if heard.get(str(b)) != "ok"]
+    if not names or not old:
+        return []
+    return [
+        f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} off, and the state of charge of "
+        f"{', '.join(old)} is not known of now"
+    ]
 
 
 def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
@@ -105,6 +118,7 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
         "estimated": [],
         "late": [],
         "lost": [],
+        "alarms": [],
         "setpoints": [
             speaker.point(kind, name, {}, "default")
             for kind, names in defaults.items()
@@ -237,6 +251,7 @@ def _head(time: pd.Timestamp, scenario: Scenario, status: str) -> dict[str, Any]
         "id": f"p-{written(time)}",
         "status": status,
         "start": written(time),
+        "valid_from": written(time),
         "resolution": f"PT{minutes:g}M" if minutes % 60 else f"PT{minutes / 60:g}H",
         "site_time_zone": scenario.grid.zone,
     }

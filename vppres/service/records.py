@@ -9,6 +9,9 @@ import pandas as pd
 
 from vppres.core.errors import VppresError
 
+DECIDED = ("ok", "fallback")
+"""Outcomes of steps in which the controller decided."""
+
 
 def seconds(time: pd.Timestamp) -> int:
     """Whole seconds of UTC, as times are stored.

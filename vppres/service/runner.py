@@ -30,8 +30,8 @@ from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
 from vppres.service.knowledge import Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
-from vppres.service.plans import DECIDED, Ordered, defaults_of, ordered_plan, plan_of
-from vppres.service.records import After, Asked
+from vppres.service.plans import Ordered, defaults_of, ordered_plan, plan_of
+from vppres.service.records import DECIDED, After, Asked
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
@@ -274,7 +274,8 @@ class Runner:
             known = known_at(time, self._controller, self.store, self.rehearsal)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
-            refused = refusals(decision, self.scenario, known.soc)
+            # What was decided on, not what was read: the gate checks this decision.
+            refused = refusals(decision, self.scenario, dict(decision.batteries["soc"]))
         except StorageError:
             raise
         except Exception as error:

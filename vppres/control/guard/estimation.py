@@ -15,11 +15,11 @@ import numpy as np
 from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import Commanded, Readings, feeder_off
+from vppres.control.guard.moved import Moved
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 
 RESPONSE_SHARE = 0.02
@@ -64,6 +64,7 @@ class Estimator:
     REMEMBERED: ClassVar[dict[str, Any]] = {
         "series": PART,
         "_soc": SocReckoning,
+        "_moved": Moved,
         "_last": Observation | None,
         "_commanded": Commanded | None,
         "_out_until": Wholes,
@@ -74,6 +75,7 @@ class Estimator:
         self.physical = physical
         self.series = SeriesJudge(site)
         self._soc = SocReckoning.start(site)
+        self._moved = Moved.nothing(len(site.batteries))
         self._last: Observation | None = None
         self._commanded: Commanded | None = None
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
@@ -81,7 +83,8 @@ class Estimator:
     def known(self, seen: Observation) -> Known:
         """The observation with estimates in place of what cannot be trusted."""
         online = self._online(seen)
-        self._soc = self._soc.after(seen.soc, *self._stored(seen))
+        self._reckon(seen)
+        online &= ~self._soc.unknown
         now, series_words = self.series.judged(seen, self._expected(seen), self._commanded)
         forecast = seen.forecast
         if series_words:
@@ -92,19 +95,23 @@ class Estimator:
             )
         out = self.site.batteries.id[~online]
         words = [*self._soc_words(), *series_words, *map(OUT.format, out)]
-        self._last = replace(seen, forecast=forecast, soc=self._soc.soc)
+        # A battery of which nothing is known is out, and counts as empty.
+        soc = np.where(np.isnan(self._soc.soc), self.site.batteries.soc_min, self._soc.soc)
+        self._last = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
         return Known(self._last, online, "; ".join(words))
 
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
         self._commanded = Commanded.of(decision)
+        self._order(self._soc.at_h, self._commanded.battery_kw)
 
     def _online(self, seen: Observation) -> Flags:
         """Batteries that report to be there and did what they were told."""
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
         if seen.battery_kw is not None and self._commanded is not None and self._follow(seen):
             rating = self.site.batteries.p_max_kw
-            silent = (np.abs(self._commanded.battery_kw) > RESPONSE_SHARE * rating) & (
+            told_kw = seen.told[-1].battery_kw if seen.told else self._commanded.battery_kw
+            silent = (np.abs(told_kw) > RESPONSE_SHARE * rating) & (
                 np.abs(seen.battery_kw) < SILENT_SHARE * rating
             )
             self._out_until = np.where(silent, seen.t0 + RETRY_STEPS, self._out_until)
@@ -118,36 +125,41 @@ class Estimator:
         island = self._last is not None and self._last.forecast.grid_limit_kw[0] <= 0.0
         return not (feeder_off(seen) or (self.physical and island))
 
-    def _stored(self, seen: Observation) -> tuple[Floats, Flags]:
-        """Share of capacity stored since the last step, and whether its power was measured.
+    def _reckon(self, seen: Observation) -> None:
+        """The state of charge: the newest reading, and what was stored since.
 
         Set-points are held over steps that were left out.
         """
+        now_h = seen.t0 * self.site.dt_h + seen.elapsed_h
+        for told in seen.told:
+            self._order(now_h - told.before_h, told.battery_kw)
+        if seen.battery_kw is not None and self._last is not None:
+            self._moved = self._moved.seen(self._soc.at_h, seen.battery_kw, self._eta(self._last))
+        age_h = np.zeros(len(self.site.batteries)) if seen.soc_age_h is None else seen.soc_age_h
+        self._soc = self._soc.after(seen.soc, now_h - age_h, now_h, self._moved)
+
+    def _order(self, at_h: float, battery_kw: Floats) -> None:
+        """Batteries were told something else from a time on."""
         b = self.site.batteries
-        measured = np.zeros(len(b), dtype=bool)
-        if self._last is None:
-            return np.zeros(len(b)), measured
-        power_kw = np.zeros(len(b)) if self._commanded is None else self._commanded.battery_kw
-        if seen.battery_kw is not None:
-            measured = np.isfinite(seen.battery_kw)
-            power_kw = np.where(measured, seen.battery_kw, power_kw)
-        hours = (seen.t0 - self._last.t0) * self.site.dt_h
-        stored_kw = cell_kw(
-            np.maximum(power_kw, 0.0),
-            np.maximum(-power_kw, 0.0),
-            self._last.eta_charge,
-            self._last.eta_discharge,
-        )
-        return soc_after(np.zeros(len(b)), stored_kw, b, hours), measured
+        eta = (b.eta_charge, b.eta_discharge) if self._last is None else self._eta(self._last)
+        self._moved = self._moved.ordered(at_h, battery_kw, eta)
+
+    @staticmethod
+    def _eta(seen: Observation) -> tuple[Floats, Floats]:
+        return seen.eta_charge, seen.eta_discharge
 
     def _soc_words(self) -> list[str]:
-        """The batteries whose state of charge is reckoned."""
+        """The batteries whose state of charge is reckoned, or not known at all."""
+        soc = self._soc
         names = self.site.batteries.id
-        return [
-            f"soc {names[i]} {self._soc.soc[i]:.4f} "
-            f"({'frozen' if self._soc.frozen[i] else 'missing'})"
-            for i in np.flatnonzero(~self._soc.trusted)
-        ]
+        words = []
+        for i in np.flatnonzero(~soc.trusted):
+            if np.isnan(soc.soc[i]):
+                words.append(f"soc {names[i]} was never heard")
+                continue
+            kind = "frozen" if soc.frozen[i] else "missing"
+            words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
+        return words
 
     def _expected(self, seen: Observation) -> Readings:
         """What the last forecast said of this step; failing that, the last known values."""

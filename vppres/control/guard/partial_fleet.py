@@ -33,6 +33,7 @@ def reduced_observation(seen: Observation, online: Flags, batteries: Batteries) 
         eta_discharge=seen.eta_discharge[online],
         battery_kw=None,
         online=None,
+        soc_age_h=None,
         stored_value=seen.stored_value and seen.stored_value.beside(unusable_kwh),
     )
 

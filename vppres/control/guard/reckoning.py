@@ -1,4 +1,4 @@
-"""State of charge by reckoning: the energy that moved since the reading last did."""
+"""State of charge: the newest reading and what was stored since, with a band that grows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vppres.control.guard.moved import Moved
 from vppres.core.arrays import Flags, Floats
 from vppres.model.site import Site
 
@@ -22,69 +23,94 @@ SOC_MARGIN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SocReckoning:
-    """Readings of the state of charge beside what the batteries' power says; (B,) each.
+    """What is known of the state of charge; (B,) each.
 
     Parameters
     ----------
     site : Site
         Fixed data.
+    at_h : float
+        The time, in h since the beginning of the controller's first step.
     reading : array
         Last plausible reading, NaN before the first.
-    reckoned : array
-        State of charge when the reading last moved, and what was stored since.
-    evident : array of bool
-        Whether all power since then was measured: what was only commanded proves nothing.
+    read_h : array
+        When it was read.
     soc : array
-        What is taken for true.
+        What is taken for true: the newest reading that is trusted, and what was stored since.
+    band : array
+        By how much that may be off, as a share of capacity.
+    reckoned : array
+        What it would be by the power since the reading last moved.
+    evident : array of bool
+        Whether all power since then was measured: what was only ordered proves nothing.
     trusted, frozen : array of bool
-        Whether the reading is; whether it is not because it stands still.
+        Whether there is a new reading that is trusted; whether it is not as it stands still.
     """
 
     site: Site
+    at_h: float
     reading: Floats
+    read_h: Floats
+    soc: Floats
+    band: Floats
     reckoned: Floats
     evident: Flags
-    soc: Floats
     trusted: Flags
     frozen: Flags
 
     @classmethod
     def start(cls, site: Site) -> SocReckoning:
-        """Before the first reading: the scenario's initial state."""
-        b = site.batteries
-        none = np.zeros(len(b), dtype=bool)
-        return cls(site, np.full(len(b), np.nan), b.soc_initial, none, b.soc_initial, none, none)
+        """Before the first reading nothing is known."""
+        n = len(site.batteries)
+        unknown = np.full(n, np.nan)
+        none = np.zeros(n, dtype=bool)
+        return cls(site, 0.0, unknown, unknown, unknown, np.zeros(n), unknown, none, none, none)
 
-    def after(self, seen: Floats, stored: Floats, measured: Flags) -> SocReckoning:
-        """The state after one more reading.
+    @property
+    def unknown(self) -> Flags:
+        """Batteries of which nothing was heard, or so long ago that they may be empty or full."""
+        b = self.site.batteries
+        return np.isnan(self.soc) | (self.band >= 0.5 * (b.soc_max - b.soc_min))
+
+    def after(self, seen: Floats, read_h: Floats, now_h: float, moved: Moved) -> SocReckoning:
+        """The state at a later time, with one more reading each.
 
         Parameters
         ----------
         seen : array, shape (B,)
             Readings; NaN where there is none.
-        stored : array, shape (B,)
-            Share of capacity that was stored since the last reading.
-        measured : array of bool, shape (B,)
-            Whether the power behind it was measured.
+        read_h : array, shape (B,)
+            When they were read.
+        now_h : float
+            The time.
+        moved : Moved
+            What was ordered and measured up to then.
         """
         b = self.site.batteries
-        reckoned = np.clip(self.reckoned + stored, b.soc_min, b.soc_max)
-        evident = self.evident & measured
+        lately = moved.since(np.full(len(b), self.at_h), now_h, b)
+        since = moved.since(read_h, now_h, b)
+        reckoned = np.clip(self.reckoned + lately.share, b.soc_min, b.soc_max)
+        evident = self.evident & lately.evident
         plausible = (
             np.isfinite(seen) & (seen >= b.soc_min - SOC_MARGIN) & (seen <= b.soc_max + SOC_MARGIN)
         )
+        newer = plausible & ~(read_h <= self.read_h)  # also before the first
         # A reading just outside would leave a window without any feasible dispatch.
-        inside = np.clip(seen, b.soc_min, b.soc_max)
-        still = plausible & (seen == self.reading)
-        moved = plausible & ~still
+        inside = np.clip(np.clip(seen, b.soc_min, b.soc_max) + since.share, b.soc_min, b.soc_max)
+        still = newer & (seen == self.reading)
+        turned = newer & ~still
         frozen = still & evident & (np.abs(inside - reckoned) > SOC_TOLERANCE)
-        trusted = plausible & ~frozen
+        trusted = newer & ~frozen
+        carried = np.clip(self.soc + lately.share, b.soc_min, b.soc_max)
         return replace(
             self,
-            reading=np.where(plausible, seen, self.reading),
-            reckoned=np.where(moved, inside, reckoned),
-            evident=evident | moved,
-            soc=np.where(trusted, inside, reckoned),
+            at_h=now_h,
+            reading=np.where(newer, seen, self.reading),
+            read_h=np.where(newer, read_h, self.read_h),
+            soc=np.where(trusted, inside, np.where(frozen, reckoned, carried)),
+            band=np.where(trusted, since.loose, self.band + lately.loose),
+            reckoned=np.where(turned, inside, reckoned),
+            evident=evident | turned,
             trusted=trusted,
             frozen=frozen,
         )

@@ -170,6 +170,7 @@ export function attention(view) {
     if (one.stale.length) say(WARNING, `Late data from ${one.source}: ${list(one.stale)}. Last contact ${silent} ago.`);
   }
   if (!sources.length) say(WARNING, "No data source has connected.");
+  for (const words of plan?.alarms ?? []) say(ALARM, `${words}.`);
   if (plan?.solve) {
     if (plan.status === "fallback") say(WARNING, `Fallback ${plan.solve.fallback}: ${plan.solve.fallback_reason ?? "no reason given"}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
