@@ -125,7 +125,7 @@ def test_the_packaged_day_goes_on_in_another_process(tmp_path: Path) -> None:
     options = RunOptions(horizon_h=1.0, isolate=False)
     controller = Controller.of(day, options)
     for time in day.grid.times[11:12]:
-        controller.step(Measurement(time))
+        controller.step(Measurement(time, dict.fromkeys(day.batteries.id, 0.5)))
     saved = tmp_path / "state.json"
     saved.write_text(json.dumps(controller.state(), allow_nan=False), encoding="utf-8")
     code = f"""

@@ -340,3 +340,71 @@ def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
     assert http.get("/v1/status").json()["alarms"] == [words]
     fresh = decided(http, clock, NOON + HOUR, soc=0.16)
     assert not said(fresh, "customers")["hospital"]["served"] and fresh["alarms"] == []
+
+
+# A reading that others contradict.
+
+
+@pytest.mark.parametrize("factor", [1000.0, 100.0, 0.001])
+def test_a_demand_far_from_its_forecast_is_estimated(
+    live: tuple[Caller, SetClock], factor: float
+) -> None:
+    """The hospital's meter says W, or spikes, from the first step or the second on."""
+    http, clock = live
+    loads = {"hospital": 64.0, "shop": 42.0, "homes": 47.0}
+    for t in range(3):
+        clock.set(NOON + t * HOUR)
+        wrong = {**loads, "hospital": 64.0 * factor} if t != 1 else loads
+        http.post("/v1/telemetry", heard(clock.now()))
+        http.post("/v1/telemetry", {"series": readings(clock.now(), "load_kw", wrong)})
+        plan = http.post("/v1/steps").json()
+        assert plan["status"] == "ok", plan["solve"]
+        assert all(one["served"] for one in said(plan, "customers").values()), t
+        words = [one for one in plan["estimated"] if one.startswith("load hospital ")]
+        assert len(words) == (t != 1), plan["estimated"]
+
+
+def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
+    """A new machine of the shop, ten times all that was expected: doubted for one step."""
+    day = site(tiny)
+    controller = Controller.of(day, RunOptions(horizon_h=2.0, isolate=False))
+    came: dict[str, Any] = {}
+    said_of_it = []
+    for t in range(3):
+        decision = controller.step(
+            Measurement(controller.times[t], SOC, load_kw={"shop": 500.0}, **came)
+        )
+        said_of_it.append("load shop" in decision.solve["estimated"])
+        missing_kw = 500.0 - decision.customers["load_kw"]["shop"]
+        came = {
+            "battery_kw": dict(decision.batteries["p_kw"]),
+            "import_kw": decision.import_kw + missing_kw,
+        }
+    assert said_of_it == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("others", "available"),
+    [
+        ([], False),
+        ([("watch", "grid_on", NOON, 1.0)], True),
+        ([("watch", "grid_on", NOON - HOUR, 1.0)], False),
+        ([("meter", "import_kw", NOON, 80.0)], True),
+        ([("meter", "import_kw", NOON - HOUR, 80.0)], False),
+    ],
+)
+def test_a_lost_grid_is_believed_unless_something_contradicts_it(
+    live: tuple[Caller, SetClock], others: list[Any], available: bool
+) -> None:
+    """Read at noon, decided 40 s later; what was read before the loss says nothing of it."""
+    http, clock = live
+    now = NOON + pd.Timedelta("40s")
+    clock.set(now)
+    sent = readings(NOON, "grid_on", {"grid": 0.0}) + heard(NOON)["series"]
+    for source, quantity, time, value in others:
+        one = readings(time, quantity, {"grid": value})[0]
+        sent.append({**one, "source": source, "resolution": "PT30S"})
+    assert http.post("/v1/telemetry", {"series": sent}).status == 200
+    plan = http.post("/v1/steps").json()
+    assert plan["grid"]["available"] is available
+    assert any("is contradicted by" in one for one in plan["estimated"]) is available

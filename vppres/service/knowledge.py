@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.control.guard.balance import BALANCE_KW
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
@@ -232,7 +233,8 @@ def known_at(
     readings = _Readings.at(at, scenario, store)
     window = Window.of(controller, time)
     events = list(store.events().values())
-    grid = _grid(controller, window, readings, events, at)
+    doubt = _doubt(readings.last.get((GRID, "grid_on")), at, window.length, store)
+    grid = _grid(controller, window, readings, events, at, doubt)
     powers = _Powers(window, readings, store)
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
@@ -262,7 +264,8 @@ def known_at(
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
     )
-    return Known(measurement, readings.heard, grid, powers.estimated, soc_of(soc), lost)
+    estimated = [*powers.estimated, doubt] if doubt else powers.estimated
+    return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
@@ -440,8 +443,12 @@ def _grid(
     readings: _Readings,
     events: list[Event],
     now: pd.Timestamp,
+    doubt: str,
 ) -> Grid:
-    """Whether there is grid: by its own reading, else by what is announced or believed."""
+    """Whether there is grid: by its own reading, else by what is announced or believed.
+
+    A reading that it is lost, and that another one contradicts, counts for nothing.
+    """
     limits = limits_kw(events, window)
     out = outages(events, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)
@@ -449,6 +456,8 @@ def _grid(
     known_by = "profile"
     if read == 1.0 and last is not None and _begun_since(events, moment(last.time), now):
         read = np.nan  # it says nothing of an outage that was announced and has begun since
+    if doubt:
+        read, last = np.nan, None
     if np.isfinite(read):
         known_by = "reading"
         if read == 0.0 and not out[0]:
@@ -466,6 +475,23 @@ def _grid(
         out[0] = True
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits)
+
+
+def _doubt(zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store) -> str:
+    """What contradicts a reading that the grid is lost; empty if nothing does.
+
+    Another source that sees it, or an import that was measured, at that time or later.
+    """
+    if zero is None or zero.value != 0.0:
+        return ""
+    end = now + EARLY_SHARE * step
+    for one in store.between(moment(zero.time), end, ("grid_on", "import_kw")):
+        if one.quantity == "grid_on" and one.source != zero.source and one.value == 1.0:
+            return f"grid_on = 0 of {zero.source} is contradicted by {one.source}"
+        flows = one.quantity == "import_kw" and abs(one.value or 0.0) > BALANCE_KW
+        if flows and one.time + one.resolution_s <= seconds(end):
+            return f"grid_on = 0 of {zero.source} is contradicted by an import of {one.value:g} kW"
+    return ""
 
 
 def _begun_since(events: list[Event], then: pd.Timestamp, now: pd.Timestamp) -> bool:

@@ -1,16 +1,31 @@
-"""Readings of demand and PV power: missing ones, and frozen ones that the plant contradicts."""
+"""Readings of demand and PV power: missing, frozen, and far from all that was expected.
+
+A frozen reading is replaced where the plant contradicts it. A demand that is ten times, or a tenth
+of, all that was forecast or read before is in another unit or a spike: it is replaced until the
+import that is measured over a step says that it was right.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from vppres.contract.observation import Observation
-from vppres.control.guard.balance import Commanded, Readings, contradicts, mismatch_kw
+from vppres.control.guard.balance import (
+    BALANCE_KW,
+    BALANCE_SHARE,
+    Commanded,
+    Readings,
+    contradicts,
+    mismatch_kw,
+)
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.model.site import Site
+
+FAR = 10.0
+"""A demand beyond this multiple of all that was expected of it, or below its inverse, is far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +42,20 @@ class _Frozen:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A step as it was seen: its readings, and what had been forecast of them."""
+    """A step: readings that are usable, what had been forecast, and demand as it was read."""
 
     t: int
     seen: Readings
     expected: Readings
+    read_kw: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Usual:
+    """The least and the most demand that a step has shown to be right, (C,)."""
+
+    least_kw: Floats
+    most_kw: Floats
 
 
 class SeriesJudge:
@@ -43,7 +67,12 @@ class SeriesJudge:
         Fixed data.
     """
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {"_before": _Step | None, "_frozen": _Frozen}
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "_before": _Step | None,
+        "_frozen": _Frozen,
+        "_far": Flags,
+        "_usual": _Usual,
+    }
 
     def __init__(self, site: Site) -> None:
         self.site = site
@@ -51,6 +80,8 @@ class SeriesJudge:
         self._frozen = _Frozen(
             np.zeros(len(site.customers), dtype=bool), np.zeros(len(site.pv), dtype=bool)
         )
+        self._far = np.zeros(len(site.customers), dtype=bool)
+        self._usual = _Usual(np.full(len(site.customers), np.inf), np.zeros(len(site.customers)))
 
     def judged(
         self, seen: Observation, expected: Readings, commanded: Commanded | None
@@ -66,7 +97,11 @@ class SeriesJudge:
         commanded : Commanded or None
             What was decided for the step before.
         """
-        now = _Step(seen.t0, Readings(seen.forecast.load_kw[0], seen.forecast.pv_kw[0]), expected)
+        read_kw = seen.forecast.load_kw[0]
+        self._learn(seen, commanded)
+        self._far = far = self._far_now(read_kw, seen, expected)
+        usable = Readings(np.where(far, expected.load_kw, read_kw), seen.forecast.pv_kw[0])
+        now = _Step(seen.t0, usable, expected, read_kw)
         frozen = self._frozen_now(now, seen, commanded)
         kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
         self._frozen = frozen
@@ -77,7 +112,39 @@ class SeriesJudge:
         pv, pv_words = _estimated(
             "pv", self.site.pv.id, now.seen.pv_kw, expected.pv_kw, frozen.pv, kept
         )
-        return Readings(load, pv), [*load_words, *pv_words]
+        far_words = [
+            f"load {self.site.customers.id[i]} {load[i]:.2f} kW ({read_kw[i]:g} is far from it)"
+            for i in np.flatnonzero(far)
+        ]
+        return Readings(load, pv), [*load_words, *pv_words, *far_words]
+
+    def _far_now(self, read_kw: Floats, seen: Observation, expected: Readings) -> Flags:
+        """Demand far from its forecasts, and from all that a step has shown to be right.
+
+        By more than meters are off by; where nothing is forecast nothing is far.
+        """
+        ahead = np.vstack([expected.load_kw, seen.forecast.load_kw[1:]])
+        most_kw = np.maximum(ahead.max(axis=0), self._usual.most_kw)
+        least_kw = np.minimum(ahead.min(axis=0), self._usual.least_kw)
+        far = (read_kw > FAR * most_kw) | (read_kw < least_kw / FAR)
+        off_kw = np.abs(read_kw - expected.load_kw)
+        matters = off_kw > BALANCE_KW + BALANCE_SHARE * float(expected.load_kw.sum())
+        foretold = (expected.load_kw > 0.0) & (len(seen.forecast.load_kw) > 1)
+        return np.asarray(far & matters & foretold)
+
+    def _learn(self, seen: Observation, commanded: Commanded | None) -> None:
+        """Take up what was far if the import of its step says that it was right."""
+        before = self._before
+        if before is None or not self._far.any():
+            return
+        used = self._mismatch(seen, commanded, before.seen)
+        read = self._mismatch(seen, commanded, replace(before.seen, load_kw=before.read_kw))
+        if used is not None and read is not None and abs(read) < abs(used):
+            kw = before.read_kw
+            self._usual = _Usual(
+                np.where(self._far, np.minimum(self._usual.least_kw, kw), self._usual.least_kw),
+                np.where(self._far, np.maximum(self._usual.most_kw, kw), self._usual.most_kw),
+            )
 
     def _frozen_now(self, now: _Step, seen: Observation, commanded: Commanded | None) -> _Frozen:
         """Readings that stand still while the balance of the step before contradicts them.
