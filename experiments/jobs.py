@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 
 import data.uk_heatwave_2022.build as builder
 import vppres
+from experiments.weighted import WeightedChoices
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.io.digest import scenario_digest
@@ -19,6 +21,10 @@ from vppres.scenario.scenario import Scenario
 PRESENTATION = ("cli", "explain", "feeders", "io", "live", "report", "studies")
 # What makes the short results of whole days.
 RESULT_FORMAT = (Path(__file__).with_name("shorten.py"),)
+# What solves the days that are solved by one weighted objective.
+WEIGHTED = tuple(
+    Path(__file__).with_name(name) for name in ("weighted.py", "weighted_model.py", "units.py")
+)
 
 
 @dataclass(frozen=True)
@@ -48,17 +54,29 @@ class Day:
 
 @dataclass(frozen=True)
 class Job:
-    """A day and the options of its run."""
+    """A day and the options of its run.
+
+    Parameters
+    ----------
+    day : Day
+        Which day.
+    options : RunOptions
+        How it is run.
+    weighted : WeightedChoices, optional
+        Choices of one weighted solve of each window; as the options say if not given.
+    """
 
     day: Day = field(default_factory=Day)
     options: RunOptions = field(default_factory=RunOptions)
+    weighted: WeightedChoices | None = None
 
     def digest(self) -> str:
         """SHA-256 of all that the result depends on: day, options, sources and libraries."""
         inputs = {
             "day": _digest_of_day(self.day),
             "options": self.options.as_record(),
-            "sources": sources_digest(),
+            "weighted": None if self.weighted is None else asdict(self.weighted),
+            "sources": sources_digest() if self.weighted is None else weighted_sources_digest(),
             "versions": versions(),
         }
         return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
@@ -66,6 +84,8 @@ class Job:
     def text(self) -> str:
         """What the job is, in a line."""
         changed = {**_changed(self.day, Day()), **_changed(self.options, RunOptions())}
+        if self.weighted is not None:
+            changed["weighted"] = self.weighted
         return ", ".join(f"{name} = {value}" for name, value in changed.items()) or "defaults"
 
 
@@ -90,8 +110,19 @@ def sources_digest() -> str:
         for file in sorted(package.rglob("*.py"))
         if file.relative_to(package).parts[0] not in PRESENTATION
     ]
+    return _digest_of_files([*files, *RESULT_FORMAT])
+
+
+@cache
+def weighted_sources_digest() -> str:
+    """The same for days that are solved by one weighted objective."""
+    return sources_digest() + _digest_of_files(WEIGHTED)
+
+
+def _digest_of_files(files: Iterable[Path]) -> str:
+    """SHA-256 of the names and contents of files."""
     digest = hashlib.sha256()
-    for file in [*files, *RESULT_FORMAT]:
+    for file in files:
         digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -28,8 +28,8 @@ from experiments.seeds import Results as Folder
 from experiments.settings import At, Setting, jobs_of, rows_of
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import plain_errors, show_report
+from experiments.weighted_gap import service_of, terms_beside_gap
 from vppres.report.plots.palette import BLACK
-from vppres.scenario.weighted_gap import service_of, terms_beside_gap
 from vppres.studies.drawing import draw_grid, save_figure
 
 LABEL = "all"

@@ -13,9 +13,14 @@ from experiments.jobs import Job, scenario
 from experiments.results import DayResult
 from experiments.shorten import shorten
 from experiments.terminal import bar_of
+from experiments.weighted import WeightedSolver
 from vppres.core.errors import SolverLostError
-from vppres.day.simulate import run_day
+from vppres.day.assembly import make_controller
+from vppres.day.simulate import Day, run_day
+from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import atomic_write_text
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
 from vppres.studies.side_by_side import Lost, Where, map_unordered
 
 Results = Mapping[Job, DayResult]
@@ -85,7 +90,19 @@ def processes_for(wanted: int) -> int:
 
 def simulate(job: Job) -> tuple[Job, DayResult]:
     """Run one job."""
-    return job, shorten(run_day(scenario(job.day), job.options))
+    day = scenario(job.day)
+    run = run_day(day, job.options) if job.weighted is None else _weighted(job, day)
+    return job, shorten(run)
+
+
+def _weighted(job: Job, day: Scenario) -> Trajectory:
+    """A day whose windows are each solved by one weighted objective."""
+    options = job.options.on(day)
+
+    def make_solver(site: Site) -> WeightedSolver:
+        return WeightedSolver(site, options.solver, options.limits, job.weighted)
+
+    return Day(day, options).run(make_controller(day, options, make_solver=make_solver))
 
 
 def _compute(jobs: list[Job], cache: Cache, where: Where) -> Iterable[tuple[Job, DayResult]]:
@@ -113,5 +130,5 @@ def _expected_work(job: Job) -> float:
     """Rough size of a job: the longest come first, so that no core waits at the end."""
     options = job.options
     steps = 24.0 if options.controller == "full-horizon" else options.horizon_h
-    weighted = 100.0 * (options.method == "weighted")
+    weighted = 100.0 * (job.weighted is not None)
     return weighted + steps + 10.0 * (options.thermal != "off")

@@ -23,9 +23,8 @@ from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.rows import Row
 from experiments.runner import Results
+from experiments.weighted import WeightedChoices
 from vppres.core.units import KW_PER_MW
-from vppres.day.options import RunOptions
-from vppres.solve.weighted import WeightedChoices
 
 PATIENCE_S = 600.0
 """Time limit of a window: it ends at its gap, on slow machines too."""
@@ -62,17 +61,9 @@ class Setting:
 
     def of(self, job: Job) -> Job:
         """The same day, each window by one weighted solve."""
-        options = job.options
-        return Job(job.day, self._options(options))
-
-    def _options(self, options: RunOptions) -> RunOptions:
-        return replace(
-            options,
-            method="weighted",
-            solver=self.solver,
-            limits=replace(options.limits, gap_rel=self.gap, time_s=PATIENCE_S),
-            weighted=WeightedChoices(unit_kw=self.unit_kw, seed=self.seed),
-        )
+        limits = replace(job.options.limits, gap_rel=self.gap, time_s=PATIENCE_S)
+        options = replace(job.options, solver=self.solver, limits=limits)
+        return Job(job.day, options, WeightedChoices(unit_kw=self.unit_kw, seed=self.seed))
 
 
 @dataclass(frozen=True)

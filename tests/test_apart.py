@@ -29,7 +29,7 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import with_modes
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.studies.sweep_parameters import scenario_changes
 
@@ -110,7 +110,7 @@ def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> No
     rules = SwitchingRules(min_unserved_h=2.0)
     state = SwitchingState.start(rules, scenario.grid.dt_h, len(scenario.customers))
     data = replace(window(scenario), switching=state.window(3))
-    answer, whole = (WindowSolver(Site.of(scenario), method).solve(data) for method in LEVELLED)
+    answer, whole = (WindowSolver(Site.of(scenario), method).solve(data) for method in METHODS)
     assert answer.stages[0] == "aggregate[highs]"
     assert answer.status == Status.OPTIMAL
     gap = SolveLimits().gap_at(whole.objective)

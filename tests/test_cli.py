@@ -238,7 +238,7 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
         (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
         (
             ["--method", "magic"],
-            "method = magic: is not a known method. Use one of: decomposed, monolithic, weighted.",
+            "method = magic: is not a known method. Use one of: decomposed, monolithic.",
         ),
         (
             ["--controller", "pid"],

@@ -45,7 +45,7 @@ from vppres.report.events import sentences_of
 from vppres.report.plots.energy import import_load_pv
 from vppres.scenario.remarks import export_words, remarks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 ANY_STEPS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
@@ -73,7 +73,7 @@ def solve(day: Scenario, method: str = "decomposed") -> WindowSolution:
 # By hand.
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("limit_kw", "exported_kw", "curtailed_kw"),
     [(np.inf, 60.0, 0.0), (40.0, 40.0, 20.0), (0.0, 0.0, 60.0)],
@@ -89,7 +89,7 @@ def test_only_what_is_beyond_the_limit_is_curtailed(
     assert answer.terms.f2 == pytest.approx(-0.1 * exported_kw, abs=1e-4)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_battery_sells_where_the_price_pays_its_losses(method: str) -> None:
     # 50 kWh bought at 0.05 come back as 45.125 kWh: 10 for the customer, 35.125 sold at 0.4.
     day = replace(two_buses([[10.0]] * 3, [1.0], [OPEN] * 3, [0.05, 0.5, 0.1]), batteries=battery())
@@ -102,7 +102,7 @@ def test_battery_sells_where_the_price_pays_its_losses(method: str) -> None:
     assert worthless.p_grid_kw.min() >= -1e-4
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("price", "earned"), [(0.3, 0.5), (-0.2, 0.0)], ids=["dear export", "paid import"]
 )
@@ -116,7 +116,7 @@ def test_nobody_buys_and_sells_at_once(method: str, price: float, earned: float)
         assert answer.cost_gap_gbp <= 1e-3
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_nothing_is_exported_in_an_outage(method: str) -> None:
     day = with_pv(two_buses([[20.0]], [1.0], [DARK]), [80.0])
     answer = solve(exporting(day, price=0.5), method)
@@ -170,7 +170,7 @@ def assert_methods_agree(
     """Each dispatch is sound, and no bound lies below any of them."""
     everyone = float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
     gap = SolveLimits().absolute(everyone)
-    answers = [WindowSolver(Site.of(scenario), method).solve(data) for method in LEVELLED]
+    answers = [WindowSolver(Site.of(scenario), method).solve(data) for method in METHODS]
     best = max(answer.objective for answer in answers)
     for answer in answers:
         check = check_dispatch(scenario, data, answer.dispatch, state)

@@ -13,10 +13,11 @@ from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.rows import Row, measured
 from experiments.settings import At, Setting, jobs_of
+from experiments.weighted import WeightedChoices
+from experiments.weighted_gap import service_of, terms_beside_gap
 from tests.support.small_windows import OPEN, battery, two_buses, with_pv
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
-from vppres.scenario.weighted_gap import gap_remark, service_of, terms_beside_gap
 
 CONFIG = read_config("precision")
 
@@ -32,14 +33,12 @@ def test_a_setting_changes_how_a_day_is_solved_and_nothing_else() -> None:
     assert changed.day == job.day
     restored = replace(
         changed.options,
-        method=job.options.method,
         limits=job.options.limits,
-        weighted=job.options.weighted,
     )
     assert restored == job.options
-    assert changed.options.method == "weighted"
     assert changed.options.limits.gap_rel == 1e-6
-    assert (changed.options.weighted.unit_kw, changed.options.weighted.seed) == (1000.0, 4)
+    assert changed.weighted == WeightedChoices(unit_kw=1000.0, seed=4)
+    assert changed.digest() != replace(changed, weighted=None).digest()
     assert str(setting) == "MW, gap 1e-06, HiGHS, seed 4"
 
 
@@ -140,17 +139,11 @@ def test_what_a_gap_leaves_open_by_hand() -> None:
     assert losses.lost and reactive.lost
 
 
-def test_the_remark_names_what_would_be_lost() -> None:
-    text = gap_remark(small_day(ObjectiveWeights()))
-    assert "0.00022 weighted customer hours of a window of 2 h" in text
-    assert "the cost that batteries move (7 GBP)" in text
-    assert "curtailed" not in text
-
-
-def test_no_remark_where_every_term_weighs_more_than_the_gap() -> None:
+def test_nothing_is_lost_where_every_term_weighs_more_than_the_gap() -> None:
     heavy = ObjectiveWeights(lambda_grid=0.1, lambda_curt=0.1, lambda_l=1.0, lambda_q=1.0)
-    assert gap_remark(small_day(heavy)) == ""
+    assert not any(term.lost for term in terms_beside_gap(small_day(heavy), 2))
     # A term without weight is not wanted, so nothing of it is lost.
     unwanted = replace(heavy, lambda_l=0.0, lambda_q=0.0)
-    assert gap_remark(small_day(unwanted)) == ""
-    assert np.isinf(terms_beside_gap(small_day(unwanted), 2)[2].left_open)
+    terms = terms_beside_gap(small_day(unwanted), 2)
+    assert not any(term.lost for term in terms)
+    assert np.isinf(terms[2].left_open)

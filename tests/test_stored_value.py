@@ -15,7 +15,7 @@ from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 GBP_PER_SERVICE = 1000.0
@@ -48,7 +48,7 @@ def solved(day: Scenario, value: StoredValue, method: str = "decomposed") -> Win
     return WindowSolver(Site.of(day), method).solve(replace(window(day), stored_value=value))
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("per_kwh", "served"), [(0.01, [1, 1]), (0.03, [1, 0]), (0.1, [0, 0])])
 def test_service_is_given_up_for_later_by_hand(
     method: str, per_kwh: float, served: list[int]
@@ -64,7 +64,7 @@ def test_service_is_given_up_for_later_by_hand(
     assert answer.status == "optimal"
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("gbp_per_kwh", "soc"), [(0.2, 0.15), (0.3, 0.15), (0.33, 0.8)])
 def test_energy_is_bought_where_it_is_worth_more_by_hand(
     method: str, gbp_per_kwh: float, soc: float

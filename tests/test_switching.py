@@ -41,7 +41,7 @@ from vppres.model.site import Site
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 PAGE = Path(__file__).parents[1] / "docs" / "switching.md"
@@ -95,7 +95,7 @@ NEVER = float("inf")
 # Hand-solved windows.
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("hours", "expected"), [(0.0, [True, False, True]), (2.0, [True, False, False])]
 )
@@ -108,7 +108,7 @@ def test_minimum_time_off_keeps_a_customer_off(
     assert answer.dispatch.served[:, 0].tolist() == expected
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("rules", "expected"),
     [
@@ -129,7 +129,7 @@ def test_restored_customer_is_not_dropped_at_once(
     assert answer.dispatch.served[:, 0].tolist() == expected
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("step", "spent", "expected"),
     [
@@ -171,7 +171,7 @@ def test_a_window_within_a_day_has_one_limit() -> None:
         assert (state.window(4).steps.days, state.window(5).steps.days) == (1, days)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("price", "actions"), [(0.0, 4), (0.04, 4), (0.06, 2)])
 def test_price_refuses_what_gains_less_than_it_costs(
     method: str, price: float, actions: int
@@ -185,7 +185,7 @@ def test_price_refuses_what_gains_less_than_it_costs(
     assert answer.dispatch.served[:, 0].sum() == (3 if actions == 4 else 2)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_price_leaves_nobody_in_the_dark(method: str) -> None:
     # The one hour gains 0.02 and the restoration was paid for with the interruption.
     day = two_buses([[10.0]], [0.02], [OPEN])
@@ -193,7 +193,7 @@ def test_price_leaves_nobody_in_the_dark(method: str) -> None:
     assert (answer.dispatch.served.all(), answer.terms.f6) == (True, 0.0)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("factor", "served"), [(1.0, True), (1.6, True), (1.7, False)])
 def test_cold_load_needs_more_energy(method: str, factor: float, served: bool) -> None:
     # 41 kWh for a customer of 25 kW: enough for 1.64 times as much.
@@ -204,7 +204,7 @@ def test_cold_load_needs_more_energy(method: str, factor: float, served: bool) -
     assert answer.dispatch.discharge_kw.sum() == pytest.approx(25.0 * factor * served, abs=1e-3)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_cold_load_of_an_earlier_restoration_lasts(method: str) -> None:
     rules = SwitchingRules(cold_load_factor=2.0, cold_load_h=3.0)
     day = island([[10.0]] * 4, [1.0], 100.0)
@@ -294,7 +294,7 @@ def test_duties_and_waiting_times_are_rules_yet() -> None:
         assert late.rules is None and early.rules is not None
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("energy_kwh", "served", "let_go"), [(15.0, [False, True], True), (35.0, [True, False], False)]
 )
@@ -335,7 +335,7 @@ def test_decomposed_equals_monolithic_with_rules(seed: int, stressed: bool) -> N
     state = random_state(seed, case.scenario)
     data = replace(case.data, switching=state.window(case.data.n_steps))
     answers = []
-    for method in LEVELLED:
+    for method in METHODS:
         try:
             answers.append(WindowSolver(Site.of(case.scenario), method).solve(data))
         except InfeasibleError:

@@ -28,7 +28,7 @@ from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import ControllerDefaults, Scenario
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 
@@ -46,7 +46,7 @@ def stored(energy_kwh: float, soc: float, limits_kw: list[float], load_kw: float
     )
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("soc", "expected"), [(None, 0.15), (0.5, 0.5), (1.0, 0.85)])
 def test_energy_is_bought_for_the_end_by_hand(
     method: str, soc: float | None, expected: float
@@ -60,7 +60,7 @@ def test_energy_is_bought_for_the_end_by_hand(
     assert bought == pytest.approx(change / 0.95 if change > 0 else change * 0.95, abs=1e-2)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_price_too_low_buys_nothing(method: str) -> None:
     day = stored(100.0, 0.3, [OPEN, OPEN], 10.0)
     cheap = 0.5 * float(day.price_gbp_per_kwh.min())
@@ -71,7 +71,7 @@ def test_a_price_too_low_buys_nothing(method: str) -> None:
     assert answer.terms.f2 == pytest.approx(imported + 35.0 * cheap, abs=1e-4)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_no_service_is_given_up_for_the_end(method: str) -> None:
     """An outage until the end: the customer is served although the battery ends empty."""
     day = stored(100.0, 0.5, [DARK, DARK], 15.0)
@@ -202,7 +202,7 @@ def seen_at(day: Scenario, soc: float, **changes: object) -> Observation:
     return replace(held, **changes)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("load_kw", [(30.0, 20.0), (20.0, 30.0)])
 def test_of_equal_plans_without_grid_the_one_that_leaves_most(
     method: str, load_kw: tuple[float, float]

@@ -31,7 +31,7 @@ from vppres.model.numerics import require_dpp, write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve import solvers
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
 
@@ -65,7 +65,7 @@ def packaged() -> Scenario:
 # Hand-solved cases.
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     # 70 kWh between the SoC limits give 66.5 kWh at the terminals: one customer of 66 kW.
     day = replace(
@@ -79,7 +79,7 @@ def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     assert answer.dispatch.soc[1, 0] == pytest.approx(0.85 - 66.0 / 0.95 / 100.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_energy_that_falls_short_by_a_hair_serves_nobody(method: str) -> None:
     day = replace(
         two_buses([[66.6]], [1.0], [DARK]),
@@ -97,7 +97,7 @@ def test_many_low_customers_outweigh_a_larger_one() -> None:
     assert solve(day).dispatch.served.tolist() == [[False, True, True]]
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_arbitrage_earns_what_the_efficiencies_leave(method: str) -> None:
     # 50 kWh bought at 0.1 come back as 45.125 kWh that need not be bought at 0.5.
     day = replace(
@@ -156,13 +156,13 @@ def test_pv_above_the_inverters_rating_is_curtailed_even_with_a_grid() -> None:
     assert answer.terms.f3 == pytest.approx(5.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_owner_whose_self_consumption_exceeds_the_inverter_cannot_be_served(method: str) -> None:
     day = with_pv(two_buses([[40.0, 50.0]], [1.0, 0.1], [OPEN]), [30.0], s_max_kva=25.0)
     assert solve(day, method).dispatch.served.tolist() == [[False, True]]
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_battery_never_charges_another(method: str) -> None:
     # Free energy now, dear energy later: still only import can fill a battery, and there is none.
     day = two_buses([[0.0], [50.0]], [1.0], [DARK, DARK])
@@ -177,7 +177,7 @@ def test_a_battery_never_charges_another(method: str) -> None:
 VOLTAGE_LIMIT_KW = (1.0 - 0.947**2) * 1000.0 * 11.0**2 / (2 * 10.0)
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_voltage_limit_forces_shedding(method: str) -> None:
     day = two_buses([[400.0, 400.0]], [0.1, 1.0], [OPEN], r_ohm=10.0)
     assert solve(day, method).dispatch.served.tolist() == [[False, True]]
@@ -272,8 +272,7 @@ def test_unknown_method_is_named() -> None:
     with pytest.raises(InputError) as error:
         WindowSolver(Site.of(day), method="magic")
     assert str(error.value) == (
-        "options, method = magic: is not a known method. "
-        "Use one of: decomposed, monolithic, weighted."
+        "options, method = magic: is not a known method. Use one of: decomposed, monolithic."
     )
 
 
@@ -298,7 +297,7 @@ def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("solver", ["highs", "scip"])
 def test_infeasible_window_says_so(method: str, solver: str) -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
@@ -347,7 +346,7 @@ def solve_without_any_grace(method: str, monkeypatch: pytest.MonkeyPatch) -> Win
     return solve(day, method, limits=SolveLimits(time_s=1e-6))
 
 
-@pytest.mark.parametrize("method", LEVELLED)
+@pytest.mark.parametrize("method", METHODS)
 def test_running_out_of_time_is_not_called_infeasible(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -482,7 +481,7 @@ def test_search_goes_on_to_the_gap_of_what_can_be_served() -> None:
 def test_bounds_hold_where_prices_are_below_zero(seed: int, stressed: bool) -> None:
     case = random_window(seed, stressed)
     data = replace(case.data, price_gbp_per_kwh=case.data.price_gbp_per_kwh - 0.35)
-    answers = [WindowSolver(Site.of(case.scenario), method).solve(data) for method in LEVELLED]
+    answers = [WindowSolver(Site.of(case.scenario), method).solve(data) for method in METHODS]
     assert_agree(case.scenario, data, answers)
     for answer in answers:
         assert answer.cost_gap_gbp >= 0.0

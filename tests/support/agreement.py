@@ -11,7 +11,7 @@ from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import LEVELLED, WindowSolver
+from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
 BOUND_TOLERANCE = 1e-6
@@ -19,7 +19,7 @@ BOUND_TOLERANCE = 1e-6
 
 def both_methods(site: Site, data: WindowData) -> list[WindowSolution]:
     """The window's answers by the ladder and by the monolith."""
-    return [WindowSolver(site, method).solve(data) for method in LEVELLED]
+    return [WindowSolver(site, method).solve(data) for method in METHODS]
 
 
 def largest_objective(scenario: Scenario, data: WindowData) -> float:

@@ -40,7 +40,6 @@ FIGURES = (
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
     from vppres.scenario.remarks import export_words, remarks
-    from vppres.scenario.weighted_gap import gap_remark
 
     return {
         "name": day.name,
@@ -57,7 +56,6 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "mode": day.controller.mode,
         "source": asdict(day.source),
         "remarks": remarks(day),
-        "weighted_gap": gap_remark(day),
     }
 
 
@@ -96,8 +94,7 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
             {**content, "battery_word": "battery" if content["batteries"] == 1 else "batteries"}
         )
     )
-    told = [*content["remarks"], *filter(None, [content["weighted_gap"]])]
-    return "\n".join([holds, *(f"- {remark}" for remark in told)])
+    return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
 
 def remarks_text(day: Scenario, mode: str) -> str:

@@ -38,8 +38,6 @@ class SolveInfo:
     gap_abs: float = np.nan
     gap_service: float = np.nan
     gap_cost_gbp: float = np.nan
-    gap_curtailed_kwh: float = np.nan
-    gap_loss_kwh: float = np.nan
     status: str = "not_solved"
     solve_s: float = 0.0
     solver_s: float = 0.0

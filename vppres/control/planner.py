@@ -95,8 +95,6 @@ def solve_info(
         gap_abs=solution.gap_abs,
         gap_service=solution.service_gap,
         gap_cost_gbp=solution.cost_gap_gbp,
-        gap_curtailed_kwh=solution.curtailment_gap_kwh,
-        gap_loss_kwh=solution.loss_gap_kwh,
         status=str(solution.status),
         solve_s=solution.solve_s,
         solver_s=solution.solver_s,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -28,6 +29,7 @@ def make_controller(
     options: RunOptions,
     faults: FaultInjector | None = None,
     grid: TimeGrid | None = None,
+    make_solver: Callable[[Site], WindowSolver] | None = None,
 ) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
@@ -41,6 +43,8 @@ def make_controller(
         What befalls its solvers.
     grid : TimeGrid, optional
         Steps that there may be, where they are not the scenario's.
+    make_solver : callable, optional
+        Makes the solver of a site; that of the options if not given.
 
     Raises
     ------
@@ -51,17 +55,10 @@ def make_controller(
     options = options.on(scenario)
     check_outages(str(options.outages), options.controller)
     site = Site.of(scenario)
-    make = IsolatedSolver if options.isolate else WindowSolver
+    make = make_solver or _solver_maker(options)
 
     def solver_of(part: Site) -> WindowSolver:
-        solver = make(
-            part,
-            options.method,
-            options.solver,
-            options.limits,
-            options.polygon_sides,
-            options.weighted,
-        )
+        solver = make(part)
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:
@@ -80,6 +77,18 @@ def make_controller(
         physical=physical,
     )
     return GuardedController(controller_of, solver_of, site, guard)
+
+
+def _solver_maker(options: RunOptions) -> Callable[[Site], WindowSolver]:
+    """Makes the solver that the options name, of any site."""
+    kind = IsolatedSolver if options.isolate else WindowSolver
+    return partial(
+        kind,
+        method=options.method,
+        solver=options.solver,
+        limits=options.limits,
+        polygon_sides=options.polygon_sides,
+    )
 
 
 def _plain_controller(

@@ -17,7 +17,6 @@ from vppres.scenario.option_table import OPTIONS, default_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import SolveLimits
-from vppres.solve.weighted import WeightedChoices
 
 PERFECT = "perfect"
 
@@ -52,8 +51,6 @@ class RunOptions:
         Seed of the forecast errors.
     limits : SolveLimits
         Gaps and time limit of a window.
-    weighted : WeightedChoices
-        Unit, tolerance and seed of the method ``weighted``.
     polygon_sides : int
         Sides of an inverter's polygon where the solver needs one.
     centre : {"lossless", "literal", "none"}
@@ -100,7 +97,6 @@ class RunOptions:
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")
     limits: SolveLimits = field(default_factory=SolveLimits)
-    weighted: WeightedChoices = field(default_factory=WeightedChoices)
     polygon_sides: int = default_of("polygon_sides")
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")

@@ -64,27 +64,11 @@ def run_day(
     """
     options = (options or RunOptions()).on(scenario)
     check_scenario(scenario)
-    parts = parts_record(scenario)
-    scenario = split_sheddable(scenario)
-    injector = None if faults is None else FaultInjector(faults, scenario)
-    controller = make_controller(scenario, options, injector)
-    day = Day(scenario, options, injector)
-    for t in range(scenario.grid.n_steps):
-        day.step(controller, t)
-        if progress is not None:
-            progress(t + 1, scenario.grid.n_steps)
-    plan: Dispatch | None = getattr(controller, "plan", None)
-    # A plan that had to be made later in the day does not say what was promised for all of it.
-    planned = (
-        None
-        if plan is None or plan.n_steps < scenario.grid.n_steps
-        else {
-            "served": plan.served.tolist(),
-            "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
-            "p_grid_kw": plan.p_grid_kw.tolist(),
-        }
-    )
-    return day.recorder.finish(options.as_record() | parts, planned)
+    divided = split_sheddable(scenario)
+    injector = None if faults is None else FaultInjector(faults, divided)
+    controller = make_controller(divided, options, injector)
+    run = Day(divided, options, injector).run(controller, progress)
+    return replace(run, options={**run.options, **parts_record(scenario)})
 
 
 class Day:
@@ -143,6 +127,16 @@ class Day:
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         return seen if self.faults is None else self.faults.observe(seen)
 
+    def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
+        """All steps of the day, and their record."""
+        n_steps = self.scenario.grid.n_steps
+        for t in range(n_steps):
+            self.step(controller, t)
+            if progress is not None:
+                progress(t + 1, n_steps)
+        plan: Dispatch | None = getattr(controller, "plan", None)
+        return self.recorder.finish(self.options.as_record(), _promised(plan, self.scenario))
+
     def step(self, controller: Decider, t: int) -> None:
         """Observe, decide, actuate, verify, record."""
         self.recorder.add(self.play(controller, t))
@@ -193,6 +187,17 @@ class Day:
     def _held_by_batteries(self, t: int) -> bool:
         """Whether a step is an island of physical mode."""
         return self.options.mode == "physical" and bool(self.scenario.outage[t])
+
+
+def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:
+    """What a full horizon's plan promises; nothing where it was made later in the day."""
+    if plan is None or plan.n_steps < scenario.grid.n_steps:
+        return None
+    return {
+        "served": plan.served.tolist(),
+        "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
+        "p_grid_kw": plan.p_grid_kw.tolist(),
+    }
 
 
 def _record(
@@ -290,8 +295,6 @@ def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
         "gap_abs": info.gap_abs,
         "gap_service": info.gap_service,
         "gap_cost_gbp": info.gap_cost_gbp,
-        "gap_curtailed_kwh": info.gap_curtailed_kwh,
-        "gap_loss_kwh": info.gap_loss_kwh,
         "solver_s": info.solver_s,
         "stages": info.stages,
         "compilations": float(info.compilations),

@@ -51,10 +51,9 @@ from vppres.model.numerics import cost_scale, objective_scale, require_dpp
 from vppres.model.polygons import Polygon, battery_polygon, pv_polygon
 from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
-from vppres.model.squares import Squares, Tangents
 from vppres.model.variables import Mode, Parameters, Variables
 
-Level = Literal["service", "cost", "weighted"]
+Level = Literal["service", "cost"]
 
 DEVICES = (
     "battery_charge_mode",
@@ -90,9 +89,8 @@ class Form:
 
     Parameters
     ----------
-    level : {"service", "cost", "weighted"}
-        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted;
-        ``weighted`` maximises F with all of its terms, as printed.
+    level : {"service", "cost"}
+        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
     service : {"integer", "relaxed", "fixed"}
         What the binaries x_served are.
     exclusivity : {"integer", "relaxed"}
@@ -112,8 +110,6 @@ class Form:
         Whether export is part of the problem. Its direction is a binary where ``exclusivity`` is.
     ending : {"", "target", "value"}
         What the problem says of what batteries hold at the end.
-    squares : {"none", "tangents", "exact"}
-        What stands for f4 and f5 at the level ``weighted``; the other levels have neither.
     """
 
     level: Level = "service"
@@ -126,7 +122,6 @@ class Form:
     switching: RuleSteps | None = None
     exporting: bool = False
     ending: Ending = ""
-    squares: Squares = "none"
 
     @property
     def polygon(self) -> Polygon | None:
@@ -171,9 +166,8 @@ class WindowModel:
         if form.exporting:
             self.export = ExportToGrid.create(n_steps, form.exclusivity)
         self.terminal = end_of_window(form.ending, len(site.batteries))
-        self.tangents = Tangents.create(site, n_steps) if form.squares == "tangents" else None
         self.constraints = self._constraints()
-        self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
+        self.problem = cp.Problem(self.objective(), list(self.constraints.values()))
         require_dpp(self.problem, f"window of {n_steps} steps, {form}")
 
     def _constraints(self) -> Named:
@@ -202,11 +196,23 @@ class WindowModel:
             named = named | self.terminal.reached(stored_at_end(self.site, self.v))
         return named
 
-    def _objective(self) -> cp.Maximize | cp.Minimize:
-        """The level's part of F, scaled to numbers that solvers like; F as it is at ``weighted``.
+    def objective(self) -> cp.Maximize | cp.Minimize:
+        """The level's part of F, scaled to numbers that solvers like.
 
         f4 and f5 are too small to be solved with the rest: the tie-breakers have them.
         """
+        if self.form.level == "cost":
+            return cp.Minimize(self.scaled_cost())
+        cost = self.scaled_cost() / cost_scale(self.site)
+        return cp.Maximize(objective_scale(self.site) * (self.service() - cost))
+
+    def service(self) -> cp.Expression:
+        """f1 less what switching costs, in weighted customer hours."""
+        service = terms.f1_service(self.site, self.v, self.p)
+        return service if self.switching is None else service - self.switching.f6_switching
+
+    def scaled_cost(self) -> cp.Expression:
+        """f2 and f3 as weighted, with revenue and what is left at the end, in about GBP."""
         args = (self.site, self.v, self.p)
         w = self.site.weights
         gbp = cost_scale(self.site)
@@ -218,33 +224,11 @@ class WindowModel:
         cost = gbp * w.lambda_grid * f2 + gbp * w.lambda_curt * terms.f3_curtailment(*args)
         if self.form.ending == "value":
             cost = cost - gbp * f7_at_end(self.terminal)
-        if self.form.level == "cost":
-            return cp.Minimize(cost)
-        service = terms.f1_service(*args)
-        if self.switching is not None:
-            service = service - self.switching.f6_switching
-        if self.form.level == "weighted":
-            return cp.Maximize(service - cost / gbp - self._squares())
-        return cp.Maximize(objective_scale(self.site) * (service - cost / gbp))
-
-    def _squares(self) -> cp.Expression:
-        """f4 and f5 as weighted, by what the form has for them."""
-        w = self.site.weights
-        if self.form.squares == "none":
-            return cp.Constant(0.0)
-        if self.tangents is not None:
-            f4 = self.tangents.f4(self.site, self.v)
-            f5 = self.tangents.f5(self.site, self.v)
-        else:
-            f4 = terms.f4_flows(self.site, self.v, self.p)
-            f5 = terms.f5_reactive(self.site, self.v, self.p)
-        return w.lambda_l * f4 + w.lambda_q * f5
+        return cost
 
     def fill(self, data: WindowData, served: Flags | None = None) -> None:
         """Write the window's data and, where the form fixes it, the served set."""
         self.p.fill(self.site, data, served)
-        if self.tangents is not None:
-            self.tangents.fill(self.site, data)
         if self.physical is not None:
             self.physical.fill(self.site, data)
         if self.switching is not None:

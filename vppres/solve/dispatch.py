@@ -354,11 +354,15 @@ def _with_modes(
 
 def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:
     """The window problem of a form, of the window's length, mode and switching rules."""
+    return cache.problem(WindowModel, n_steps=data.n_steps, form=form_of_window(form, data))
+
+
+def form_of_window(form: Form, data: WindowData) -> Form:
+    """A form with what a window brings: losses, switching rules, export and its end."""
     rules = None if form.service == "fixed" else rule_steps(data)
-    shaped = replace(
+    return replace(
         form, physical=data.physical, switching=rules, exporting=data.exporting, ending=data.ending
     )
-    return cache.problem(WindowModel, n_steps=data.n_steps, form=shaped)
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:

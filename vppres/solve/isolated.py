@@ -36,7 +36,6 @@ from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task
-from vppres.solve.weighted import WeightedChoices
 
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
@@ -422,7 +421,7 @@ class IsolatedSolver(WindowSolver):
 
     Parameters
     ----------
-    site, method, solver, limits, polygon_sides, weighted
+    site, method, solver, limits, polygon_sides
         As for :class:`vppres.solve.ladder.WindowSolver`.
     factory : callable, optional
         Makes the solver in the other process; a class or function of a module.
@@ -444,7 +443,6 @@ class IsolatedSolver(WindowSolver):
         solver: str = "highs",
         limits: SolveLimits | None = None,
         polygon_sides: int = POLYGON_SIDES,
-        weighted: WeightedChoices | None = None,
         factory: Callable[..., WindowSolver] = WindowSolver,
         workers: Workers | None = None,
     ) -> None:
@@ -458,10 +456,8 @@ class IsolatedSolver(WindowSolver):
                     value=True,
                 )
             )
-        super().__init__(site, method, solver, limits, polygon_sides, weighted)
-        self._setup = Setup(
-            factory, site, method, solver, self.limits, polygon_sides, self.weighted
-        )
+        super().__init__(site, method, solver, limits, polygon_sides)
+        self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
         self._workers = workers
         self._compilations = 0
         self._from().start()

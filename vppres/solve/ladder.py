@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 from vppres.contract.dispatch import Dispatch
@@ -36,13 +35,9 @@ from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
-from vppres.solve.weighted import ANY_GAP, WeightedChoices, require_choices, solve_weighted
 from vppres.solve.whole import with_binaries, without_binaries
 
-LEVELLED = ("decomposed", "monolithic")
-"""Methods that solve term by term, each to its own precision."""
-
-METHODS = (*LEVELLED, "weighted")
+METHODS = ("decomposed", "monolithic")
 
 
 class WindowSolver:
@@ -52,9 +47,8 @@ class WindowSolver:
     ----------
     site : Site
         Fixed data.
-    method : {"decomposed", "monolithic", "weighted"}
-        How the served set is found; ``docs/method.md`` proves the certificates. ``weighted`` is one
-        solve of all terms as weighted, without levels.
+    method : {"decomposed", "monolithic"}
+        How the served set is found; ``docs/method.md`` proves the certificates.
     solver : str
         Name in the table of solvers. Counts, the stages in the network and continuous problems with
         cones do not follow it; the stages of a solution name the solver of each.
@@ -62,8 +56,6 @@ class WindowSolver:
         Gaps and time limit of a window.
     polygon_sides : int, optional
         Sides of an inverter's polygon for solvers that take no cones with binaries.
-    weighted : WeightedChoices, optional
-        Unit, tolerance and seed of the method ``weighted``.
 
     Raises
     ------
@@ -78,7 +70,6 @@ class WindowSolver:
         solver: str = "highs",
         limits: SolveLimits | None = None,
         polygon_sides: int = POLYGON_SIDES,
-        weighted: WeightedChoices | None = None,
     ) -> None:
         if method not in METHODS:
             raise InputError(
@@ -93,10 +84,6 @@ class WindowSolver:
         self.method = method
         self.limits = limits or SolveLimits()
         self.spec: SolverSpec = find_solver(solver)
-        self.weighted = weighted or WeightedChoices()
-        if method == "weighted":
-            require_choices(solver)
-            self.limits = replace(self.limits, gap_abs=ANY_GAP)
         self.sides = 0 if self.spec.mip_cones else polygon_sides
         self.cache = shared_cache(site)
 
@@ -140,8 +127,6 @@ class WindowSolver:
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
-        if self.method == "weighted":
-            return solve_weighted(task, self.weighted)
         if self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:

@@ -184,9 +184,6 @@ class WindowSolution:
     passes : int
         Linearisations that the dispatch took; with more than one, objective, bound and gaps are
         those of the window as it was linearised when the served set was decided.
-    curtailment_gap_kwh, loss_gap_kwh : float
-        How much less PV energy could at most be curtailed and how much less lost in the lines, all
-        other terms held; of weighted solves alone, since the others have levels for them.
     loss_kw : array, shape (W,), optional
         Losses that the dispatch pays for; None in the paper's mode, which has none.
     """
@@ -202,8 +199,6 @@ class WindowSolution:
     solver_s: float
     stages: tuple[str, ...] = ()
     passes: int = 1
-    curtailment_gap_kwh: float = np.nan
-    loss_gap_kwh: float = np.nan
     loss_kw: Floats | None = None
 
     @property

@@ -7,14 +7,13 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
-from vppres.solve.weighted import WeightedChoices
 
 OUT_OF_MEMORY = 77
 """Status with which a solver's process ends when memory runs out: no other end has it."""
@@ -40,36 +39,26 @@ class Setup:
         Gaps and time limit of a window.
     polygon_sides : int
         Sides of an inverter's polygon.
-    weighted : WeightedChoices
-        Unit, tolerance and seed of a weighted solve.
     """
 
-    factory: Callable[[Site, str, str, SolveLimits, int, WeightedChoices], WindowSolver]
+    factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
     site: Site
     method: str
     solver: str
     limits: SolveLimits
     polygon_sides: int
-    weighted: WeightedChoices = field(default_factory=WeightedChoices)
 
     @cached_property
     def key(self) -> str:
         """Setups of equal content have equal solvers."""
         return (
             f"{self.factory!r} {self.site.key} {self.method} {self.solver} {self.limits} "
-            f"{self.polygon_sides} {self.weighted}"
+            f"{self.polygon_sides}"
         )
 
     def make(self) -> WindowSolver:
         """The solver."""
-        return self.factory(
-            self.site,
-            self.method,
-            self.solver,
-            self.limits,
-            self.polygon_sides,
-            self.weighted,
-        )
+        return self.factory(self.site, self.method, self.solver, self.limits, self.polygon_sides)
 
 
 @dataclass(frozen=True, eq=False)

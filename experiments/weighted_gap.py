@@ -104,21 +104,6 @@ def terms_beside_gap(
     ]
 
 
-def gap_remark(scenario: Scenario, gap_rel: float = GAP_REL) -> str:
-    """Which terms a weighted solve would not see; empty where it would see all of them."""
-    n_steps = len(scenario.grid.window(0, scenario.controller.horizon_h))
-    lost = [term for term in terms_beside_gap(scenario, n_steps, gap_rel) if term.lost]
-    if not lost:
-        return ""
-    hours = n_steps * scenario.grid.dt_h
-    open_ = gap_rel * service_of(scenario, n_steps)
-    return (
-        f"--method weighted would leave {open_:.3g} weighted customer hours of a window of "
-        f"{hours:g} h open at a relative gap of {gap_rel:g}, as much as or more than all of "
-        f"{', '.join(map(str, lost))} weigh. The default solves them term by term."
-    )
-
-
 def _f4_of_demand(scenario: Scenario) -> Floats:
     """The flows' term of each step if everyone is served by the grid alone, (T,), in ohm kVA²."""
     net = scenario.network

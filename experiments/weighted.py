@@ -1,29 +1,31 @@
-"""The problem as it is printed: all five terms in one objective, one mixed-integer solve.
+"""One mixed-integer solve of the objective as it is printed, all five terms in one sum.
 
 No levels and no polish: what the gap leaves open stays open.
-``docs/decisions/weighted-objective.md`` has the arithmetic, and why the default does otherwise.
+``docs/decisions/weighted-objective.md`` has the arithmetic, and why vppres solves otherwise.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from vppres.core.errors import InputError, Problem
+from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
+from experiments.weighted_model import Squares, WeightedModel, largest_flow
 from vppres.model.data import WindowData
 from vppres.model.forms import Form
 from vppres.model.site import Site
-from vppres.model.squares import Squares, largest_flow
-from vppres.model.units import dispatch_in_kw, site_in_unit, window_in_unit
 from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
-from vppres.solve.dispatch import carried, window_model
-from vppres.solve.result import WindowSolution
+from vppres.solve.dispatch import carried, form_of_window
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import run_with
 from vppres.solve.task import WindowTask
+from vppres.solve.turns import one_at_a_time
 
 ANY_GAP = float(np.finfo(float).max)
 """A weighted solve stops at its relative gap alone, as solvers do by default."""
@@ -69,57 +71,64 @@ def _scip(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, A
     return {"scip_params": parameters}
 
 
-def _gurobi(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, Any]:
-    return {
-        "MIPGap": gap,
-        "OptimalityTol": choices.tolerance,
-        "Seed": choices.seed,
-        "TimeLimit": time_s,
-    }
-
-
 OPTIONS: dict[str, Callable[[float, WeightedChoices, float], Mapping[str, Any]]] = {
     "highs": _highs,
     "scip": _scip,
-    "gurobi": _gurobi,
 }
 """How each solver is told the choices."""
 
 
-def require_choices(solver: str) -> None:
-    """Refuse solvers that cannot be told the choices of a weighted solve.
+class WeightedSolver(WindowSolver):
+    """Solves each window by one mixed-integer solve of all five terms.
 
-    Raises
-    ------
-    InputError
-        If the solver is none of those in ``OPTIONS``.
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    solver : {"highs", "scip"}
+        Name in the table of solvers.
+    limits : SolveLimits, optional
+        Relative gap and time limit of a window; its absolute gap does not apply.
+    choices : WeightedChoices, optional
+        Unit, tolerance and seed.
     """
-    if solver not in OPTIONS:
-        raise InputError(
-            Problem(
-                "options",
-                "solves no weighted objective here",
-                f"Use one of: {', '.join(OPTIONS)}; or --method decomposed.",
-                field="solver",
-                value=solver,
-            )
-        )
+
+    def __init__(
+        self,
+        site: Site,
+        solver: str = "highs",
+        limits: SolveLimits | None = None,
+        choices: WeightedChoices | None = None,
+    ) -> None:
+        one_gap = replace(limits or SolveLimits(), gap_abs=ANY_GAP)
+        super().__init__(site, solver=solver, limits=one_gap)
+        self.choices = choices or WeightedChoices()
+
+    @one_at_a_time
+    def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
+        """The answer of one mixed-integer solve, as it comes.
+
+        Raises
+        ------
+        SolveError
+            If there is none: infeasible, or not found in time.
+        """
+        limits = self.limits.at_most(within_s)
+        task = WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
+        return solve_weighted(task, self.choices)
 
 
 def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution:
-    """The answer of one mixed-integer solve of the weighted objective, as it comes.
-
-    Raises
-    ------
-    SolveError
-        If there is none: infeasible, or not found in time.
-    """
+    """One solve of a window, in the unit of the choices."""
     known = task.certificate
     site = task.site if choices.unit_kw == 1.0 else site_in_unit(task.site, choices.unit_kw)
     data = window_in_unit(task.data, choices.unit_kw)
-    squares = squares_of(site, data, task.spec.mip_cones, choices.tolerance)
-    form = Form("weighted", polygon_sides=task.sides, squares=squares)
-    model = window_model(shared_cache(site), data, form)
+    model = shared_cache(site).problem(
+        WeightedModel,
+        n_steps=data.n_steps,
+        form=form_of_window(Form(polygon_sides=task.sides), data),
+        squares=squares_of(site, data, task.spec.mip_cones, choices.tolerance),
+    )
     model.fill(data)
     ask = OPTIONS[task.spec.name]
     outcome = run_with(
@@ -137,7 +146,15 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
     known.bound_by(outcome.bound)
     found = Candidate.of(task.site, served, dispatch, np.inf, in_network=False)
     known.keep(carried(task, served, found, dispatch))
-    return replace(_with_gaps(task, task.solution()), status=outcome.status)
+    return replace(_with_cost_gap(task.solution(), site.weights.lambda_grid), status=outcome.status)
+
+
+def _with_cost_gap(solution: WindowSolution, lambda_grid: float) -> WindowSolution:
+    """The cost falls by no more than the whole gap, all other terms held."""
+    if lambda_grid <= 0.0:
+        return solution
+    open_gbp = solution.gap_abs / lambda_grid
+    return replace(solution, cost_gap_gbp=min(solution.cost_gap_gbp, open_gbp))
 
 
 def squares_of(site: Site, data: WindowData, cones: bool, tolerance: float) -> Squares:
@@ -153,28 +170,3 @@ def squares_of(site: Site, data: WindowData, cones: bool, tolerance: float) -> S
     steepest_flow = 2.0 * w.lambda_l * (site.network.r_ohm * largest_flow(site, data)).max()
     steepest_use = 2.0 * w.lambda_q / ratings.min() if len(ratings) else 0.0
     return "none" if max(steepest_flow, steepest_use) < tolerance else "tangents"
-
-
-def _with_gaps(task: WindowTask, solution: WindowSolution) -> WindowSolution:
-    """The solution with what its one gap leaves open in the unit of each term.
-
-    The terms other than the one that is asked about are held: none falls by more than the whole gap
-    divided by its weight, nor below the least that it can be.
-    """
-    w = task.site.weights
-    open_ = solution.gap_abs
-    terms = solution.terms
-    least_gbp = task.certificate.cost.least_gbp
-    # f4 over the squared voltage is the loss in W of each kVA² in a step.
-    kwh_per_f4 = task.site.dt_h / (1000.0 * task.site.network.base_kv**2)
-    return replace(
-        solution,
-        cost_gap_gbp=_part(open_, w.lambda_grid, terms.f2 - least_gbp),
-        curtailment_gap_kwh=_part(open_, w.lambda_curt, terms.f3),
-        loss_gap_kwh=kwh_per_f4 * _part(open_, w.lambda_l, terms.f4),
-    )
-
-
-def _part(open_: float, weight: float, whole: float) -> float:
-    """How far a term can fall for what is open, at most all of it."""
-    return max(min(open_ / weight, whole), 0.0) if weight > 0.0 else max(whole, 0.0)

@@ -1,6 +1,7 @@
-"""The squares of the objective's last two terms, for solvers that take none with binaries.
+"""The paper's objective as it is printed, all five terms in one sum, and its squares.
 
-A square is replaced by the largest of some of its tangents, which lies below it everywhere.
+Most solvers take no squares together with binaries. There a square is replaced by the largest of
+some of its tangents, which lies below it everywhere.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from typing import Literal
 import cvxpy as cp
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
+from vppres.model import objective as terms
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.forms import Form, WindowModel
+from vppres.model.numerics import cost_scale, write
 from vppres.model.site import Site
 from vppres.model.variables import Variables
 
@@ -22,6 +25,51 @@ Squares = Literal["exact", "tangents", "none"]
 TOUCHING = (1 / 8, 1 / 3, 2 / 3, 1.0)
 """Where tangents touch the square, on either side, as shares of the largest value; a line through
 zero belongs to them. They miss at most 3 % of the largest square."""
+
+
+class WeightedModel(WindowModel):
+    """A window with all five terms in one objective.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    form : Form
+        Variant of the problem; its level does not count.
+    squares : {"none", "tangents", "exact"}
+        What stands for f4 and f5.
+    """
+
+    def __init__(self, site: Site, n_steps: int, form: Form, squares: Squares) -> None:
+        self.squares = squares
+        self.tangents = Tangents.create(site, n_steps) if squares == "tangents" else None
+        super().__init__(site, n_steps, form)
+
+    def objective(self) -> cp.Maximize:
+        """F as it is printed."""
+        cost = self.scaled_cost() / cost_scale(self.site)
+        return cp.Maximize(self.service() - cost - self._squares())
+
+    def _squares(self) -> cp.Expression:
+        """f4 and f5 as weighted, by what stands for them."""
+        w = self.site.weights
+        if self.squares == "none":
+            return cp.Constant(0.0)
+        if self.tangents is not None:
+            f4 = self.tangents.f4(self.site, self.v)
+            f5 = self.tangents.f5(self.site, self.v)
+        else:
+            f4 = terms.f4_flows(self.site, self.v, self.p)
+            f5 = terms.f5_reactive(self.site, self.v, self.p)
+        return w.lambda_l * f4 + w.lambda_q * f5
+
+    def fill(self, data: WindowData, served: Flags | None = None) -> None:
+        """Write the window's data and, where the form fixes it, the served set."""
+        super().fill(data, served)
+        if self.tangents is not None:
+            self.tangents.fill(self.site, data)
 
 
 @dataclass(frozen=True, eq=False)
