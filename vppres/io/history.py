@@ -15,8 +15,8 @@ from vppres.core.errors import InputError, Problem
 from vppres.io import schema
 from vppres.io.messages import few
 from vppres.io.series import TIME, read_times, read_values
-from vppres.io.settings import iso
 from vppres.io.tables import Table, check_columns, read_table
+from vppres.io.times import iso
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
 

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
-from vppres.io.messages import few, shown
-from vppres.io.series import time_of
+from vppres.io.messages import few
 from vppres.io.tables import CHECK_PATH, Table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.outage_warnings import OutageWarning
@@ -20,8 +19,8 @@ from vppres.scenario.outage_warnings import OutageWarning
 class OutageRow(schema.Row):
     """An outage that was, over the half-open interval from `start` to `end`."""
 
-    start: str = Field(description="beginning of the outage, ISO 8601 with time zone")
-    end: str = Field(description="end of the outage, ISO 8601 with time zone")
+    start: schema.Time = Field(description="beginning of the outage, ISO 8601 with time zone")
+    end: schema.Time = Field(description="end of the outage, ISO 8601 with time zone")
 
 
 Interval = tuple[pd.Timestamp, pd.Timestamp]
@@ -38,15 +37,9 @@ def read_outage_log(file: str | Path) -> list[Interval]:
     table, problems = read_table(Path(file), CHECK_PATH)
     rows, found = read_rows(table, OutageRow)
     problems += found
-    outages: dict[int, Interval] = {}
-    for line, row in rows.items():
-        assert table is not None  # it has rows
-        times, unreadable = _times(table, line, row)
-        problems += unreadable
-        if not unreadable:
-            outages[line] = times[0], times[1]
+    outages = {line: (pd.Timestamp(row.start), pd.Timestamp(row.end)) for line, row in rows.items()}
     in_order = sorted(outages.items(), key=lambda item: item[1])
-    problems += [] if table is None else _overlaps(table, in_order)
+    problems += [] if table is None else _empty(table, outages) + _overlaps(table, in_order)
     if problems:
         raise InputError(problems)
     return [interval for _, interval in in_order]
@@ -67,26 +60,21 @@ def read_warning_file(file: str | Path) -> list[OutageWarning]:
     return list(messages.values())
 
 
-def _times(table: Table, line: int, row: OutageRow) -> tuple[list[pd.Timestamp], list[Problem]]:
-    """Beginning and end of a row."""
-    times = []
-    problems = []
-    for name in ("start", "end"):
-        text = getattr(row, name)
-        time, message, cure = time_of(text)
-        if time is None:
-            problems.append(
-                Problem(table.file, message, cure, row=line, field=name, value=shown(text))
-            )
-        else:
-            times.append(time)
-    if not problems and times[1] <= times[0]:
-        cure = "Give the time at which the grid came back."
-        message = "does not come after start"
-        problems.append(
-            Problem(table.file, message, cure, row=line, field="end", value=shown(row.end))
-        )
-    return times, problems
+def _empty(table: Table, outages: dict[int, Interval]) -> list[Problem]:
+    """Outages that end before they begin."""
+    wrong = [line for line, (start, end) in outages.items() if end <= start]
+    cure = "Give the time at which the grid came back."
+    return few(
+        wrong,
+        lambda i: Problem(
+            table.file,
+            "does not come after start",
+            cure,
+            row=i,
+            field="end",
+            value=outages[i][1].isoformat(),
+        ),
+    )
 
 
 def _overlaps(table: Table, outages: list[tuple[int, Interval]]) -> list[Problem]:

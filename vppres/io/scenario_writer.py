@@ -19,7 +19,8 @@ from vppres.io import schema
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
 from vppres.io.series import TIME
-from vppres.io.settings import SCENARIO_FILE, iso, outage_intervals
+from vppres.io.settings import SCENARIO_FILE, outage_intervals
+from vppres.io.times import iso
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network

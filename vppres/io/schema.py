@@ -12,6 +12,7 @@ from operator import attrgetter
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import pandas as pd
 from annotated_types import Ge, Le
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
@@ -19,6 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from vppres.core.tables import packaged_table
 from vppres.core.text import flaw_of_name
+from vppres.io.times import time_of
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.outage_warnings import STATISTICS_PRESETS, WARNING_PRESETS
@@ -95,6 +97,17 @@ def _known_zone(name: str) -> str:
     return name
 
 
+def _time(text: str) -> pd.Timestamp:
+    """The time that a cell says."""
+    time, message, cure = time_of(text)
+    if time is None:
+        raise PydanticCustomError("flawed_name", "{message}", {"message": message, "cure": cure})
+    return time
+
+
+Time = Annotated[str, AfterValidator(_time)]
+
+
 def _active(power_factor: float) -> float:
     """A power factor of a load with active power."""
     if abs(power_factor) < MIN_POWER_FACTOR:
@@ -131,6 +144,7 @@ _TYPES: dict[str, Any] = {
     "number": float,
     "whole number": int,
     "date and time": AwareDatetime,
+    "time": Time,
     "name": Name,
     "title": Annotated[str, _sound(MAX_TITLE_LENGTH)],
     "source name": Annotated[str, _sound(MAX_SOURCE_LENGTH)],
@@ -217,7 +231,7 @@ def _default(line: dict[str, str], kind: Any) -> Any:
     word, cell = line["type"], line["default"]
     if cell == "required":
         return ...
-    if kind in (float, int):
+    if kind in (float, int, Time):
         return kind(_number(cell)) if cell else None
     if word == "notes" or word.startswith("[["):
         return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AwareDatetime, BaseModel
@@ -70,10 +70,12 @@ def _kind(field: FieldInfo) -> str:
         AwareDatetime: "date and time",
     }
     kind = field.annotation
-    choices = get_args(field.annotation)
-    if get_origin(kind) is Literal:
-        return "text"
-    return words.get(choices[0] if type(None) in choices else kind, "table")
+    choices = get_args(kind)
+    if type(None) in choices:
+        kind = choices[0]
+    if get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    return "text" if get_origin(kind) is Literal else words.get(kind, "table")
 
 
 def _bounds(field: FieldInfo) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 
 import numpy as np
@@ -13,13 +12,11 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
 from vppres.io.messages import few, shown
-from vppres.io.settings import iso
 from vppres.io.tables import Table, cell_text
+from vppres.io.times import iso, parsed_times, time_fault
 from vppres.scenario.timegrid import TimeGrid
 
 TIME = "time"
-_LONGEST_TIME = 64  # characters; a time has 35, and the search takes their square
-_OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
 
 
 def check_times(table: Table, grid: TimeGrid) -> list[Problem]:
@@ -109,37 +106,14 @@ def _as_float(cell: object) -> float:
         return float("nan")
 
 
-def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
-    """The time that a text says; None where it says none, with what is wrong and the cure.
-
-    >>> time_of("2022-07-19T12:00")[1:]
-    ('has no time zone', 'Add the offset, for example 2022-07-19T12:00Z.')
-    """
-    times = pd.to_datetime(pd.Series([text]), utc=True, format="ISO8601", errors="coerce")
-    if times.isna()[0] or not text[:4].isdigit():
-        return None, "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
-    if _OFFSET.search(text[:_LONGEST_TIME]) is None:
-        return None, "has no time zone", f"Add the offset, for example {text}Z."
-    return times[0], "", ""
-
-
 def read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     """Times in UTC by line of the file."""
     texts = table.texts(TIME) if TIME in table.names else pd.Series([], dtype=object)
-    times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")
-    unreadable = (times.isna() | ~texts.str[:4].str.isdigit().astype(bool)).to_numpy(bool)
-    has_offset = np.fromiter(
-        (_OFFSET.search(text[:_LONGEST_TIME]) is not None for text in texts), bool
-    )
+    times, unreadable, has_offset = parsed_times(texts)
 
     def problem(i: int) -> Problem:
         text = texts.iloc[i]
-        message = "is not an ISO 8601 time" if unreadable[i] else "has no time zone"
-        cure = (
-            "Write it like 2022-07-19T12:00:00Z."
-            if unreadable[i]
-            else f"Add the offset, for example {text}Z."
-        )
+        message, cure = time_fault(text, bool(unreadable[i]))
         return Problem(
             table.file,
             message if text else "is empty",

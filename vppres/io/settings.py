@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import tomllib
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +17,7 @@ from vppres.core.units import minutes_to_h
 from vppres.io import schema
 from vppres.io.messages import problems_of
 from vppres.io.tables import read_text
+from vppres.io.times import iso
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -153,15 +153,6 @@ def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem
                 Problem(SCENARIO_FILE, message, day, field=f"outages[{i}].{name}", value=iso(time))
             )
     return problems
-
-
-def iso(time: datetime) -> str:
-    """A time as the files write it.
-
-    >>> iso(pd.Timestamp("2022-07-19T12:00:00Z"))
-    '2022-07-19T12:00:00Z'
-    """
-    return time.isoformat().replace("+00:00", "Z")
 
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:

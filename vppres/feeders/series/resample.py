@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import Problem
-from vppres.io.settings import iso
+from vppres.io.times import iso
 from vppres.scenario.timegrid import TimeGrid
 
 _MINUTE_NS = 60 * 10**9

@@ -1,0 +1,52 @@
+"""Times in ISO 8601 with their offset, and what is wrong with others."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags
+
+_LONGEST_TIME = 64  # characters; a time has 35, and the search takes their square
+_OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
+
+
+def parsed_times(texts: pd.Series[str]) -> tuple[pd.Series[pd.Timestamp], Flags, Flags]:
+    """Times in UTC, which of the texts are none, and which have an offset."""
+    times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")
+    unreadable = (times.isna() | ~texts.str[:4].str.isdigit().astype(bool)).to_numpy(bool)
+    has_offset = np.fromiter(
+        (_OFFSET.search(text[:_LONGEST_TIME]) is not None for text in texts), bool
+    )
+    return times, unreadable, has_offset
+
+
+def time_fault(text: str, unreadable: bool) -> tuple[str, str]:
+    """What is wrong with a text that says no time with an offset, and the cure."""
+    if unreadable:
+        return "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
+    return "has no time zone", f"Add the offset, for example {text}Z."
+
+
+def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
+    """The time that a text says; None where it says none, with what is wrong and the cure.
+
+    >>> time_of("2022-07-19T12:00")[1:]
+    ('has no time zone', 'Add the offset, for example 2022-07-19T12:00Z.')
+    """
+    times, unreadable, has_offset = parsed_times(pd.Series([text], dtype=object))
+    if unreadable[0] or not has_offset[0]:
+        return None, *time_fault(text, bool(unreadable[0]))
+    return times.iloc[0], "", ""
+
+
+def iso(time: datetime) -> str:
+    """A time as the files write it.
+
+    >>> iso(pd.Timestamp("2022-07-19T12:00:00Z"))
+    '2022-07-19T12:00:00Z'
+    """
+    return time.isoformat().replace("+00:00", "Z")
