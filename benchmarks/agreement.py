@@ -20,16 +20,16 @@ import typer
 from rich.progress import track
 
 from benchmarks.deadlines import by_processor
+from benchmarks.licensed import ALL_SOLVERS, LICENSED
 from benchmarks.race import Runner, monolith
 from benchmarks.store import Row, Store
-from benchmarks.windows import LICENSED, NOT_ADMITTED
+from benchmarks.windows import NOT_ADMITTED
 from experiments.hard_days import KINDS, hard_window
 from experiments.terminal import plain_errors
 from vppres.core.errors import SolveError
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.solvers import SOLVERS
 
 MOST_CELLS = 150
 """Buses times steps of a small window: a monolith proves most of them in seconds."""
@@ -124,7 +124,7 @@ def compare(runner: Runner, time_s: float) -> Row:
         "agrees": bool(agree(ours, whole, limits)),
     }
     for name in ("highs", "scip", *LICENSED):
-        if SOLVERS[name].installed:
+        if ALL_SOLVERS[name].installed:
             row |= {f"{name}_{key}": value for key, value in _once(runner, name, time_s).items()}
     return row
 

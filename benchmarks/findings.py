@@ -10,13 +10,13 @@ import pandas as pd
 from benchmarks import profiles
 from benchmarks.day import day_table, stage_table, step_table
 from benchmarks.deadlines import ALLOWED_S, NAMED, by_turn, deadline_table
+from benchmarks.licensed import LICENSED
 from benchmarks.race import draw_certified
 from benchmarks.race import summary as race_summary
 from benchmarks.report import Bar, Section
 from benchmarks.scaling import FITTED_BUSES, draw_scaling, exponents
 from benchmarks.store import Row
 from benchmarks.throughput import throughput_table
-from benchmarks.windows import LICENSED
 from benchmarks.worker import worker_table
 
 MIN_RATIO = 25.0

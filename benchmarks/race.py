@@ -21,8 +21,8 @@ from rich.progress import Progress
 from benchmarks.deadlines import by_processor
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
+from benchmarks.licensed import ALL_SOLVERS
 from benchmarks.store import Row, Store
-from benchmarks.windows import one_thread
 from vppres.core.errors import SolveError
 from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
@@ -126,7 +126,7 @@ def monolith(runner: Runner, solver: str, limit_s: float, busy: float = BUSY) ->
     )
     model = WindowModel(runner.site, data.n_steps, form)
     model.fill(data)
-    spec = one_thread(solver)
+    spec = ALL_SOLVERS[solver]
     compile_now(model.problem, spec)
     everyone = runner.site.customers.weight.sum() * runner.site.dt_h * data.n_steps
     gap = SolveLimits().absolute(float(everyone))

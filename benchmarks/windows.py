@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
 from benchmarks.instances import Instance, packaged, window_data
+from benchmarks.licensed import ALL_SOLVERS, LICENSED
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.forms import Form, WindowModel
@@ -23,10 +24,8 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import SOLVERS, SolverSpec, compile_now, run
+from vppres.solve.solvers import compile_now, run
 
-LICENSED = {"gurobi": {"Threads": 1}, "copt": {"Threads": 1}, "xpress": {"threads": 1}}
-"""Solvers with size-limited licences, and what keeps them on one thread as the others are."""
 NOT_ADMITTED = "not_admitted"
 FAST_REFUSAL_S = 1.0
 LONG_WINDOW_STEPS = 6
@@ -142,7 +141,7 @@ class Bench:
     def _monolithic(self, instance: Instance, method: Method, limits: SolveLimits) -> Row:
         """One solve of service, cost and curtailment as weighted, to the same gap."""
         model = self._model(method, instance.steps)
-        spec = one_thread(method.solver)
+        spec = ALL_SOLVERS[method.solver]
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()
@@ -191,18 +190,9 @@ class Bench:
         return self.models[method, steps]
 
 
-def one_thread(name: str) -> SolverSpec:
-    """The row of a solver, on one thread."""
-    spec = SOLVERS[name]
-    more = LICENSED.get(name, {})
-    if name == "xpress":  # cvxpy hands on no bound of Xpress
-        spec = replace(spec, slack=lambda problem: np.nan)
-    return replace(spec, options=lambda gap, s: {**spec.options(gap, s), **more})
-
-
 def installed_methods() -> list[Method]:
     """Methods whose solver is installed."""
-    return [method for method in METHODS if SOLVERS[method.solver].installed]
+    return [method for method in METHODS if ALL_SOLVERS[method.solver].installed]
 
 
 _BENCH: list[Bench] = []

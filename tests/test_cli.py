@@ -235,7 +235,7 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip, "),
+        (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip)"),
         (
             ["--method", "magic"],
             "method = magic: is not a known method. Use one of: decomposed, monolithic.",

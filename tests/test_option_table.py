@@ -13,7 +13,7 @@ from tests.support.command_line import call
 from tests.support.tiny_day import tiny_scenario
 from vppres.cli import options as cli_options
 from vppres.contract.operating_point import CENTRES
-from vppres.control.converged import DEFAULT_HEADROOM, DEFAULT_PASSES
+from vppres.control.converged import DEFAULT_HEADROOM
 from vppres.control.full_horizon import PV_CHECKS
 from vppres.core.errors import InputError
 from vppres.day import options as day_options
@@ -47,11 +47,7 @@ def test_every_field_of_the_options_has_one_row_with_its_default() -> None:
 
 def test_constants_of_other_rooms_are_those_of_the_table() -> None:
     options = RunOptions()
-    assert (options.polygon_sides, options.headroom, options.passes) == (
-        POLYGON_SIDES,
-        DEFAULT_HEADROOM,
-        DEFAULT_PASSES,
-    )
+    assert (options.polygon_sides, options.headroom) == (POLYGON_SIDES, DEFAULT_HEADROOM)
     assert choices_of("centre") == CENTRES
     assert choices_of("pv_check") == PV_CHECKS
 

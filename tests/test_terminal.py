@@ -12,7 +12,6 @@ from experiments.random_feeders import random_window
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres.contract.export import Export
 from vppres.contract.forecast import Forecast
-from vppres.contract.observation import Observation
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.core.errors import InputError
@@ -25,7 +24,6 @@ from vppres.io.digest import scenario_digest
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
-from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
@@ -190,43 +188,3 @@ def test_explanations_know_of_the_end(tiny: Scenario) -> None:
     stored_kwh = prices[prices["constraint"] == "stored_energy"]
     worth = stored_kwh[stored_kwh["time"] == tiny.grid.times[5]]["gbp"].max()
     assert worth == pytest.approx(2 * 0.45, rel=0.02)
-
-
-def seen_at(day: Scenario, soc: float, **changes: object) -> Observation:
-    """What is seen of a day with one battery, which is to keep what it can."""
-    forecast = Forecast(
-        day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw, day.temperature_c
-    )
-    efficiency = np.array([0.95])
-    held = Observation(0, forecast, np.array([soc]), efficiency, efficiency, keep_stored=True)
-    return replace(held, **changes)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("load_kw", [(30.0, 20.0), (20.0, 30.0)])
-def test_of_equal_plans_without_grid_the_one_that_leaves_most(
-    method: str, load_kw: tuple[float, float]
-) -> None:
-    """35 kWh serve one of two steps: that of 20 kW leaves 10 kWh more."""
-    day = two_buses([[load] for load in load_kw], [1.0], [DARK, DARK])
-    day = replace(day, batteries=battery(energy_kwh=50.0, p_max_kw=1e3, s_max_kva=1e3))
-    data = WindowData.of(seen_at(day, 0.85), Site.of(day), "none")
-    answer = WindowSolver(Site.of(day), method).solve(data)
-    assert answer.dispatch.served.sum() == 1
-    assert 50.0 * answer.dispatch.soc[-1, 0] == pytest.approx(42.5 - 20.0 / 0.95, abs=1e-3)
-
-
-def test_with_grid_nothing_is_kept_for_its_own_sake() -> None:
-    day = two_buses([[20.0], [20.0]], [1.0], [DARK, OPEN], price=0.25)
-    day = replace(day, batteries=battery())
-    seen = seen_at(day, 0.5)
-    assert seen.end is None
-    assert replace(seen, forecast=seen.forecast.first(1)).end == Terminal(1.0, 0.5)
-    assert replace(seen, terminal=Terminal(0.4, 1.0)).end == Terminal(0.4, 1.0)
-
-
-def test_a_day_that_keeps_what_it_can_is_explained(tiny: Scenario) -> None:
-    options = RunOptions(horizon_h=1.0)
-    kept = run_day(tiny, replace(options, keep_stored=True))
-    assert not kept.batteries["soc_end"].equals(run_day(tiny, options).batteries["soc_end"])
-    assert len(explain_day(kept).explanations)

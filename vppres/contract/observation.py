@@ -58,8 +58,6 @@ class Observation:
         Who was really served in the step before; as decided if not given.
     terminal : Terminal, optional
         What batteries are to hold at the end of the window, where nothing is known behind it.
-    keep_stored : bool
-        Whether a window without grid keeps what it can, of plans that serve the same.
     stored_value : StoredValue, optional
         What energy is worth behind the present step, where the steps behind it are believed and not
         known. The window is then the present step alone.
@@ -84,7 +82,6 @@ class Observation:
     import_kw: float | None = None
     served: Flags | None = None
     terminal: Terminal | None = None
-    keep_stored: bool = False
     stored_value: StoredValue | None = None
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
@@ -93,10 +90,7 @@ class Observation:
     @property
     def end(self) -> Terminal | None:
         """What the batteries are to hold at the end of the window; None where a value says it."""
-        if self.stored_value is not None:
-            return None
-        dark = bool((self.forecast.grid_limit_kw <= 0.0).all())
-        return Terminal.full(self.forecast) if self.keep_stored and dark else self.terminal
+        return None if self.stored_value is not None else self.terminal
 
     @property
     def window(self) -> Forecast:

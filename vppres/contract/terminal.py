@@ -3,10 +3,6 @@
 A window that ends with the run, or where a live controller knows no more, sees no use for energy
 beyond. What is missing there to a state of charge costs more than any import of the window does:
 it is bought or kept where that is possible, but no service is given up for it.
-
-A window without grid buys nothing: all its plans cost the same. Where it is to keep what it can, a
-kWh that is missing to full batteries costs something there, so that of plans that serve the same
-the one that leaves most in store is taken.
 """
 
 from __future__ import annotations
@@ -25,9 +21,6 @@ storing it and taking it out again, which is less than half."""
 
 LEAST_PRICE_GBP_PER_KWH = 0.01
 """The same where energy is free, or pays."""
-
-FULL = 1.0
-"""State of charge of a battery that leaves all that it can hold."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +57,6 @@ class Terminal:
             Whether nothing is known of the steps behind the window.
         """
         return cls(soc, _missing_price(forecast)) if soc is not None and ends else None
-
-    @classmethod
-    def full(cls, forecast: Forecast) -> Terminal:
-        """The end of a window that is to leave all it can, of which a forecast is known."""
-        return cls(FULL, _missing_price(forecast))
 
     def target_kwh(self, batteries: Batteries) -> Floats:
         """Energy that each battery is to hold, (B,)."""

@@ -105,11 +105,7 @@ def _plain_controller(
     if options.controller == "reserve":
         return ReserveController(site, grid, tiers, options.reserve, centre)
     solver = solver_of(site)
-    planner = (
-        ConvergedPlanner(solver, options.headroom, options.passes)
-        if options.mode == "physical"
-        else None
-    )
+    planner = ConvergedPlanner(solver, options.headroom) if options.mode == "physical" else None
     if options.controller == "mpc":
         return MPCController(
             solver, grid, options.horizon_h, centre, planner, options.switching.move_weight

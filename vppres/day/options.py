@@ -60,13 +60,9 @@ class RunOptions:
     mode : {"paper", "physical"} or None
         The paper's island, or one that grid-forming batteries hold, planned with losses; None
         leaves it to the scenario.
-    keep_stored : bool
-        Of plans that serve the same without grid, take the one that leaves most in store.
     headroom : float
         Physical mode: share of a grid-forming battery's inverter that plans leave free in an
         island.
-    passes : int
-        Physical mode: largest number of linearisations of a window.
     isolate : bool or None
         Whether windows are solved in a process of its own; None leaves it to who runs the day:
         live controllers do, runs do not.
@@ -101,9 +97,7 @@ class RunOptions:
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
     mode: str | None = None
-    keep_stored: bool = default_of("keep_stored")
     headroom: float = default_of("headroom")
-    passes: int = default_of("passes")
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     guard: bool = default_of("guard")

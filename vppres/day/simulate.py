@@ -120,7 +120,6 @@ class Day:
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
-            keep_stored=self.options.keep_stored,
         )
         now = self.scenario.grid.times[t]
         self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))

@@ -105,18 +105,13 @@ class Recorded:
         return asked
 
     @property
-    def keeps_stored(self) -> bool:
-        """Whether windows without grid were to leave what they could."""
-        return bool(self.options.get("keep_stored"))
-
-    @property
     def ending(self) -> Ending:
         """What the windows' problems said of their ends."""
         if not len(self.site.batteries):
             return ""
         if self.options.get("outages") == BELIEF:
             return "value"
-        return "target" if self.soc_asked is not None or self.keeps_stored else ""
+        return "target" if self.soc_asked is not None else ""
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -212,7 +207,6 @@ class Recorded:
             self._eta_charge[t],
             self._eta_discharge[t],
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
-            keep_stored=self.keeps_stored,
         )
         return self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
 

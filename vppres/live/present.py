@@ -144,7 +144,6 @@ class Present:
             import_kw=seen.import_kw,
             served=self.past.served,
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
-            keep_stored=self.options.keep_stored,
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
             told=seen.told,

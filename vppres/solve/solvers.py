@@ -145,25 +145,6 @@ def _scip_ended(answer: Answer) -> Status:
     }.get(model.getStatus(), Status.INACCURATE)
 
 
-def _gurobi_slack(answer: Answer) -> float:
-    return float(answer.stats.ObjVal - answer.stats.ObjBound)
-
-
-def _copt_slack(answer: Answer) -> float:
-    return float(answer.stats.objval - answer.stats.bestbnd)
-
-
-def _xpress_slack(answer: Answer) -> float:
-    # cvxpy does not hand them on in every version: without them there is no bound.
-    if not answer.stats:
-        return np.inf
-    return float(answer.stats["mipobjval"] - answer.stats["bestbound"])
-
-
-def _ended_with_values(answer: Answer) -> Status:
-    return Status.TIME_LIMIT if answer.has_values else Status.NO_ANSWER
-
-
 SOLVERS: dict[str, SolverSpec] = {
     spec.name: spec
     for spec in (
@@ -194,30 +175,6 @@ SOLVERS: dict[str, SolverSpec] = {
             },
             _scip_slack,
             _scip_ended,
-        ),
-        SolverSpec(
-            "gurobi",
-            cp.GUROBI,
-            True,
-            lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s},
-            _gurobi_slack,
-            _ended_with_values,
-        ),
-        SolverSpec(
-            "copt",
-            cp.COPT,
-            True,
-            lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s},
-            _copt_slack,
-            _ended_with_values,
-        ),
-        SolverSpec(
-            "xpress",
-            cp.XPRESS,
-            True,
-            lambda gap, s: {"miprelstop": 0.0, "mipabsstop": gap, "maxtime": int(max(s, 1))},
-            _xpress_slack,
-            _ended_with_values,
         ),
     )
 }
