@@ -1,8 +1,8 @@
 # Run `make` alone for the list of targets.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv test quick checks lint types docs pages pytest durations mutants reproduce studies \
-  bench scenario lock clean
+.PHONY: help venv test quick nightly lint types docs pages doctests pytest durations mutants reproduce \
+  studies bench scenario lock clean
 
 VENV ?= .venv
 JOBS ?= 2
@@ -29,7 +29,7 @@ export OPENBLAS_CORETYPE ?= Haswell
 # Several processes import the same files: one compiles, the others read what it wrote.
 export PYTHONDONTWRITEBYTECODE =
 
-SPHINX = $(BIN)/sphinx-build -q -b html -W --keep-going -n
+SPHINX = $(BIN)/sphinx-build -q -W --keep-going
 
 # Each process takes a contiguous part, so that what the tests of a file share is made only once.
 PYTEST = $(BIN)/pytest -n $(JOBS) --dist worksteal
@@ -46,14 +46,19 @@ $(STAMP): requirements.lock pyproject.toml
 	$(INSTALL) --no-deps --no-build-isolation -e .
 	touch $@
 
-# The pages take a core for 90 s, the tests two for longer: pytest's last line comes last.
+# pytest's last line comes last.
 test: $(STAMP)  ## lint, types, documentation, doctests and tests
 	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types
-	@$(MAKE) --no-print-directory -j $(JOBS) pages pytest
+	@$(MAKE) --no-print-directory -j $(JOBS) -O pages doctests
+	@$(MAKE) --no-print-directory pytest
 
 quick: $(STAMP)  ## lint, types, layers and the quick tests, within a minute
 	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types
 	$(PYTEST) --quick
+
+nightly: $(STAMP)  ## everything: all cases of all tests, the whole documentation
+	@$(MAKE) --no-print-directory -j $(JOBS) -O lint types docs doctests
+	$(PYTEST) --nightly --fuzz 1000
 
 lint: $(STAMP)  ## style of all Python files (ruff)
 	$(BIN)/ruff check .
@@ -63,18 +68,19 @@ types: $(STAMP)  ## types of the package (mypy, strict)
 	$(BIN)/mypy --num-workers $(JOBS)
 
 docs: $(STAMP)  ## build the documentation into docs/_build; warnings are errors
-	$(SPHINX) docs docs/_build/html
+	$(SPHINX) -b html -n docs docs/_build/html
 
-pages: $(STAMP)  ## the same without the navigation, which takes more than half of the time
-	$(SPHINX) -D html_theme=basic docs docs/_build/pages
+pages: $(STAMP)  ## check the pages and their links, without the reference of all modules
+	$(SPHINX) -b dummy -t pages docs docs/_build/pages
 
-pytest: $(STAMP)  ## doctests and tests alone, in JOBS=2 processes
+doctests: $(STAMP)  ## the examples of docstrings
+	$(BIN)/pytest -q --doctest-modules vppres
+
+pytest: $(STAMP)  ## the tests alone, in JOBS=2 processes
 	$(PYTEST)
 
-durations: $(STAMP)  ## measure all tests: what `make quick` takes follows from tests/durations.csv
-	rm -f tests/durations.csv
-	$(PYTEST) --measure
-	$(PYTEST) --measure --quick
+durations: $(STAMP)  ## measure new tests into tests/durations.csv, from which the choices follow
+	$(BIN)/pytest -q --measure
 
 MUTANTS ?= *
 mutants: $(STAMP)  ## change the code and see tests fail; MUTANTS='vppres.plant.*' for one room

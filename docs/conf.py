@@ -19,6 +19,10 @@ extensions = [
 ]
 templates_path = ["_templates"]
 exclude_patterns = ["_build"]
+if tags.has("pages"):  # type: ignore[name-defined]  # noqa: F821
+    # `make pages` leaves out the reference of all modules, which takes most of the time.
+    exclude_patterns.append("api.md")
+    suppress_warnings = ["toc.excluded"]
 
 html_theme = "furo"
 html_title = f"vppres {release}"

@@ -17,27 +17,36 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--fuzz",
         type=int,
-        default=1000,
+        default=150,
         metavar="N",
-        help="random mutations of a valid scenario folder (default: 1000)",
+        help="random mutations of a valid scenario folder (default: 150)",
     )
     parser.addoption(
         "--quick",
         action="store_true",
-        help="of every test function the cases that fit into a second, as measured",
+        help="two cases of each function of short cases, as measured",
+    )
+    parser.addoption(
+        "--nightly",
+        action="store_true",
+        help="everything: all cases, and tests marked nightly",
     )
     parser.addoption(
         "--measure",
         action="store_true",
-        help="write the durations that --quick goes by: tests/durations.csv",
+        help="measure the functions that tests/durations.csv lacks",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Measure tests, and choose them by what was measured."""
-    config.pluginmanager.register(
-        Durations(config.getoption("measure"), config.getoption("quick")), "durations-of-tests"
-    )
+    config.pluginmanager.register(Durations(config), "durations-of-tests")
+
+
+@pytest.fixture(scope="session")
+def nightly(pytestconfig: pytest.Config) -> bool:
+    """Whether all cases run: tests that loop over seeds take fewer by day."""
+    return bool(pytestconfig.getoption("nightly"))
 
 
 @pytest.fixture

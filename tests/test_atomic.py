@@ -403,6 +403,7 @@ def test_sigterm_before_a_command_has_begun() -> None:
     assert done.returncode == 128 + signal.SIGTERM
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_killed_commands_leave_the_old_result_and_no_process(
     tiny_folder: Path, tmp_path: Path

@@ -74,6 +74,7 @@ def test_references_by_hand() -> None:
     np.testing.assert_allclose(np.ptp(week.load_kw, axis=0), 0.0)
 
 
+@pytest.mark.nightly
 def test_intervals_of_pure_noise_hold_as_often_as_they_say() -> None:
     result = backtest(noise(100), Plan(horizon_h=12, every_h=5))
     for quantity in ("load", "net"):

@@ -284,6 +284,7 @@ def test_finished_rows_are_not_measured_again(tmp_path: Path) -> None:
     assert len(calls) == 2
 
 
+@pytest.mark.nightly
 def test_tiny_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = [i for i in INSTANCES if i.steps == 1][:2]
     monkeypatch.setattr(command.Plan, "instances", lambda plan: tiny)
@@ -308,7 +309,7 @@ def test_tiny_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert {"profile.png", "profile.svg"} <= {f.name for f in (tmp_path / "figures").iterdir()}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_isolation_is_measured_on_equal_answers(tmp_path: Path) -> None:
     result = CliRunner().invoke(app(), ["--only", "worker", "--quick", "--results", str(tmp_path)])
     assert result.exit_code == 0, result.output
@@ -447,6 +448,7 @@ def test_windows_are_measured_in_both_turns() -> None:
     assert row["first_late_s"] == row["again_late_s"] == 0.0
 
 
+@pytest.mark.nightly
 def test_a_process_is_told_its_own_memory() -> None:
     held = np.ones(100_000_000)
     assert peak_memory_mb() > held.nbytes / 1e6

@@ -409,7 +409,7 @@ def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
 # sweep
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(

@@ -304,6 +304,7 @@ def report(counted: list[Job], tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.nightly
 def test_report_has_every_figure_and_statement(report: Path) -> None:
     html = (report / "report.html").read_text(encoding="utf-8")
     markdown = (report / "report.md").read_text(encoding="utf-8")
@@ -320,6 +321,7 @@ def test_report_has_every_figure_and_statement(report: Path) -> None:
             assert (report / "figures" / name).with_suffix(suffix).stat().st_size > 5000
 
 
+@pytest.mark.nightly
 def test_report_names_machine_versions_seeds_and_time(report: Path) -> None:
     html = (report / "report.html").read_text(encoding="utf-8")
     for words in (

@@ -26,6 +26,7 @@ def days() -> list[OutageDay]:
     return [draw_outage_day(seed, MIDNIGHT) for seed in range(2000)]
 
 
+@pytest.mark.nightly
 def test_a_seed_makes_the_same_day_again(days: list[OutageDay]) -> None:
     assert draw_outage_day(7, MIDNIGHT) == days[7]
     assert len({day.warnings for day in days}) > 0.85 * len(days)

@@ -258,7 +258,6 @@ def test_other_machines_need_tokens_and_tls(certificate: tuple[Path, Path]) -> N
         service.Address(certificate=Path("nowhere.pem"), key=certificate[1]).check(some)
 
 
-@pytest.mark.slow
 def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None:
     """As a process of its own, from the command line."""
     import socket

@@ -7,7 +7,7 @@ import pytest
 from experiments import polling
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_all_are_answered_beside_steps() -> None:
     # Longer than the pace of those who post, of whom each begins at a random moment.
     found = polling.study(clients=8, posting=2, seconds=6.0)

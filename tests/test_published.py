@@ -70,7 +70,6 @@ def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
     assert cost[0] < min(cost[1:])
 
 
-@pytest.mark.slow
 def test_resilience_rises_with_the_horizon_and_is_flat_from_four_hours(days: Days) -> None:
     jobs = [ideal.mpc(horizon_h) for horizon_h in range(9)]
     results = days(jobs)
@@ -115,7 +114,6 @@ def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
     assert STATEMENTS["R21"].holds(efficiency.shortfall_kwh(day))
 
 
-@pytest.mark.slow
 def test_mpc_makes_up_for_the_heating(days: Days) -> None:
     results = days(efficiency.jobs(HEATING))
     rows = [row for row in efficiency.rows(HEATING, results) if row.id in ("R19a", "R20a", "R24")]

@@ -1,4 +1,4 @@
-"""The quick choice follows from measured durations, and the lists of offenders name them all."""
+"""Which tests run follows from measured durations, and the lists of offenders name them all."""
 
 from __future__ import annotations
 
@@ -8,19 +8,45 @@ import pytest
 
 from tests.support import durations
 from tests.support.durations import (
-    QUICK_S,
+    COLLECTED,
+    QUICK_CASE_S,
+    USUAL_S,
     function_of,
+    is_random,
     quick_choice,
     read_durations,
+    usual_choice,
     write_durations,
 )
 from tests.support.offenders import assert_for_all
 
 
-def test_first_cases_are_taken_as_long_as_they_fit() -> None:
-    names = ["windows", "windows", "day", "windows", "windows", "never measured"]
-    seconds = {"windows": 0.4 * QUICK_S, "day": 1.1 * QUICK_S}
-    assert quick_choice(names, seconds) == [True, True, False, False, False, True]
+def test_every_test_is_measured(request: pytest.FixtureRequest) -> None:
+    unmeasured = request.config.stash[COLLECTED] - set(read_durations())
+    assert sorted(unmeasured) == [], "run `make durations` and commit tests/durations.csv"
+
+
+def test_quick_runs_take_two_cases_of_short_functions_that_were_measured() -> None:
+    names = ["windows", "windows", "day", "windows", "never measured"]
+    seconds = {"windows": QUICK_CASE_S, "day": 1.1 * QUICK_CASE_S}
+    assert quick_choice(names, seconds) == [True, True, False, False, False]
+
+
+def test_usual_runs_take_the_first_random_cases_that_fit_and_one_at_least() -> None:
+    names = ["windows", "windows", "day", "day", "windows", "page", "page", "never measured"]
+    seconds = {"windows": 0.4 * USUAL_S, "day": 1.1 * USUAL_S, "page": 1.1 * USUAL_S}
+    random = [name in ("windows", "day") for name in names]
+    chosen = [True, True, True, False, False, True, True, True]
+    assert usual_choice(names, seconds, random) == chosen
+
+
+@pytest.mark.parametrize("seed", [0])
+def test_cases_are_random_by_their_seed(seed: int, request: pytest.FixtureRequest) -> None:
+    assert is_random(request.node)
+
+
+def test_other_cases_are_not_random(request: pytest.FixtureRequest) -> None:
+    assert not is_random(request.node)
 
 
 def test_cases_of_a_function_share_its_name() -> None:
@@ -28,11 +54,11 @@ def test_cases_of_a_function_share_its_name() -> None:
     assert function_of("vppres/x.py::vppres.x.f") == "vppres/x.py::vppres.x.f"
 
 
-def test_short_tests_are_not_listed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_durations_are_written_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(durations, "FILE", tmp_path / "durations.csv")
     assert read_durations() == {}
     write_durations({"b": 2.0, "a": 0.5, "short": 0.01})
-    assert read_durations() == {"a": 0.5, "b": 2.0}
+    assert read_durations() == {"a": 0.5, "b": 2.0, "short": 0.01}
 
 
 def test_every_offender_is_named() -> None:

@@ -79,7 +79,7 @@ def cluster() -> Iterator[Any]:
         yield found
 
 
-@pytest.fixture(params=["loky", pytest.param("cluster", marks=pytest.mark.slow)])
+@pytest.fixture(params=["loky", pytest.param("cluster", marks=pytest.mark.nightly)])
 def where(request: pytest.FixtureRequest) -> Where:
     if request.param == "loky":
         return Where(2)
@@ -100,7 +100,7 @@ def results(function: Any, jobs: Any, where: Where) -> tuple[dict[Any, Any], lis
     return found, lost
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_job_has_its_result(cluster: Any) -> None:
     for where in (Where(1), Where(scheduler=cluster.scheduler_address)):
         assert results(square, range(8), where) == ({n: n * n for n in range(8)}, [])
@@ -114,14 +114,14 @@ def test_a_process_that_is_killed_once_costs_nothing(where: Where, tmp_path: Pat
     assert lost == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_error_of_a_job_is_raised_here(cluster: Any) -> None:
     where = Where(scheduler=cluster.scheduler_address)
     with pytest.raises(SolveError, match="has no dispatch"):
         results(refused, [1, 2], where)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_equal_jobs_are_all_answered(cluster: Any) -> None:
     where = Where(scheduler=cluster.scheduler_address)
     with closing(map_unordered(square, [2, 2, 3], where)) as outcomes:
@@ -148,6 +148,7 @@ def test_a_study_goes_on_where_it_stopped(
     assert again[1:] == [Squared(seed, float(seed * seed), [str(seed)]) for seed in (1, 2, 3)]
 
 
+@pytest.mark.nightly
 def test_a_job_that_kills_its_process_costs_no_other(where: Where, tmp_path: Path) -> None:
     found, lost = run_seeds(deadly, Span(2, 3), where, tmp_path)
     assert found == [4, 16]
@@ -167,7 +168,7 @@ def test_other_sources_are_another_day(tmp_path: Path, monkeypatch: pytest.Monke
 # A cluster.
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_workers_of_other_versions_are_refused(
     cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,7 +181,7 @@ def test_workers_of_other_versions_are_refused(
     assert "Install the same versions on all machines" in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scheduler_is_found_by_its_file(cluster: Any, tmp_path: Path) -> None:
     file = tmp_path / "scheduler.json"
     file.write_text(f'{{"address": "{cluster.scheduler_address}"}}')
@@ -198,6 +199,7 @@ def test_a_scheduler_that_is_not_there_is_refused_by_name(
     assert "dask scheduler" in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_without_dask_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(side_by_side, "_dask_is_there", lambda: False)
     with pytest.raises(InputError, match=r'pip install "vppres\[cluster\]"'):

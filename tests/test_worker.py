@@ -437,7 +437,7 @@ def script(body: str, folder: Path) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("factory", "start"),
     [
@@ -466,7 +466,7 @@ def test_nothing_outlives_a_parent_that_is_killed(factory: str, start: str, tmp_
     assert gone(pid)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ctrl_c_is_the_parents_and_forks_have_processes_of_their_own(tmp_path: Path) -> None:
     # What lies in the working folder is not a module.
     (tmp_path / "numpy.py").write_text("raise SystemExit('imported from the folder')")

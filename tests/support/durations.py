@@ -1,7 +1,15 @@
-"""What each test function costs, as last measured, and the quick choice that follows from it.
+"""What each test function costs, as last measured, and which cases run by that.
 
-``pytest --measure`` writes ``tests/durations.csv``; ``pytest --quick`` reads it and takes of every
-test function the first cases that together cost at most a second. What was never measured is run.
+``tests/durations.csv`` lists every test function. Three sizes of run follow from it:
+
+- ``pytest --quick``: functions of short cases, and of each the first two cases. It is an allow
+  list: what was never measured does not run.
+- ``pytest``: all functions but those marked nightly. Of one with random cases (a parameter ``seed``)
+  the first cases that together cost at most ``USUAL_S``.
+- ``pytest --nightly``: everything.
+
+``pytest --measure`` adds the functions that the list lacks, in one process. A function that is not
+listed fails ``test_every_test_is_measured``, so the list cannot go stale.
 """
 
 from __future__ import annotations
@@ -15,16 +23,19 @@ from pathlib import Path
 import pytest
 
 FILE = Path(__file__).parents[1] / "durations.csv"
-QUICK_S = 1.0
-"""Time of the processor that the quick choice grants a test function."""
-LEAST_S = 0.1
-"""Tests below this are not listed: they change nothing, and the list would change every time."""
+QUICK_CASE_S = 0.3
+"""CPU time of a case up to which a function is quick."""
+QUICK_CASES = 2
+"""Cases of a quick function that run."""
+USUAL_S = 8.0
+"""CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
 START = pytest.StashKey[float]()
+COLLECTED = pytest.StashKey[set[str]]()
 
 
 def processor_s() -> float:
-    """Time of the processor of this process and its children: it hardly hangs on what else runs."""
+    """CPU time of this process and its children: it hardly depends on what else runs."""
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
 
@@ -35,7 +46,7 @@ def function_of(nodeid: str) -> str:
 
 
 def read_durations() -> dict[str, float]:
-    """Seconds of an average case, by test function."""
+    """CPU seconds of an average case, by test function."""
     if not FILE.exists():
         return {}
     with FILE.open(encoding="utf-8", newline="") as file:
@@ -43,46 +54,74 @@ def read_durations() -> dict[str, float]:
 
 
 def write_durations(seconds: dict[str, float]) -> None:
-    """Write the table, sorted by name; what is far below a second is left out."""
+    """Write the table, sorted by name."""
     with FILE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["test", "seconds_per_case"])
-        writer.writerows(
-            [name, f"{value:.2f}"] for name, value in sorted(seconds.items()) if value >= LEAST_S
-        )
+        writer.writerows([name, f"{value:.2f}"] for name, value in sorted(seconds.items()))
 
 
 def quick_choice(names: list[str], seconds: dict[str, float]) -> list[bool]:
-    """Whether each case, given by the name of its function, belongs to the quick choice.
-
-    Of every function the first cases are taken whose durations add up to ``QUICK_S`` at most.
-    """
-    spent: dict[str, float] = defaultdict(float)
+    """Whether each case, given by the name of its function, belongs to the quick run."""
+    cases: dict[str, int] = defaultdict(int)
     chosen = []
     for name in names:
-        spent[name] += seconds.get(name, 0.0)
-        chosen.append(spent[name] <= QUICK_S)
+        cases[name] += 1
+        short = seconds.get(name, float("inf")) <= QUICK_CASE_S
+        chosen.append(short and cases[name] <= QUICK_CASES)
     return chosen
 
 
-class Durations:
-    """Measures every test, and leaves out what the quick choice does not take."""
+def usual_choice(names: list[str], seconds: dict[str, float], random: list[bool]) -> list[bool]:
+    """Whether each case, given by the name of its function, belongs to the usual run."""
+    spent: dict[str, float] = defaultdict(float)
+    chosen = []
+    for name, drawn in zip(names, random, strict=True):
+        first = name not in spent
+        spent[name] += seconds.get(name, 0.0)
+        chosen.append(first or not drawn or spent[name] <= USUAL_S)
+    return chosen
 
-    def __init__(self, measure: bool, quick: bool) -> None:
-        self.measure = measure
-        self.quick = quick
+
+def is_random(item: pytest.Item) -> bool:
+    """Whether a case is drawn by a seed: one of many that test the same."""
+    call = getattr(item, "callspec", None)
+    return call is not None and "seed" in call.params
+
+
+class Durations:
+    """Measures tests, and leaves out what a run of its size does not take."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.measures = bool(config.getoption("measure"))
+        self.quick = bool(config.getoption("quick"))
+        self.nightly = bool(config.getoption("nightly"))
         self.found: dict[str, list[float]] = defaultdict(list)
 
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> None:
-        """Deselect what is not quick."""
-        if not self.quick:
-            return
-        chosen = quick_choice([function_of(item.nodeid) for item in items], read_durations())
+        """Deselect what does not belong to the run."""
+        config.stash[COLLECTED] = {function_of(item.nodeid) for item in items}
+        chosen = self.choice(items)
         left_out = [item for item, takes in zip(items, chosen, strict=True) if not takes]
         items[:] = [item for item, takes in zip(items, chosen, strict=True) if takes]
         config.hook.pytest_deselected(items=left_out)
+
+    def choice(self, items: list[pytest.Item]) -> list[bool]:
+        """Whether each case runs, by the size of the run."""
+        names = [function_of(item.nodeid) for item in items]
+        seconds = read_durations()
+        if self.measures:
+            return [name not in seconds for name in names]
+        if self.nightly:
+            return [True] * len(items)
+        if self.quick:
+            chosen = quick_choice(names, seconds)
+        else:
+            chosen = usual_choice(names, seconds, [is_random(item) for item in items])
+        long = [item.get_closest_marker("nightly") is not None for item in items]
+        return [takes and not nightly for takes, nightly in zip(chosen, long, strict=True)]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -106,12 +145,11 @@ class Durations:
             self.found[function_of(report.nodeid)].append(dict(report.user_properties)[PROPERTY])
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write the durations; a partial or quick run renews those of its own tests alone."""
-        if not self.measure or hasattr(session.config, "workerinput"):
+        """Add what was measured to the table; a run of all tests drops rows without a test."""
+        if not self.measures:
             return
         new = {name: sum(values) / len(values) for name, values in self.found.items()}
-        old = read_durations()
-        if self.quick:
-            # A shared day is paid for by whichever test comes first: here by another than before.
-            new = {name: max(value, old.get(name, 0.0)) for name, value in new.items()}
-        write_durations(old | new)
+        seconds = read_durations() | new
+        if session.config.args_source is pytest.Config.ArgsSource.TESTPATHS:
+            seconds = {name: seconds[name] for name in session.config.stash[COLLECTED]}
+        write_durations(seconds)
