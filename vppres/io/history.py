@@ -16,7 +16,7 @@ from vppres.io import schema
 from vppres.io.messages import few
 from vppres.io.series import TIME, read_times, read_values
 from vppres.io.tables import Table, check_columns, read_table
-from vppres.io.times import iso
+from vppres.io.times import iso, usual_step
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
 
@@ -133,7 +133,7 @@ def history_of(
         problems = [Problem(t.file, "has no row", "Add what was measured.") for t in files]
     if problems or not timed:
         return None, problems
-    step = min(series.step for series in timed)
+    step = min(usual_step(series.times) for series in timed)
     start = min(series.times[0] for series in timed)
     end = max(series.times[-1] for series in timed) + step
     for series in timed:
@@ -181,14 +181,6 @@ class _Series:
         index = pd.DatetimeIndex(times.iloc[order])
         lines = table.frame.index[order]
         return cls(table.file, index, lines, values[order], _twice(table.file, index, lines))
-
-    @property
-    def step(self) -> pd.Timedelta:
-        """The usual distance of two rows; an hour where there is one row."""
-        if len(self.times) < 2:
-            return pd.Timedelta(hours=1)
-        distances = pd.Series(np.diff(self.times.to_numpy()))
-        return pd.Timedelta(distances.mode().iloc[0])
 
     def off_grid(self, start: pd.Timestamp, step: pd.Timedelta) -> list[Problem]:
         """Times that are no multiple of the step after the start."""

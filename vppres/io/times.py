@@ -50,3 +50,10 @@ def iso(time: datetime) -> str:
     '2022-07-19T12:00:00Z'
     """
     return time.isoformat().replace("+00:00", "Z")
+
+
+def usual_step(times: pd.DatetimeIndex) -> pd.Timedelta:
+    """The most frequent distance of times; a single one is taken as an hour."""
+    if len(times) < 2:
+        return pd.Timedelta(hours=1)
+    return pd.Timedelta(times.to_series().diff().mode().iloc[0])

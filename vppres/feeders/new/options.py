@@ -15,6 +15,7 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.series.clocks import check_zone, grid_from, local_midnight, time_of_day
 from vppres.io import schema
+from vppres.scenario.option_table import Range
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 PVRule = Literal["existing", "sized", "none"]
@@ -31,7 +32,45 @@ PV_SHARE_OF_BUSES = 0.8
 MAX_GAP_MINUTES = 120.0
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})")
-_STEPS = "a step that divides the day, for example 60, 30 or 15."
+_RANGES = {
+    "step_minutes": Range(
+        1,
+        1440,
+        "must be at least 1 and divide a day",
+        "Give a step that divides the day, for example 60, 30 or 15.",
+    ),
+    "days": Range(
+        1,
+        schema.MAX_GRID_DAYS,
+        f"must lie between 1 and {schema.MAX_GRID_DAYS}",
+        "Give the number of days.",
+    ),
+    "pv_share_of_peak": Range(
+        1e-9, 10, "must lie between 0 and 10", "Give kW of PV per kW of peak load, for example 0.5."
+    ),
+    "pv_share_of_buses": Range(
+        0, 1, "must lie between 0 and 1", "Give the share of customers with PV, for example 0.8."
+    ),
+    "battery_kwh_per_peak_kw": Range(
+        0, 100, "must lie between 0 and 100", "Give kWh per kW of peak load, for example 0.625."
+    ),
+    "export_price_gbp_per_kwh": Range(
+        -schema.MAX_PRICE,
+        schema.MAX_PRICE,
+        f"must lie between -{schema.MAX_PRICE:g} and {schema.MAX_PRICE:g}",
+        "Give GBP per kWh, for example 0.05.",
+    ),
+    "seed": Range(0, inf, "must be at least 0", "Give another seed."),
+    "max_gap_minutes": Range(
+        0,
+        7 * 1440,
+        "must lie between 0 and a week",
+        "Give the longest gap that is filled, for example 120.",
+    ),
+    "profile_step_minutes": Range(
+        0, inf, "must be positive", "Give minutes, for example 15.", open_least=True
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -212,97 +251,31 @@ def _dated(text: str, zone: str | None = None) -> pd.Timestamp:
 def check_options(options: NewScenarioOptions) -> list[Problem]:
     """Options out of their range, and sizes of what was not asked for."""
     shares = options.tier_shares or TIER_SHARES
-    faults: list[tuple[bool, str, object, str, str]] = [
-        (
-            not (options.step_minutes >= 1 and (1440 / options.step_minutes).is_integer()),
-            "step_minutes",
-            options.step_minutes,
-            "must be at least 1 and divide a day",
-            f"Give {_STEPS}",
-        ),
-        (
-            not 1 <= options.days <= schema.MAX_GRID_DAYS,
-            "days",
-            options.days,
-            f"must lie between 1 and {schema.MAX_GRID_DAYS}",
-            "Give the number of days.",
-        ),
-        (
-            min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9),
-            "tier_shares",
-            shares,
-            "must be shares that add up to 1",
-            "Give critical, high and low, for example 0.2 0.3 0.5.",
-        ),
-        (
-            not _lies(options.pv_share_of_peak, 1e-9, 10),
-            "pv_share_of_peak",
-            options.pv_share_of_peak,
-            "must lie between 0 and 10",
-            "Give kW of PV per kW of peak load, for example 0.5.",
-        ),
-        (
-            not _lies(options.pv_share_of_buses, 0, 1),
-            "pv_share_of_buses",
-            options.pv_share_of_buses,
-            "must lie between 0 and 1",
-            "Give the share of customers with PV, for example 0.8.",
-        ),
-        (
-            not _lies(options.battery_kwh_per_peak_kw, 0, 100),
-            "battery_kwh_per_peak_kw",
-            options.battery_kwh_per_peak_kw,
-            "must lie between 0 and 100",
-            "Give kWh per kW of peak load, for example 0.625.",
-        ),
-        (
-            not options.export_limit_kw >= 0,
-            "export_limit_kw",
-            options.export_limit_kw,
-            "must be at least 0",
-            "Give kW; 0 imports only.",
-        ),
-        (
-            not abs(options.export_price_gbp_per_kwh) <= schema.MAX_PRICE,
-            "export_price_gbp_per_kwh",
-            options.export_price_gbp_per_kwh,
-            f"must lie between -{schema.MAX_PRICE:g} and {schema.MAX_PRICE:g}",
-            "Give GBP per kWh, for example 0.05.",
-        ),
-        (options.seed < 0, "seed", options.seed, "must be at least 0", "Give another seed."),
-        (
-            not 0 <= options.max_gap_minutes <= 7 * 1440,
-            "max_gap_minutes",
-            options.max_gap_minutes,
-            "must lie between 0 and a week",
-            "Give the longest gap that is filled, for example 120.",
-        ),
-        (
-            options.profile_step_minutes is not None and not options.profile_step_minutes > 0,
-            "profile_step_minutes",
-            options.profile_step_minutes,
-            "must be positive",
-            "Give minutes, for example 15.",
-        ),
-        *_sizes_of_nothing(options),
-    ]
+    minutes = options.step_minutes
     problems = [
-        Problem("options", message, cure, field=field, value=value)
-        for wrong, field, value, message, cure in faults
-        if wrong
+        _fault(name, getattr(options, name), allowed.message, allowed.cure)
+        for name, allowed in _RANGES.items()
+        if getattr(options, name) is not None and not allowed.holds(getattr(options, name))
     ]
-    problems += check_zone(options.zone)
+    if minutes >= 1 and not (1440 / minutes).is_integer():
+        wrong = _RANGES["step_minutes"]
+        problems.append(_fault("step_minutes", minutes, wrong.message, wrong.cure))
+    if not options.export_limit_kw >= 0:  # infinite without limit
+        message, cure = "must be at least 0", "Give kW; 0 imports only."
+        problems.append(_fault("export_limit_kw", options.export_limit_kw, message, cure))
+    if min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9):
+        message = "must be shares that add up to 1"
+        cure = "Give critical, high and low, for example 0.2 0.3 0.5."
+        problems.append(_fault("tier_shares", shares, message, cure))
+    problems += [*_sizes_of_nothing(options), *check_zone(options.zone)]
     return problems or _check_outages(options)
 
 
-def _lies(value: float | None, least: float, most: float) -> bool:
-    """Whether an option is absent or within its bounds."""
-    return value is None or least <= value <= most
+def _fault(name: str, value: object, message: str, cure: str) -> Problem:
+    return Problem("options", message, cure, field=name, value=value)
 
 
-def _sizes_of_nothing(
-    options: NewScenarioOptions,
-) -> Iterator[tuple[bool, str, object, str, str]]:
+def _sizes_of_nothing(options: NewScenarioOptions) -> Iterator[Problem]:
     """Sizes that are given while what they size was not asked for."""
     asked = {
         "tier_shares": (options.draw_tiers, "--draw-tiers"),
@@ -312,13 +285,9 @@ def _sizes_of_nothing(
     }
     for name, (wanted, flag) in asked.items():
         value = getattr(options, name)
-        yield (
-            value is not None and not wanted,
-            name,
-            value,
-            "is given, and nothing is drawn or added that it could size",
-            f"Add {flag}, or leave it out.",
-        )
+        if value is not None and not wanted:
+            message = "is given, and nothing is drawn or added that it could size"
+            yield _fault(name, value, message, f"Add {flag}, or leave it out.")
 
 
 def _check_outages(options: NewScenarioOptions) -> list[Problem]:

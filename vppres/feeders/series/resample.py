@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from pandas.tseries.frequencies import to_offset
 
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
-from vppres.io.times import iso
+from vppres.io.times import iso, usual_step
 from vppres.scenario.timegrid import TimeGrid
 
-_MINUTE_NS = 60 * 10**9
+_MINUTE = pd.Timedelta(minutes=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,122 +59,99 @@ def on_grid(
     >>> on_grid(pd.Series([1.0, 3.0, 5.0, 5.0], times), hours, 60, "a.csv", "a")[0].values
     array([2., 5.])
     """
-    t = series.index.as_unit("ns").asi8  # type: ignore[attr-defined]
-    values = series.to_numpy(dtype=float)
-    problem = _check_order(t, where, name)
+    times = pd.DatetimeIndex(series.index)
+    problem = _check_order(times, where, name)
     if problem is not None:
         return OnGrid(np.empty(0)), [problem]
-    step = _step_of(t)
-    begin = grid.start.as_unit("ns").value
-    end = grid.end.as_unit("ns").value
-    last = int(t[-1]) + step
-    if t[0] > begin or last < end:
-        return OnGrid(np.empty(0)), [_outside(t[0], last, grid, where, name)]
-    problem = _check_regular(t, step, where, name)
+    step = usual_step(times)
+    problem = _check_cover(times, step, grid, where, name) or _check_regular(
+        times, step, where, name
+    )
     if problem is not None:
         return OnGrid(np.empty(0)), [problem]
-    # As many values beyond the grid as a gap may have, so that lines have both their ends.
-    margin = int(most_gap_min * _MINUTE_NS // step) + 1
-    first = max((begin - int(t[0])) // step - margin, 0)
-    count = min(-((int(t[0]) - end) // step) + margin, (last - int(t[0])) // step) - first
-    own = np.full(count, np.nan)
-    place = (t - t[0]) // step - first
-    inside = (place >= 0) & (place < count)
-    own[place[inside]] = values[inside]
-    starts = t[0] + (first + np.arange(count)) * step
-    needed = (starts + step > begin) & (starts < end)
-    missing = np.isnan(own)
-    longest = _longest_run(missing, needed) * step / _MINUTE_NS
-    if longest > most_gap_min or missing.all():
-        at = starts[missing & needed]
-        return OnGrid(np.empty(0)), [_gap(at, longest, most_gap_min, where, name)]
-    if missing.any():
-        own = np.interp(starts, starts[~missing], own[~missing])
-    return OnGrid(_means(own, starts, step, grid), int((missing & needed).sum()), longest), []
+    # As much beyond the grid as a gap may have, so that lines have both their ends.
+    margin = pd.Timedelta(minutes=most_gap_min) + 2 * step
+    own = series.asfreq(to_offset(step)).loc[grid.start - margin : grid.end + margin]
+    missing = own.isna()
+    begins = pd.DatetimeIndex(own.index)
+    lost = missing & (begins + step > grid.start) & (begins < grid.end)
+    run = missing.groupby((missing != missing.shift()).cumsum()).transform("sum")
+    longest_min = float(run[lost].max() * (step / _MINUTE)) if lost.any() else 0.0
+    if longest_min > most_gap_min or missing.all():
+        return OnGrid(np.empty(0)), [_gap(begins[lost], longest_min, most_gap_min, where, name)]
+    filled = own.interpolate(limit_direction="both")
+    return OnGrid(_means(filled, step, grid), int(lost.sum()), longest_min), []
 
 
-def _means(own: Floats, starts: Wholes, step: int, grid: TimeGrid) -> Floats:
+def _means(own: pd.Series[float], step: pd.Timedelta, grid: TimeGrid) -> Floats:
     """Mean over every step of the grid of values that hold for a step of their own."""
-    begin = grid.start.as_unit("ns").value
-    length = round(grid.step_minutes * _MINUTE_NS)
-    edges = begin + np.arange(grid.n_steps + 1) * length
-    if step == length and (begin - int(starts[0])) % step == 0:
-        at = (begin - int(starts[0])) // step
-        return np.asarray(own[at : at + grid.n_steps])  # to the last digit
-    energy = np.concatenate([[0.0], np.cumsum(own)]) * step
-    own_edges = np.append(starts, starts[-1] + step) - begin
-    return np.asarray(np.diff(np.interp(edges - begin, own_edges, energy)) / length)
+    values = own.to_numpy(dtype=float)
+    begins_min = ((pd.DatetimeIndex(own.index) - grid.start) / _MINUTE).to_numpy(dtype=float)
+    step_min = step / _MINUTE
+    at = np.flatnonzero(begins_min == 0)
+    if step_min == grid.step_minutes and len(at):
+        return np.asarray(values[at[0] : at[0] + grid.n_steps])  # to the last digit
+    edges_min = np.append(begins_min, begins_min[-1] + step_min)
+    energy = np.append(0.0, np.cumsum(values)) * step_min
+    wanted_min = grid.step_minutes * np.arange(grid.n_steps + 1)
+    means: Floats = np.diff(np.interp(wanted_min, edges_min, energy)) / grid.step_minutes
+    return means
 
 
-def _step_of(t: Wholes) -> int:
-    """The most frequent distance of times; a single one is taken as an hour."""
-    if len(t) < 2:
-        return 60 * _MINUTE_NS
-    apart, count = np.unique(np.diff(t), return_counts=True)
-    return int(apart[np.argmax(count)])
-
-
-def _longest_run(missing: Flags, needed: Flags) -> int:
-    """Length of the longest run of missing values that touches what is needed."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-    runs = [
-        end - start
-        for start, end in zip(edges[::2], edges[1::2], strict=True)
-        if needed[start:end].any()
-    ]
-    return max(runs, default=0)
-
-
-def _check_order(t: Wholes, where: str, name: str) -> Problem | None:
+def _check_order(times: pd.DatetimeIndex, where: str, name: str) -> Problem | None:
     """A series without values, or with times that do not rise."""
-    if len(t) == 0:
+    if len(times) == 0:
         return Problem(where, "has no value", "Give a value for every step.", field=name)
-    back = np.flatnonzero(np.diff(t) <= 0)
+    back = np.flatnonzero(times[1:] <= times[:-1])
     if len(back) == 0:
         return None
-    again = t[back[0] + 1] == t[back[0]]
+    again = times[back[0] + 1] == times[back[0]]
     return Problem(
         where,
         "has a time twice" if again else "has times that are out of order",
         "Remove one of the two rows." if again else "Sort the rows by time.",
         field=name,
-        value=_text(t[back[0] + 1]),
+        value=iso(times[back[0] + 1]),
     )
 
 
-def _check_regular(t: Wholes, step: int, where: str, name: str) -> Problem | None:
-    """Times that are not all on the same steps."""
-    off = np.flatnonzero((t - t[0]) % step != 0)
-    if len(off) == 0:
+def _check_cover(
+    times: pd.DatetimeIndex, step: pd.Timedelta, grid: TimeGrid, where: str, name: str
+) -> Problem | None:
+    """A series that does not cover the grid."""
+    end = times[-1] + step
+    if times[0] <= grid.start and end >= grid.end:
         return None
     return Problem(
         where,
-        f"has a time that is not a multiple of {step / _MINUTE_NS:g} min after the first",
-        "Give equal steps; steps that are missing are filled.",
-        field=name,
-        value=_text(t[off[0]]),
-    )
-
-
-def _outside(first: int, last: int, grid: TimeGrid, where: str, name: str) -> Problem:
-    return Problem(
-        where,
-        f"covers {_text(first)} to {_text(last)}, and the scenario is {iso(grid.start)} to "
+        f"covers {iso(times[0])} to {iso(end)}, and the scenario is {iso(grid.start)} to "
         f"{iso(grid.end)}",
         "Choose days that it covers with --date or --start, and --days.",
         field=name,
     )
 
 
-def _gap(missing: Wholes, longest: float, most: float, where: str, name: str) -> Problem:
-    at = f" at {_text(missing[0])}" if len(missing) else ""
+def _check_regular(
+    times: pd.DatetimeIndex, step: pd.Timedelta, where: str, name: str
+) -> Problem | None:
+    """Times that are not all on the same steps."""
+    off = np.flatnonzero((times - times[0]) % step != pd.Timedelta(0))
+    if len(off) == 0:
+        return None
+    return Problem(
+        where,
+        f"has a time that is not a multiple of {step / _MINUTE:g} min after the first",
+        "Give equal steps; steps that are missing are filled.",
+        field=name,
+        value=iso(times[off[0]]),
+    )
+
+
+def _gap(lost: pd.DatetimeIndex, longest: float, most: float, where: str, name: str) -> Problem:
+    at = f" at {iso(lost[0])}" if len(lost) else ""
     return Problem(
         where,
         f"has a gap of {longest:g} min{at}, and {most:g} min are filled at most",
         "Complete the series, choose other days, or allow longer gaps with --max-gap.",
         field=name,
     )
-
-
-def _text(ns: int) -> str:
-    return iso(pd.Timestamp(int(ns), tz="UTC"))
