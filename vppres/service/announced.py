@@ -88,6 +88,12 @@ def announced_at(events: Iterable[Event], time: pd.Timestamp) -> bool:
     return False
 
 
+def is_over(body: Mapping[str, Any], now: pd.Timestamp) -> bool:
+    """Whether an event has ended, by its own end."""
+    end = _moment(body.get("end"))
+    return end is not None and end <= now
+
+
 def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
     if body["type"] == "outage":

@@ -23,11 +23,18 @@ from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import announced_at, announced_kw, limits_kw, outages, prices
+from vppres.service.announced import (
+    announced_at,
+    announced_kw,
+    is_over,
+    limits_kw,
+    outages,
+    prices,
+)
 from vppres.service.clock import written
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
-from vppres.service.records import DECIDED, Event, Reading, moment, seconds
+from vppres.service.records import DECIDED, Event, Reading, moment, seconds, versions
 from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
@@ -232,7 +239,7 @@ def known_at(
     at = time if now is None else now
     readings = _Readings.at(at, scenario, store)
     window = Window.of(controller, time)
-    events = list(store.events().values())
+    events = [one for one in store.events().values() if not is_over(one.body, at)]
     doubt = _doubt(readings.last.get((GRID, "grid_on")), at, window.length, store)
     grid = _grid(controller, window, readings, events, at, doubt)
     powers = _Powers(window, readings, store)
@@ -399,7 +406,12 @@ class _Said:
         plans = store.plans(before if decided is None else decided, now)
         if not plans:
             return cls(before, None, True)
-        ordered = [row for plan in plans for row in _orders(plan, store)]
+        ordered: list[tuple[pd.Timestamp, dict[str, float]]] = []
+        for plan in plans:
+            for one in versions(plan):
+                rows = _orders(one, store)
+                # A new plan takes the place of what was said of later.
+                ordered = [row for row in ordered if not rows or row[0] < rows[0][0]] + rows
         held = [row for row in ordered if row[0] < now]
         table = pd.DataFrame([power for _, power in held], [time for time, _ in held])
         own = [plan for plan in plans if plan["status"] in DECIDED]

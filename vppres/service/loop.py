@@ -1,15 +1,22 @@
-"""Decides each step as it begins, aligned to the clock; what was missed is not caught up."""
+"""Decides each step as it begins, aligned to the clock; what was missed is not caught up.
+
+Between two steps it decides anew as soon as something has changed that the plan does not know.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 
 from vppres.core.errors import VppresError
 from vppres.service.runner import Runner
 
 RETRY_S = 5.0
 """After which a step that could not be kept is tried again."""
+
+SETTLE_S = 0.5
+"""What else changes within this time is decided in one go, and a second source may speak."""
 
 LONGEST_WAIT_S = 30.0
 """After which the clock is read again: somebody may have set it."""
@@ -33,25 +40,36 @@ class Loop(threading.Thread):
 
     def run(self) -> None:
         """Go on until the end."""
+        self._guarded(self.runner.look)
         while not self._end.is_set():
-            self._end.wait(min(self._once(), LONGEST_WAIT_S))
+            changed = self.runner.changes.new.wait(min(self._once(), LONGEST_WAIT_S))
+            if changed and not self._end.wait(SETTLE_S) and not self._guarded(self.runner.anew):
+                self._end.wait(RETRY_S)
 
     def end(self) -> None:
         """Stop after the present step."""
         self._end.set()
+        self.runner.changes.new.set()
         self.join()
+
+    def _guarded(self, act: Callable[[], object]) -> bool:
+        """Do something; whether it was done. The loop must outlive whatever it calls."""
+        try:
+            act()
+        except VppresError as error:
+            log.error("step: %s", error)
+            return False
+        except Exception:
+            log.exception("step")
+            return False
+        return True
 
     def _once(self) -> float:
         """Decide the present step if it is new; the time until the next one, in s."""
         runner = self.runner
-        try:
-            runner.step()
-        except VppresError as error:
-            log.error("step: %s", error)
-            return RETRY_S
-        except Exception:
-            # The loop must outlive whatever it calls; the step is tried again.
-            log.exception("step")
+        if runner.played:  # its steps are asked for
+            return LONGEST_WAIT_S
+        if not self._guarded(runner.step):
             return RETRY_S
         now = runner.clock.now()
         return float((runner.begun(now) + runner.length - now).total_seconds())

@@ -14,7 +14,7 @@ import pandas as pd
 from vppres.service.clock import written
 from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
 from vppres.service.payloads import ModeRequest
-from vppres.service.plans import DEFAULT, at
+from vppres.service.plans import DEFAULT, points_at
 from vppres.service.records import Reading, moment, seconds
 from vppres.service.runner import Runner
 
@@ -23,6 +23,8 @@ PAST_H = 12.0
 
 MOST_PAST = 96
 """Steps of it at most."""
+
+NOT_TOLD = ("setpoints", "ahead", "before")
 
 REFRESH_S = 1
 """For how long the same is told, if nothing was changed."""
@@ -90,7 +92,11 @@ class Overview:
             return self._made[1]
 
     def _key(self) -> Any:
-        return self.runner.store.changes, self.runner.clock.now().floor(f"{REFRESH_S}s")
+        return (
+            self.runner.store.changes,
+            self.runner.changes.reasons,
+            self.runner.clock.now().floor(f"{REFRESH_S}s"),
+        )
 
     def _now(self) -> dict[str, Any]:
         runner = self.runner
@@ -111,10 +117,11 @@ class Overview:
 
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
         """What holds of the last plan, without the customers that are on."""
-        points = [at(one, now) for one in plan["setpoints"]]
+        points = points_at(plan, now)
         ahead = plan.get("ahead")
         return {
-            **{key: value for key, value in plan.items() if key not in ("setpoints", "ahead")},
+            **{key: value for key, value in plan.items() if key not in NOT_TOLD},
+            "unaware_of": list(self.runner.changes.reasons),
             "valid_until": max((one["valid_until"] for one in points), default=None),
             "active": any(one["active"] for one in points),
             "batteries": {
@@ -181,7 +188,7 @@ class Overview:
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:
         """The last readings of batteries and of the import."""
         begun = self.runner.begun(now) - self.runner.length
-        found = [one for one in readings if one.quantity in ("soc", "online")]
+        found = [one for one in readings if one.quantity in ("soc", "online", "grid_on")]
         means = self.runner.store.between(begun, now, MEAN)
         found += [one for one in means if one.asset == GRID]
         return {
@@ -203,7 +210,8 @@ class Overview:
         begin = pd.Timestamp(last["start"]) - (n_steps - 1) * length
         times = [written(begin + t * length) for t in range(n_steps)]
         known = self._past
-        missing = [time for time in times if time not in known]
+        # The last one may have been decided anew.
+        missing = [time for time in times if time not in known or time == times[-1]]
         new = self.runner.store.plans(pd.Timestamp(missing[0])) if missing else []
         fresh = {plan["start"]: self._summary(plan) for plan in new}
         self._past = {

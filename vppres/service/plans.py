@@ -17,12 +17,16 @@ from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known
+from vppres.service.records import versions
 
 SCHEMA_VERSION = "1.0.0"
 """Of the plan. A sign that changes is a new first number."""
 
 OVERLAP = 0.1
 """Share of a step for which set-points hold beyond its end, while the next ones are made."""
+
+MOST_BEFORE = 20
+"""Plans of one step that are kept beside the one that holds."""
 
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
@@ -196,6 +200,45 @@ def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
         return {"served": bool(row["served"])}
     names = ("p_kw", "q_kvar") if kind == "batteries" else ("p_kw", "q_kvar", "curtailed_kw")
     return {name: float(row[name]) for name in names}
+
+
+def made_anew(
+    plan: Mapping[str, Any], at: pd.Timestamp, why: str, before: Mapping[str, Any]
+) -> dict[str, Any]:
+    """A plan of the rest of a step, in place of one that did not know why.
+
+    Parameters
+    ----------
+    plan : mapping
+        The new one, as for the whole step.
+    at : pandas.Timestamp
+        From when on it holds.
+    why : str
+        What the one before did not know.
+    before : mapping
+        The one before; its set-points are kept beside.
+    """
+    begin = written(at)
+    points = [
+        {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}
+        for one in plan["setpoints"]
+    ]
+    said = {name: before[name] for name in ("id", "valid_from", "status", "setpoints")}
+    return {
+        **plan,
+        "id": f"p-{begin}",
+        "valid_from": begin,
+        "anew": why,
+        "setpoints": points,
+        "before": [*before.get("before", []), said][-MOST_BEFORE:],
+    }
+
+
+def points_at(plan: Mapping[str, Any], time: pd.Timestamp) -> list[dict[str, Any]]:
+    """Set-points of a step as they hold at a time."""
+    said = versions(plan)
+    begun = [one for one in said if pd.Timestamp(one.get("valid_from", plan["start"])) <= time]
+    return [at(one, time) for one in (begun or said[:1])[-1]["setpoints"]]
 
 
 def etag(plan: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,11 @@ def seconds(time: pd.Timestamp) -> int:
 def moment(stored: int) -> pd.Timestamp:
     """The time of stored seconds."""
     return pd.Timestamp(stored, unit="s", tz="UTC")
+
+
+def versions(plan: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What was said of a step, the earliest first."""
+    return [*plan.get("before", []), plan]
 
 
 @dataclass(frozen=True)

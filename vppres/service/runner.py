@@ -6,7 +6,7 @@ import json
 import logging
 import time as machine
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -26,12 +26,13 @@ from vppres.live.profile import Profile
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import warnings
+from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
 from vppres.service.knowledge import Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
-from vppres.service.plans import Ordered, defaults_of, ordered_plan, plan_of
-from vppres.service.records import DECIDED, After, Asked
+from vppres.service.plans import Ordered, defaults_of, made_anew, ordered_plan, plan_of
+from vppres.service.records import DECIDED, After, Asked, Reading, moment, seconds
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
@@ -40,6 +41,8 @@ DEADLINE_SHARE = 0.25
 
 FAILED = "failed"
 """The status of a step that only the rule could decide."""
+
+GRID_ON = "grid_on"
 
 MODE = "mode"
 """The setting of what an operator asked for."""
@@ -89,6 +92,25 @@ class Service:
     keep_days: float = KEEP_DAYS
 
 
+@dataclass(frozen=True)
+class Within:
+    """A moment within a step, from which on it is decided anew.
+
+    Parameters
+    ----------
+    at : pandas.Timestamp
+        The moment.
+    why : str
+        What the plan before did not know.
+    before : dict
+        That plan.
+    """
+
+    at: pd.Timestamp
+    why: str
+    before: dict[str, Any]
+
+
 class Runner:
     """Decides the steps of a site, one after another, and remembers them.
 
@@ -117,6 +139,8 @@ class Runner:
         self.last: dict[str, Any] | None = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
+        self.changes = Changes()
+        self._within: Within | None = None
         self._state = store.state()
         self._controller = self._restored()
         # One thread decides all steps, so that there is one process that solves.
@@ -146,6 +170,32 @@ class Runner:
             If it could not be kept: then nothing was decided.
         """
         return self._thread.submit(self._step, time, actor).result()
+
+    def anew(self) -> dict[str, Any] | None:
+        """Decide the rest of the present step, if its plan does not know something; else None."""
+        return self._thread.submit(self._anew).result()
+
+    def heard_of(self, readings: Iterable[Reading]) -> None:
+        """Note what readings say that the present plan does not know: grid lost, or back."""
+        grid = (self.last or {}).get("grid")
+        if self.last is None or grid is None:
+            return
+        since = seconds(pd.Timestamp(self.last["valid_from"]))
+        for one in readings:
+            new = one.quantity == GRID_ON and one.value is not None and one.time >= since
+            if new and (one.value == 1.0) != grid["available"]:
+                word = "back" if one.value else "lost"
+                self.changes.note(f"grid {word} at {written(moment(one.time))} ({one.source})")
+
+    def look(self) -> None:
+        """Note what has changed while the service did not run."""
+        if self.last is None:
+            return
+        self.heard_of(self.store.latest(self.clock.now(), (GRID_ON,)))
+        since = seconds(pd.Timestamp(self.last["generated_at"]))
+        for name, event in self.store.events().items():
+            if event.made_at > since:
+                self.changes.note(f"event {name}")
 
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
         """Let a step be decided, and do not wait; the name of the job, that of its step."""
@@ -230,8 +280,31 @@ class Runner:
         self._check(time, now)
         if self.rehearsal and isinstance(self.clock, SetClock):
             self.clock.set(time)
-        begin = machine.monotonic()
         self._write_missed(time)
+        return self._planned(time, asked)
+
+    def _anew(self) -> dict[str, Any] | None:
+        """The same of the present step, whose plan is replaced for the rest of it."""
+        self.changes.new.clear()
+        why = "; ".join(self.changes.reasons)
+        now = self.clock.now()
+        before = self.last
+        time = self.begun(now)
+        # Where the step is not decided yet its own plan will know; a rehearsal stands still.
+        if not why or self.rehearsal or before is None or before["start"] != written(time):
+            return None
+        if now <= pd.Timestamp(before["valid_from"]):
+            return None
+        self._within = Within(now, why, before)
+        try:
+            return self._planned(time, None)
+        finally:
+            self._within = None
+
+    def _planned(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
+        """A plan as the mode has it, kept."""
+        begin = machine.monotonic()
+        known = self.changes.reasons
         mode = self.mode
         if mode["mode"] == "off":
             plan = self._without(time, "off", mode["reason"] or "switched off", asked)
@@ -242,7 +315,14 @@ class Runner:
         self.on_step(machine.monotonic() - begin)
         self._forget(time)
         self.last = plan
+        self.changes.known(known)
         return plan
+
+    def _said(self, plan: dict[str, Any]) -> dict[str, Any]:
+        """A plan with its time, for the rest of the step where it is decided anew."""
+        plan = {**plan, "generated_at": written(self.clock.now())}
+        within = self._within
+        return plan if within is None else made_anew(plan, within.at, within.why, within.before)
 
     def _check(self, time: pd.Timestamp, now: pd.Timestamp) -> None:
         """Whether a step may be decided now."""
@@ -271,7 +351,8 @@ class Runner:
         try:
             self._feed(time)
             self._controller.warn(*self.warnings(time), replacing=True)
-            known = known_at(time, self._controller, self.store, self.rehearsal)
+            now = None if self._within is None else self._within.at
+            known = known_at(time, self._controller, self.store, self.rehearsal, now)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
@@ -282,11 +363,8 @@ class Runner:
             # A step without an answer is worse than any of it.
             log.exception("step")
             return self._ruled(time, known, error, asked)
-        plan = {
-            **plan_of(decision, self.scenario, known, refused),
-            "outage_probability": self._believed(known),
-            "generated_at": written(self.clock.now()),
-        }
+        found = plan_of(decision, self.scenario, known, refused)
+        plan = self._said({**found, "outage_probability": self._believed(known)})
         after = After(self._controller.saved(), measured_in(self._controller))
         try:
             self.store.write_step(time, plan, after, asked)
@@ -327,9 +405,9 @@ class Runner:
         self, time: pd.Timestamp, plan: dict[str, Any], asked: Asked | None
     ) -> dict[str, Any]:
         """A plan that was not the controller's, kept."""
-        plan = {**plan, "generated_at": written(self.clock.now())}
-        self.store.write_step(time, plan, asked=asked)
-        return plan
+        said = self._said(plan)
+        self.store.write_step(time, said, asked=asked)
+        return said
 
     def _without(
         self, time: pd.Timestamp, status: str, reason: str, asked: Asked | None = None

@@ -202,7 +202,7 @@ def serve(
             timeout_graceful_shutdown=GRACE_S,
         )
         told(f"Serving {service.scenario.name} at {address.url}, state in {runner.store.place}.")
-        loop = None if isinstance(runner.clock, SetClock) else Loop(runner)
+        loop = None if runner.rehearsal else Loop(runner)
         if loop is not None:
             loop.start()
         try:

@@ -309,7 +309,10 @@ class Store:
         at = seconds(time)
         with self._changes() as db:
             text = json.dumps(plan, allow_nan=False, separators=COMPACT)
+            was = db.execute(sa.select(STEPS.c.outcome).where(STEPS.c.time == at)).scalar()
             put(db, STEPS, time=at, outcome=plan["status"], plan=text)
+            if was is not None:  # decided anew: a step counts once
+                count_steps(db, was, -1)
             count_steps(db, plan["status"], 1)
             if after is not None:
                 put(db, STATES, time=at, state=after.state)

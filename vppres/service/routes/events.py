@@ -64,6 +64,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             check_belief(plain, runner.options)
         now = runner.clock.now()
         put = runner.store.put_event(identifier, plain, now, actor, _version(if_match))
+        if not isinstance(body, payloads.Alert):
+            runner.changes.note(f"event {identifier}")
         response.status_code = 201 if put.new else 200
         response.headers["ETag"] = f'"{put.version}"'
         return {"version": put.version, **plain}
@@ -79,6 +81,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             raise HTTPException(404, "There is no such event.")
         now = runner.clock.now()
         put = runner.store.put_event(identifier, None, now, actor, _version(if_match))
+        runner.changes.note(f"event {identifier} withdrawn")
         return {"version": put.version}
 
     @router.post("/v1/openadr/events", status_code=201)
@@ -92,6 +95,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         now = runner.clock.now()
         for name, event in found.items():
             runner.store.put_event(name, payloads.plain(event), now, actor)
+            if not isinstance(event, payloads.Alert):
+                runner.changes.note(f"event {name}")
         return {"events": list(found), "ignored": ignored}
 
     return router

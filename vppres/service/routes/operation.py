@@ -46,11 +46,12 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         actor: str = guarded("operator"),
         if_match: Annotated[str | None, Header(max_length=100)] = None,
     ) -> dict[str, Any]:
-        """Decide, hold the last set-points, give the operator's or defaults, from the next step."""
+        """Decide, hold the last set-points, give the operator's or defaults, at once."""
         check_setpoints(body.setpoints, runner.scenario)
         asked = payloads.plain(body)
         replacing = None if if_match is None else if_match.strip().strip('"')
         tag = runner.store.put_setting(MODE, asked, runner.clock.now(), actor, replacing)
+        runner.changes.note(f"mode {body.mode}")
         response.headers["ETag"] = f'"{tag}"'
         return runner.mode
 

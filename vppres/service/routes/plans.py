@@ -72,6 +72,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if found is None:
             return {"status": "none"}
         shown = found if runner.ahead_s > 0.0 else {**found, "status": "stale"}
+        unknown = runner.changes.reasons
+        shown = {**shown, "unaware_of": list(unknown)} if unknown else shown
         return _unless_known(shown, if_none_match)
 
     @router.get("/v1/explanations")

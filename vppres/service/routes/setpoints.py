@@ -10,10 +10,12 @@ from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.plans import at
+from vppres.service.plans import points_at
+from vppres.service.records import versions
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import moment_asked
 from vppres.service.runner import Runner
+from vppres.service.statements import REFUSED
 
 NEW = {"status": "new"}
 """Of a set-point of which nobody has said what became of it."""
@@ -32,8 +34,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """What devices must do at a time, now if not given; defaults when that is over."""
         now = runner.clock.now() if time is None else moment_asked(time)
         found = runner.store.last_step(now)
-        every = [] if found is None else found["setpoints"]
-        chosen = [at(one, now) for one in every if asset in (None, one["asset"])]
+        every = [] if found is None else points_at(found, now)
+        chosen = [one for one in every if asset in (None, one["asset"])]
         said = runner.store.acks(one["id"] for one in chosen)
         chosen = [{**one, "status": said.get(one["id"], NEW)["status"]} for one in chosen]
         body = {"at": written(now), "setpoints": chosen}
@@ -51,6 +53,9 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             raise HTTPException(404, "There is no such set-point.")
         said = body.model_dump()
         runner.store.put_ack(found, said, runner.clock.now(), actor)
+        asked_of = found["kind"] == "batteries" or found.get("served")
+        if body.status in REFUSED and asked_of:
+            runner.changes.note(f"{found['asset']} {body.status}")
         return {"id": identifier, **said}
 
     def _setpoint(identifier: str) -> dict[str, Any] | None:
@@ -58,7 +63,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             time = payloads.read_moment(identifier.partition("/")[0])
         except ValueError:
             return None
-        plan = runner.store.step(time) or {"setpoints": []}
-        return next((one for one in plan["setpoints"] if one["id"] == identifier), None)
+        plan = runner.store.step(runner.begun(time)) or {"setpoints": []}
+        said = [one for version in versions(plan) for one in version["setpoints"]]
+        return next((one for one in said if one["id"] == identifier), None)
 
     return router

@@ -26,6 +26,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if problems and not good:
             raise InputError(problems)
         kept = runner.store.write_readings(good, now, actor)
+        runner.heard_of(good)
         return JSONResponse(
             {
                 "accepted": kept.accepted,

@@ -1,0 +1,175 @@
+"""Between two steps: what changes is decided anew at once, for the rest of the step."""
+
+from __future__ import annotations
+
+import time as machine
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, decided, heard, readings, said, site
+from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock
+from vppres.service.loop import Loop
+from vppres.service.runner import Runner, Service
+from vppres.service.serve import opened
+
+LATER = NOON + pd.Timedelta("13min")
+END = "2026-11-21T13:06:00Z"
+
+
+@pytest.fixture
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock, Runner]]:
+    """A service that has decided the step of noon, with grid; it is 12:13."""
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        decided(http, clock, NOON, soc=0.85)
+        clock.set(LATER)
+        yield http, clock, runner
+
+
+def grid(on: float, at: pd.Timestamp = LATER) -> dict[str, Any]:
+    """The grid's reading."""
+    return {"series": readings(at, "grid_on", {"grid": on})}
+
+
+def test_a_grid_that_is_lost_is_planned_for_at_once(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    before = http.get("/v1/plan").json()
+    assert runner.anew() is None
+    http.post("/v1/telemetry", grid(0.0))
+    why = "grid lost at 2026-11-21T12:13:00Z (scada)"
+    assert http.get("/v1/plan").json()["unaware_of"] == [why]
+    assert http.get("/v1/overview").json()["plan"]["unaware_of"] == [why]
+    runner.anew()
+    plan = http.get("/v1/plan").json()
+    assert plan["grid"] == {"available": False, "known_by": "reading"}
+    assert (plan["start"], plan["valid_from"], plan["anew"]) == (
+        "2026-11-21T12:00:00Z", "2026-11-21T12:13:00Z", why,
+    )  # fmt: skip
+    assert "unaware_of" not in plan
+    on = said(plan, "customers")
+    assert on["hospital"]["served"] and not all(one["served"] for one in on.values())
+    now = http.get("/v1/setpoints").json()["setpoints"]
+    assert all(one["active"] and one["anew"] == why and one["valid_until"] == END for one in now)
+    was = http.get("/v1/setpoints?at=2026-11-21T12:05:00Z").json()["setpoints"]
+    assert [one["id"] for one in was] == [one["id"] for one in before["setpoints"]]
+    assert http.get("/v1/status").json()["steps"]["ok"] == 1  # a step counts once
+    accepted = http.post(f"/v1/setpoints/{was[0]['id']}/status", {"status": "accepted"})
+    assert accepted.status == 200
+    # And back again.
+    clock.set(LATER + pd.Timedelta("20min"))
+    http.post("/v1/telemetry", grid(1.0, clock.now()))
+    runner.anew()
+    light = http.get("/v1/plan").json()
+    assert all(one["served"] for one in said(light, "customers").values())
+    assert [one["valid_from"] for one in light["before"]] == [
+        "2026-11-21T12:00:00Z",
+        "2026-11-21T12:13:00Z",
+    ]
+    assert decided(http, clock, NOON + pd.Timedelta("1h"))["status"] == "ok"
+
+
+def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    """13 minutes of what was ordered first, then 47 of what was ordered anew."""
+    http, clock, runner = live
+    first = said(http.get("/v1/plan").json(), "batteries")["big"]["p_kw"]
+    http.post("/v1/telemetry", grid(0.0))
+    plan = runner.anew()
+    assert plan is not None
+    second = said(plan, "batteries")["big"]["p_kw"]
+    assert first < 0.0 and second < 0.0 and first != second
+    clock.set(NOON + pd.Timedelta("1h"))
+    silent = runner.step()
+    given_kwh = -(first * 13 + second * 47) / 60 / 0.95
+    left = 0.85 - given_kwh / 100.0
+    assert any(one.startswith(f"soc big {left:.4f} ") for one in silent["estimated"])
+
+
+def test_events_modes_and_refusals_are_planned_for_at_once(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, clock, runner = live
+
+    def anew() -> dict[str, Any]:
+        clock.set(clock.now() + pd.Timedelta("1min"))
+        found = runner.anew()
+        assert found is not None
+        return found
+
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:10:00Z"})
+    dark = anew()
+    assert dark["anew"] == "event storm" and not dark["grid"]["available"]
+    point = said(dark, "batteries")["big"]
+    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
+    without = anew()
+    assert without["anew"] == "big rejected" and "battery big is out" in without["estimated"]
+    http.put("/v1/mode", {"mode": "off", "reason": "work"})
+    assert anew()["status"] == "off"
+    http.put("/v1/mode", {"mode": "auto"})
+    http.delete("/v1/events/storm")
+    light = anew()
+    assert light["anew"] == "mode auto; event storm withdrawn"
+    assert all(one["served"] for one in said(light, "customers").values())
+    assert http.get("/v1/status").json()["steps"]["ok"] == 1
+    http.put("/v1/events/note", {"type": "alert", "start": "2026-11-21T12:10:00Z", "text": "!"})
+    assert runner.anew() is None
+
+
+def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        decided(http, clock, NOON, soc=0.85)
+        clock.set(LATER)
+        http.post("/v1/telemetry", grid(0.0))
+    clock.set(LATER + pd.Timedelta("2min"))
+    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
+        assert runner.changes.reasons == ()
+        runner.look()
+        plan = runner.anew()
+        assert plan is not None and not plan["grid"]["available"]
+        assert said(plan, "customers")["hospital"]["served"]
+
+
+def test_the_loop_answers_a_lost_grid_within_seconds(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, _, runner = live
+    loop = Loop(runner)
+    loop.start()
+    try:
+        machine.sleep(0.2)
+        http.post("/v1/telemetry", grid(0.0))
+        begin = machine.monotonic()
+        while runner.last is None or "anew" not in runner.last:
+            assert machine.monotonic() < begin + 30.0
+            machine.sleep(0.02)
+        assert runner.changes.reasons == ()
+    finally:
+        loop.end()
+    assert not loop.is_alive()
+
+
+def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, clock, runner = live
+    clock.set(NOON + pd.Timedelta("1h"))
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
+    assert runner.anew() is None and runner.changes.reasons == ("event storm",)
+    http.post("/v1/telemetry", heard(clock.now()))
+    plan = http.post("/v1/steps").json()
+    assert not plan["grid"]["available"] and "anew" not in plan
+    assert runner.changes.reasons == ()
