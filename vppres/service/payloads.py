@@ -308,7 +308,7 @@ class OperatorSetpoint(Body):
 
 
 class ModeRequest(Body):
-    """What the service does from the next step on.
+    """What the service does from now on.
 
     ``auto`` decides, ``off`` gives defaults only, ``hold`` gives the last set-points again, and
     ``manual`` the operator's, with the last ones for whoever is not named.

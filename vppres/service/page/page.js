@@ -3,7 +3,7 @@
 import { chart, meter, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  MARKS, SiteClock, announced, attention, counted, covers, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  MARKS, SiteClock, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -104,6 +104,7 @@ function show() {
   $("verdict").className = level;
   write("verdict-mark", MARKS[level]);
   write("verdict-words", words);
+  write("verdict-facts", facts(view));
   write("verdict-more", more ?? "");
   write("contact", view.lost ? "\u2716 no contact" : view.overview ? `live, ${since < 3500 ? "just now" : `${lasting(since)} ago`}` : "");
   if (!view.overview) return;

@@ -63,6 +63,28 @@ export function offByTier(view) {
   return off;
 }
 
+// The reading of the grid, if there is one: {value, at, source}.
+const gridReading = (view) => view.overview.measured?.["grid_on grid"] ?? null;
+
+// Whether the grid was read to be lost after the plan was made that counts on it.
+function unawareOfLoss(view) {
+  const { plan } = view.overview, read = gridReading(view);
+  return read?.value === 0 && plan?.grid?.available === true && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
+}
+
+// What is measured, what is announced and what is ordered, each with its time.
+export function facts(view) {
+  if (!view.site || !view.overview?.plan) return "";
+  const { plan, events } = view.overview, read = gridReading(view);
+  const at = (time) => view.clock.at(time, view.now);
+  const measured = read ? `grid ${read.value ? "on" : "lost"} at ${at(read.at)} (${read.source})` : "the grid is not measured";
+  const outages = Object.entries(events).filter(([, event]) => event.type === "outage" && !(event.end && new Date(event.end) <= view.now));
+  const told = outages.map(([name, event]) => `${announced(event, view).toLowerCase()} (${name})`);
+  const all = Object.keys(view.site.customers).length, off = (plan.off ?? []).length;
+  const why = plan.anew ? ` (${plan.anew})` : "";
+  return `Measured: ${measured}. Announced: ${told.length ? list(told) : "no outage"}. Ordered at ${at(plan.valid_from ?? plan.start)}${why}: ${all - off} of ${counted(all, "customer")} connected.`;
+}
+
 // The one thing to see first: [level, sentence, more].
 export function verdict(view) {
   if (!view.site || !view.overview) {
@@ -73,14 +95,16 @@ export function verdict(view) {
   const ends = plan?.valid_until ? holds(view, at) : "";
   if (view.lost) return [ALARM, `No contact with the service since ${at(view.heard)}.`, `Data below are from that time. ${ends}`];
   if (!plan) return [WARNING, "No step has been decided yet.", "Devices use default set-points until the first plan."];
-  if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.`, ends];
+  const uncertain = outage(view) || gridReading(view)?.value === 0 ? " There is no grid: supply is uncertain." : "";
+  if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.${uncertain}`, ends];
+  if (unawareOfLoss(view)) return [ALARM, `Grid lost at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
-  if (plan.status === "missed") return [WARNING, "This step was missed. Devices use default set-points.", plan.reason];
+  if (plan.status === "missed") return [WARNING, `This step was missed. Devices use default set-points.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
   const [first] = view.site.tiers, all = Object.keys(view.site.customers).length;
   const dark = outage(view);
   const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", end unknown"}` : "";
-  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: devices use default set-points.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
+  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: devices use default set-points.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
   const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
   if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], `${first} customer`)} off supply.`, `${capital(words)}. ${next(view, at)}`];
   const saved = n > 0 ? `, all ${first} customers supplied` : "";
@@ -170,6 +194,7 @@ export function attention(view) {
     if (one.stale.length) say(WARNING, `Late data from ${one.source}: ${list(one.stale)}. Last contact ${silent} ago.`);
   }
   if (!sources.length) say(WARNING, "No data source has connected.");
+  if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of)}.`);
   for (const words of plan?.alarms ?? []) say(ALARM, `${words}.`);
   if (plan?.solve) {
     if (plan.status === "fallback") say(WARNING, `Fallback ${plan.solve.fallback}: ${plan.solve.fallback_reason ?? "no reason given"}.`);
@@ -259,8 +284,8 @@ function belief(event, at) {
 }
 
 export const MODE_WORDS = {
-  auto: ["decide every step", "From the next step, the controller decides."],
-  hold: ["keep the last set-points", "From the next step, the last set-points are held."],
-  manual: ["use the operator\u2019s set-points", "From the next step, the operator\u2019s set-points are used."],
-  off: ["defaults only", "From the next step, devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage."],
+  auto: ["decide every step", "From now on the controller decides."],
+  hold: ["keep the last set-points", "From now on the last set-points are held."],
+  manual: ["use the operator\u2019s set-points", "From now on the operator\u2019s set-points are used."],
+  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage."],
 };

@@ -1,0 +1,84 @@
+"""The page's first lines: what is measured, announced and ordered; supply is said where it is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, decided, readings, site
+from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+from vppres.service.serve import opened
+
+NODE = shutil.which("node")
+WORDS = Path(__file__).parents[1] / "vppres" / "service" / "page" / "words.js"
+pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
+
+SCRIPT = """
+import { SiteClock, attention, facts, verdict } from "./words.mjs";
+import { readFileSync } from "node:fs";
+const view = JSON.parse(readFileSync(0));
+view.clock = new SiteClock("UTC");
+view.now = new Date(view.overview.now);
+console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view) }));
+"""
+
+
+def told(http: Caller, folder: Path) -> dict[str, Any]:
+    """What the page says now."""
+    (folder / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "say.mjs").write_text(SCRIPT, encoding="utf-8")
+    site_of, overview = (http.get(f"/v1/{name}").json() for name in ("site", "overview"))
+    view = json.dumps({"site": site_of, "overview": overview, "lost": False})
+    asked = [str(NODE), str(folder / "say.mjs")]
+    done = subprocess.run(asked, input=view, capture_output=True, text=True, check=True)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 1.0})})
+        decided(http, clock, NOON, soc=0.85)
+        calm = told(http, tmp_path)
+        assert calm["verdict"][:2] == ["fine", "All 3 customers supplied."]
+        assert calm["facts"] == (
+            "Measured: grid on at 12:00 (scada). Announced: no outage. "
+            "Ordered at 12:00: 3 of 3 customers connected."
+        )
+        later = NOON + pd.Timedelta("13min")
+        clock.set(later)
+        http.post("/v1/telemetry", {"series": readings(later, "grid_on", {"grid": 0.0})})
+        lost = told(http, tmp_path)
+        assert lost["verdict"][:2] == [
+            "alarm",
+            "Grid lost at 12:13. The plan of 12:00 does not know it: supply is uncertain.",
+        ]
+        unaware = "The plan does not know yet: grid lost at 2026-11-21T12:13:00Z (scada)."
+        assert ["warning", unaware] in lost["attention"]
+        plan = runner.anew()
+        assert plan is not None
+        held = told(http, tmp_path)
+        assert "off supply" in held["verdict"][1] and "Outage" in held["verdict"][1]
+        assert held["facts"].startswith(
+            "Measured: grid lost at 12:13 (scada). Announced: no outage."
+        )
+        assert "Ordered at 12:13 (grid lost" in held["facts"]
+        clock.set(clock.now() + pd.Timedelta("1min"))
+        http.put("/v1/mode", {"mode": "off", "reason": "work"})
+        runner.anew()
+        off = told(http, tmp_path)
+        assert off["verdict"][1].endswith("There is no grid: supply is uncertain.")
+        assert "supplied" not in off["verdict"][1]
