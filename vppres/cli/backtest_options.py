@@ -37,7 +37,7 @@ Forecasts = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Quantiles of one's own to score, with the series load and pv; the seasonal "
+        help="Your own quantiles to score, with the series load and pv; the seasonal "
         "forecaster if not given.",
     ),
 ]
@@ -53,7 +53,7 @@ Outages = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Outages that were, a table with start and end, to score the warnings against.",
+        help="Actual outages, a table with start and end, to score the warnings against.",
     ),
 ]
 First = Annotated[
@@ -71,8 +71,7 @@ Zone = Annotated[
     str | None,
     typer.Option(
         metavar="ZONE",
-        help="Time zone that people live by, for example Europe/London; the scenario's, or UTC, if "
-        "not given.",
+        help="Local time zone, for example Europe/London; the scenario's, or UTC, if not given.",
     ),
 ]
 

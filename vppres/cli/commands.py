@@ -1,4 +1,4 @@
-"""The commands, one function each: what it reads, what it asks of the other rooms, what it prints.
+"""The commands, one function each: input, calls of other packages, output.
 
 Libraries that are slow to load are imported inside the commands, so that ``vppres --help`` answers
 at once.
@@ -191,7 +191,7 @@ def validate(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Check a scenario and list all its problems with their cures; the status is 2 if it has any.
+    """Check a scenario and list all its problems with their fixes; the status is 2 if it has any.
 
     The problems are sorted by file and row.
     """
@@ -289,7 +289,7 @@ def compare(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Lay runs of the same day side by side in one HTML file, with differences to the first."""
+    """Compare runs of the same day in one HTML file, with differences to the first."""
     with plain_errors(debug):
         from vppres.io.atomic import check_file
         from vppres.report.pages import write_page
@@ -498,7 +498,7 @@ def serve(
     name: cli_serve.ProxyName = None,
     debug: Debug = False,
 ) -> None:
-    r"""Serve a scenario's site over HTTP: a controller that decides day and night.
+    r"""Run the controller of a scenario's site as an HTTP service.
 
     Needs the extra: pip install "vppres\[serve]".
     """
@@ -538,7 +538,7 @@ def export(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Write what a service heard and said as the run of a scenario, for reports and what-ifs.
+    """Export a service's readings and plans as a run folder, for reports and what-ifs.
 
     The service may run meanwhile. Times without an offset are those of the clocks at the site.
     """
@@ -586,7 +586,7 @@ def simulate(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    r"""Play a scenario against a service over HTTP, the plant being the world.
+    r"""Test a service over HTTP against a simulated plant.
 
     Needs the extra: pip install "vppres\[serve]".
     """
@@ -633,7 +633,7 @@ def backtest(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Score forecasts of load and PV power against what came: tables and a page."""
+    """Score forecasts of load and PV power: tables and a page."""
     with plain_errors(debug):
         from vppres.io.atomic import check_target
         from vppres.studies.backtest import Plan, forecasts_in, measured_in

@@ -76,7 +76,7 @@ TierShares = Annotated[
 PV = Annotated[
     Literal["existing", "sized", "none"],
     typer.Option(
-        help="The network's PV, wind and other generators; PV invented by size in the place of "
+        help="The network's PV, wind and other generators; PV invented by size instead of "
         "the network's PV; or no generator."
     ),
 ]
@@ -120,7 +120,7 @@ Profiles = Annotated[
 ]
 ProfileUnit = Annotated[
     Literal["kw", "mw", "pu"] | None,
-    typer.Option(help="Unit of series whose columns and files do not say it."),
+    typer.Option(help="Unit of series without a unit in column or file name."),
 ]
 ProfileStep = Annotated[
     float | None,
@@ -138,7 +138,7 @@ AcceptDeviation = Annotated[
     bool,
     typer.Option(
         "--accept-deviation",
-        help="Import even where voltages are more than 0.005 pu from the source's.",
+        help="Import even if voltages are more than 0.005 pu from the source's.",
     ),
 ]
 SlackVoltage = Annotated[

@@ -99,7 +99,7 @@ def page_row(option: Option) -> str:
     """An option of the table as a row of ``docs/command-line.md``.
 
     >>> page_row(next(option for option in OPTIONS if option.name == "notice"))
-    '| `--notice` | 6 | how long before an outage reserve is told of it (h) |'
+    '| `--notice` | 6 | notice of an outage for the controller reserve (h) |'
     """
     unit = f" ({option.unit})" if option.unit not in ("", "share") else ""
     words = option.words

@@ -9,8 +9,8 @@ import typer
 
 # serve
 
-Host = Annotated[str, typer.Option(help="Address to listen at.")]
-Port = Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")]
+Host = Annotated[str, typer.Option(help="Address to listen on.")]
+Port = Annotated[int, typer.Option(min=1, max=65535, help="Port to listen on.")]
 State = Annotated[
     str | None,
     typer.Option(
@@ -46,7 +46,7 @@ Certificate = Annotated[
 ]
 Key = Annotated[Path | None, typer.Option(help="Its private key, a PEM file.")]
 BehindProxy = Annotated[
-    bool, typer.Option(help="A proxy in front does TLS, without which others may not call.")
+    bool, typer.Option(help="A proxy in front does TLS; other machines need TLS.")
 ]
 ProxyName = Annotated[
     list[str] | None,
@@ -66,7 +66,7 @@ ReadState = Annotated[
         help="Of the service; SCENARIO.live if not given.",
     ),
 ]
-Explain = Annotated[bool, typer.Option(help="Say why, for customers and batteries.")]
+Explain = Annotated[bool, typer.Option(help="Add reasons for customers and batteries.")]
 
 # serve simulate
 
@@ -74,7 +74,7 @@ SiteName = Annotated[str, typer.Argument(metavar="SITE", help="The site that is 
 WorldName = Annotated[
     str | None,
     typer.Argument(
-        metavar="SCENARIO", help="What comes; if not given the site's own days, which it knows."
+        metavar="SCENARIO", help="The scenario to play; the site's own days if not given."
     ),
 ]
 Speed = Annotated[
@@ -101,5 +101,5 @@ LostShare = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of readi
 DelayedShare = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="Share of readings up to three steps late.")
 ]
-ClockSkew = Annotated[float, typer.Option(help="By how much clocks of sources are off, in s.")]
+ClockSkew = Annotated[float, typer.Option(help="Clock error of sources, in s.")]
 Repeats = Annotated[bool, typer.Option(help="Send every reading twice.")]

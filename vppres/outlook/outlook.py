@@ -76,7 +76,7 @@ class OutageOutlook:
     warnings : sequence of OutageWarning
         All messages, in any order; those that are not issued yet change nothing.
     statistics : OutageStatistics
-        Outages that nobody announces.
+        Outages without a warning.
     step_h : float
         Length of a step in h.
 

@@ -24,7 +24,7 @@ of the Met Office."""
 
 @dataclass(frozen=True)
 class StatisticsPreset:
-    """Outages that nobody announces.
+    """Outages without a warning.
 
     Parameters
     ----------

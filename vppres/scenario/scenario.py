@@ -102,7 +102,7 @@ class Scenario:
     warnings : tuple of OutageWarning
         Messages about outages, for runs that do not know them.
     outage_statistics : OutageStatistics
-        Outages that nobody announces, for the same runs.
+        Outages without a warning, for the same runs.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     """

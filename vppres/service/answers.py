@@ -22,7 +22,7 @@ STATUSES = {StorageError: 503, ChangedError: 412}
 
 TITLES = {
     400: "The request cannot be read",
-    401: "Nobody knows who asks",
+    401: "The token is missing or unknown",
     403: "This may not be asked",
     404: "There is no such thing",
     405: "This cannot be done here",

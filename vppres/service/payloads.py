@@ -322,7 +322,7 @@ class ModeRequest(Body):
     @model_validator(mode="after")
     def _ends(self) -> ModeRequest:
         if self.mode in ("hold", "manual") and self.until is None:
-            raise ValueError("must have an end: nobody looks after it. Give until")
+            raise ValueError("must have an end. Give until")
         if (self.mode == "manual") != bool(self.setpoints):
             raise ValueError("and set-points do not belong together. Give set-points for manual")
         return self

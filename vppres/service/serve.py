@@ -157,7 +157,9 @@ def remove_token(service: Service, folder: Path | str, name: str) -> None:
         if not store.remove_token(name, SystemClock().now()):
             known = [token.name for token in store.tokens()]
             cure = did_you_mean(name, known, "There is none.")
-            raise InputError(Problem("tokens", "is nobody's name", cure, None, "name", name))
+            raise InputError(
+                Problem("tokens", "is not the name of a token", cure, None, "name", name)
+            )
     finally:
         store.close()
 
