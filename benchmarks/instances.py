@@ -21,6 +21,8 @@ from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.scenario import Scenario
 
 FILE = Path(__file__).with_name("instances.csv")
+FIRST_ROW = 2
+"""Line of the first data row in a file."""
 SCENARIO = "uk-heatwave-2022"
 GROUPS = ("ordinary", "stressed")
 PLACES = ("before", "across", "inside", "after")
@@ -116,7 +118,9 @@ def read_instances(file: Path = FILE) -> list[Instance]:
     ]
     instances = [Instance(**row) for row in rows]
     problems = [
-        p.in_file(file.name) for i, instance in enumerate(instances) for p in _problems(i, instance)
+        replace(p, where=file.name, row=None if p.row is None else p.row + FIRST_ROW)
+        for i, instance in enumerate(instances)
+        for p in _problems(i, instance)
     ]
     problems += [
         Problem(

@@ -21,7 +21,7 @@ from rich.progress import Progress
 from benchmarks.deadlines import by_processor
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
-from benchmarks.licensed import ALL_SOLVERS
+from benchmarks.licensed import ALL_SOLVERS, compile_now
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.beyond_paper.switching import rule_steps
@@ -33,7 +33,7 @@ from vppres.report.plots.palette import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import compile_now, run
+from vppres.solve.solvers import run
 
 MONOLITHS = ("highs", "scip")
 SIDES = 16

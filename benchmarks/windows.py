@@ -15,7 +15,7 @@ from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
 from benchmarks.instances import Instance, packaged, window_data
-from benchmarks.licensed import ALL_SOLVERS, LICENSED
+from benchmarks.licensed import ALL_SOLVERS, LICENSED, compile_now
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.forms import Form, WindowModel
@@ -24,7 +24,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import compile_now, run
+from vppres.solve.solvers import run
 
 NOT_ADMITTED = "not_admitted"
 FAST_REFUSAL_S = 1.0

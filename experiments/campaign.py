@@ -23,7 +23,7 @@ from experiments.seeds import (
 from experiments.tables import markdown_table, write_pages
 from vppres.contract.observation import Observation
 from vppres.control.guard.estimation import Known
-from vppres.control.guard.guard import FALLBACKS, GuardedController, critical_site
+from vppres.control.guard.guard import GuardedController, critical_site
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.errors import SolveError
 from vppres.day.assembly import make_controller
@@ -36,6 +36,9 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
+
+FALLBACKS = ("none", "voltage", "service", "previous_plan", "rule", "critical")
+"""What may take the place of the controller's own answer, as named in the record."""
 
 HORIZONS_H = (3.0, 4.0, 5.0)
 WEIGHT_TOLERANCE = 1e-6

@@ -24,7 +24,7 @@ import typer
 
 from experiments.report import machine
 from experiments.same import NOT_COMPARED
-from experiments.seeds import STUDIES, Days, FirstSeed, Results
+from experiments.seeds import STUDIES, Days, FirstSeed, Results, by_name
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import bar_of, plain_errors, show_report
 from vppres.contract.forecast import ForecastErrors
@@ -33,7 +33,7 @@ from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io.find import load_scenario
-from vppres.studies.side_by_side import Lost, Where, by_name, map_unordered
+from vppres.studies.side_by_side import Lost, Where, map_unordered
 
 WORKERS = 2
 BLOCKS = 2

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -17,8 +19,10 @@ from pydantic import TypeAdapter
 
 from experiments.terminal import bar_of, plain_errors, show_report
 from vppres.io.atomic import atomic_write_text
-from vppres.studies.side_by_side import Lost, Where, by_name, identity, map_unordered
+from vppres.studies.side_by_side import Lost, Where, identity, map_unordered
 
+J = TypeVar("J")
+R = TypeVar("R")
 T = TypeVar("T")
 
 STUDIES = Path("results/studies")
@@ -190,3 +194,16 @@ class Study(Generic[T]):
 
         main.__doc__ = words
         return main
+
+
+def by_name(function: Callable[[J], R]) -> Callable[[J], R]:
+    """The function under the name by which other processes import it.
+
+    A module that is run by ``python -m`` is called ``__main__``, and others do not find it there.
+    """
+    main = sys.modules["__main__"]
+    spec = getattr(main, "__spec__", None)
+    if function.__module__ != "__main__" or spec is None:
+        return function
+    found: Callable[[J], R] = getattr(importlib.import_module(spec.name), function.__qualname__)
+    return found

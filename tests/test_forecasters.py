@@ -10,14 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.core.errors import InputError
 from vppres.forecasts.interface import LoadAndPV, middle, quantiles
-from vppres.forecasts.paper import PaperErrors
 from vppres.forecasts.seasonal import Seasonal
 from vppres.forecasts.window import LastErrors, not_negative
 from vppres.scenario.history import History
-from vppres.scenario.scenario import Scenario
 
 MIDNIGHT = pd.Timestamp("2022-03-01", tz="UTC")
 MONDAY = pd.Timestamp("2022-06-06", tz="UTC")
@@ -109,7 +106,9 @@ def test_a_week_that_repeats_itself_is_known() -> None:
     weekly = Seasonal(days=0)
     found = weekly.fit(history).forecast(history.times[60 * 24], 48)
     assert found.basis == "model"
-    np.testing.assert_allclose(found.load_quantiles([0.1, 0.9]), np.stack([load[1440:1488]] * 2))
+    np.testing.assert_allclose(
+        quantiles(found.load_kw, [0.1, 0.9]), np.stack([load[1440:1488]] * 2)
+    )
 
 
 def test_last_errors_die_out_by_hand() -> None:
@@ -218,16 +217,6 @@ def test_the_middle_is_the_median_of_the_total() -> None:
     paths = np.array([[[0.0, 1.0]], [[0.0, 2.0]], [[9.0, 3.0]]])
     # Means 3 and 2; totals 1, 2 and 12, of which the median is 2.
     np.testing.assert_allclose(middle(paths), [[1.2, 0.8]])
-
-
-def test_the_papers_draws_are_those_of_a_run(tiny: Scenario) -> None:
-    errors = ForecastErrors(0.1, 0.05, -0.1, 0.05)
-    fitted = PaperErrors(tiny, errors, seed=3, n_paths=2).fit(homes(1))
-    found = fitted.forecast(tiny.grid.times[2], 4)
-    for path in range(2):
-        drawn = Forecaster(tiny, errors, 3 + path).at(2, range(2, 6))
-        np.testing.assert_array_equal(found.load_kw[path], drawn.load_kw)
-        np.testing.assert_array_equal(found.pv_kw[path], drawn.pv_kw)
 
 
 def test_quarter_hours_of_hours_and_back() -> None:

@@ -8,7 +8,6 @@ from typing import Literal
 from vppres.core.arrays import Floats
 
 Centre = Literal["lossless", "literal", "none"]
-CENTRES: tuple[Centre, ...] = ("lossless", "literal", "none")
 
 
 @dataclass(frozen=True, eq=False)

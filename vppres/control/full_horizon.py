@@ -21,7 +21,6 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 
 PVCheck = Literal["absorbing", "literal"]
-PV_CHECKS: tuple[PVCheck, ...] = ("absorbing", "literal")
 
 SOC_TOLERANCE = 1e-6
 POWER_TOLERANCE_KW = 1e-3

@@ -7,7 +7,7 @@ step within a process; this outlives it.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.plain import Given, from_plain, to_plain
@@ -17,13 +17,6 @@ PART = object()
 
 PARTS = object()
 """In place of a type: several such, by keys from which ``part_for`` makes each."""
-
-
-class Keyed(Protocol):
-    """What has parts that are made when they are needed."""
-
-    def part_for(self, key: bytes) -> object:
-        """The part of a key, made if there is none."""
 
 
 def memory_of(decider: Any, given: Given) -> dict[str, Any]:

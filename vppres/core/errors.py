@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from vppres.core.text import brief, visible
 
@@ -56,11 +56,6 @@ class Problem:
         # Places and values are others' text: long words are cut, and what would steer a terminal is
         # written out.
         return visible(brief(f"{place}: {self.message}{more}. {self.cure}"))
-
-    def in_file(self, file: str, first_row: int = 2) -> Problem:
-        """The same problem, located in a file whose first data row is line ``first_row``."""
-        row = None if self.row is None else self.row + first_row
-        return replace(self, where=file, row=row)
 
 
 class VppresError(Exception):

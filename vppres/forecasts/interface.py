@@ -68,14 +68,6 @@ class LoadAndPV:
         """Demand of all customers less all PV power, shape (M, W)."""
         return np.asarray(self.load_kw.sum(axis=2) - self.pv_kw.sum(axis=2))
 
-    def load_quantiles(self, levels: ArrayLike) -> Floats:
-        """Quantiles of each customer's demand, shape (levels, W, C)."""
-        return quantiles(self.load_kw, levels)
-
-    def pv_quantiles(self, levels: ArrayLike) -> Floats:
-        """Quantiles of each PV system's power, shape (levels, W, P)."""
-        return quantiles(self.pv_kw, levels)
-
     def point(self) -> tuple[Floats, Floats]:
         """What a plan for one course of things takes: demand (W, C) and PV power (W, P).
 

@@ -213,15 +213,6 @@ def default_of(field: str) -> Any:
     return _BY_FIELD[field].default
 
 
-def choices_of(field: str) -> tuple[str, ...]:
-    """Words that the option of a field takes.
-
-    >>> choices_of("mode")
-    ('paper', 'physical')
-    """
-    return _BY_FIELD[field].choices
-
-
 def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 

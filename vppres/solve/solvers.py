@@ -218,14 +218,6 @@ def find_solver(name: str) -> SolverSpec:
     return spec
 
 
-def compile_now(problem: cp.Problem, spec: SolverSpec) -> None:
-    """Compile a problem before it is solved: its parameters have values."""
-    if spec.cvxpy_name == cp.HIGHS:
-        compiled_for(problem, spec.cvxpy_name)
-    else:
-        problem.get_problem_data(spec.cvxpy_name, canon_backend=COMPILER)
-
-
 def run(
     problem: cp.Problem,
     spec: SolverSpec,

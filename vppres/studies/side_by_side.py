@@ -8,7 +8,6 @@ a job that is asked for twice is run once, and a job whose worker dies is run ag
 from __future__ import annotations
 
 import importlib.util
-import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -360,16 +359,3 @@ def _problem(field: str, value: str | None, what: str, cure: str) -> Problem:
 def _line(error: BaseException) -> str:
     lines = str(error).splitlines()
     return lines[0] if lines else type(error).__name__
-
-
-def by_name(function: Callable[[J], R]) -> Callable[[J], R]:
-    """The function under the name by which other processes import it.
-
-    A module that is run by ``python -m`` is called ``__main__``, and others do not find it there.
-    """
-    main = sys.modules["__main__"]
-    spec = getattr(main, "__spec__", None)
-    if function.__module__ != "__main__" or spec is None:
-        return function
-    found: Callable[[J], R] = getattr(importlib.import_module(spec.name), function.__qualname__)
-    return found

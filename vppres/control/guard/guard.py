@@ -32,9 +32,6 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 
-FALLBACKS = ("none", "voltage", "service", "previous_plan", "rule", "critical")
-"""What may take the place of the controller's own answer, as named in the record."""
-
 ControllerOf = Callable[[Site], Decider]
 SolverOf = Callable[[Site], WindowSolver]
 
