@@ -13,7 +13,8 @@ BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 
 # uv installs the lock file in seconds; where it does not run, pip does the same in a minute. Neither
-# compiles files: most are never imported.
+# compiles files, since most are never imported; the last step compiles what a run imports. A start
+# is quick then, also where no bytecode may be written, as in many containers.
 UV ?= $(shell uv --version >/dev/null 2>&1 && echo uv)
 MAKE_VENV = $(if $(UV),$(UV) venv --quiet --seed --python $(PYTHON),$(PYTHON) -m venv) $(VENV)
 INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
@@ -44,6 +45,7 @@ $(STAMP): requirements.lock pyproject.toml
 	test -x $(BIN)/python || $(MAKE_VENV)
 	$(INSTALL) -r requirements.lock
 	$(INSTALL) --no-deps --no-build-isolation -e .
+	$(BIN)/python -c "import vppres.cli.commands, vppres.day.simulate, vppres.explain.day, vppres.report.run_folder"
 	touch $@
 
 # pytest's last line comes last.

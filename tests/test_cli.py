@@ -28,6 +28,7 @@ NOT_OF_A_RUN = (
     "opendssdirect",
     "pandapower",
     "resvg_py",
+    "scipy.stats",
     "sqlalchemy",
 )
 """What other commands need, and no run."""

@@ -333,7 +333,7 @@ def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path
     assert result.stdout.endswith(f"Written to {page}\n")
     text = page.read_text(encoding="utf-8")
     assert OUTWARD.findall(text) == []
-    assert text.count('src="data:image/svg+xml;base64,') == len(FIGURES)
+    assert text.count('<figure class="plot">') == len(FIGURES)
     assert text.count("draws up to 102.0 kW from the slack bus") == 2  # a finding of each run
     assert '<td class="n">0.5385</td><td class="n change">+0.1154</td>' in text
     assert "<tr><td>horizon h</td><td>5</td><td>6</td></tr>" in text

@@ -41,6 +41,7 @@ NOT_RUN = {
     "python -m benchmarks --publish": "writes into the checkout",
     "make studies": "takes an hour",
     "vppres report results/first --pdf": "needs a browser",
+    "vppres report results/first --figures svg,png": "needs the run of another page",
     "python -m experiments.campaign --days 500": "takes an hour",
     "python -m experiments.quiet_days --days 500": "takes minutes",
     "python -m experiments.alarms --days 200": "takes minutes",
