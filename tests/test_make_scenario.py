@@ -108,8 +108,6 @@ def test_hourly_day_has_the_bundled_shape(case33: ImportedFeeder) -> None:
     assert day.price_gbp_per_kwh[[0, 5, 6, 15, 16, 19, 20]] == pytest.approx(
         [0.20, 0.20, 0.36, 0.36, 0.54, 0.54, 0.36]
     )
-    flat = new_scenario(case33, NewScenarioOptions(price="flat"))
-    assert flat.price_gbp_per_kwh == pytest.approx(0.36)
 
 
 def test_two_days_of_quarter_hours_with_two_outages(case33: ImportedFeeder) -> None:
@@ -186,11 +184,6 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
             {"pv": "sized", "pv_share_of_peak": 0.0},
             "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
             "kW of PV per kW of peak load, for example 0.5.",
-        ),
-        (
-            {"pv": "sized", "pv_share_of_buses": 1.2},
-            "options, pv_share_of_buses = 1.2: must lie between 0 and 1. Give "
-            "the share of customers with PV, for example 0.8.",
         ),
         (
             {"add_batteries": True, "battery_kwh_per_peak_kw": -1.0},
@@ -332,8 +325,6 @@ def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
         "2025-07-02T06:00Z..2025-07-02T09:00Z",
         "--seed",
         2,
-        "--price",
-        "flat",
     )
     assert done.exit_code == 0, done.stderr
     assert "Open at one end, and kept as shunts of 16.41 kvar" in done.stdout

@@ -84,9 +84,6 @@ PVShareOfPeak = Annotated[
     float | None,
     typer.Option(help="kW of sized PV per kW of a customer's peak load; 0.5 if not given."),
 ]
-PVShareOfBuses = Annotated[
-    float | None, typer.Option(help="Share of the customers with sized PV; 0.8 if not given.")
-]
 AddBatteries = Annotated[
     bool,
     typer.Option("--add-batteries", help="Invent a battery at every customer, sized by its load."),
@@ -129,7 +126,6 @@ ProfileStep = Annotated[
 MaxGap = Annotated[
     float, typer.Option(metavar="M", help="Minutes of the longest gap of a series that is filled.")
 ]
-Price = Annotated[Literal["time-of-use", "flat"], typer.Option(help="Import price.")]
 ExportLimit = Annotated[
     float, typer.Option(metavar="KW", help="Largest export; inf for no limit, 0 imports only.")
 ]

@@ -251,10 +251,8 @@ def _sized_pv(
     customers: Customers, peak_kw: Floats, options: NewScenarioOptions, draw: np.random.Generator
 ) -> PVSystems:
     """PV at some of the customers, sized by their peak load."""
-    share = options.pv_share_of_buses
-    share = PV_SHARE_OF_BUSES if share is None else share
     kw_per_kw = options.pv_share_of_peak or PV_SHARE_OF_PEAK
-    chosen = draw.permutation(len(customers))[: round(share * len(customers))]
+    chosen = draw.permutation(len(customers))[: round(PV_SHARE_OF_BUSES * len(customers))]
     p_kw = np.zeros(len(customers))
     p_kw[chosen] = kw_per_kw * peak_kw[chosen]
     p_kw = written(p_kw)

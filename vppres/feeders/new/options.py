@@ -19,7 +19,6 @@ from vppres.scenario.option_table import Range
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 PVRule = Literal["existing", "sized", "none"]
-PriceRule = Literal["time-of-use", "flat"]
 ProfileUnit = Literal["kw", "mw", "pu"]
 Outage = tuple[pd.Timestamp, pd.Timestamp]
 
@@ -47,9 +46,6 @@ _RANGES = {
     ),
     "pv_share_of_peak": Range(
         1e-9, 10, "must lie between 0 and 10", "Give kW of PV per kW of peak load, for example 0.5."
-    ),
-    "pv_share_of_buses": Range(
-        0, 1, "must lie between 0 and 1", "Give the share of customers with PV, for example 0.8."
     ),
     "battery_kwh_per_peak_kw": Range(
         0, 100, "must lie between 0 and 100", "Give kWh per kW of peak load, for example 0.625."
@@ -95,16 +91,13 @@ class NewScenarioOptions:
     pv : str
         ``existing`` takes the source's generators, ``sized`` invents PV in the place of the
         source's, ``none`` takes no generator at all.
-    pv_share_of_peak, pv_share_of_buses : float, optional
-        Sized PV: this share of the customer's peak load (0.5), at this share of the customers
-        (0.8).
+    pv_share_of_peak : float, optional
+        Sized PV as a share of the customer's peak load; 0.5.
     add_batteries : bool
         Whether every customer gets a battery, besides those of the source.
     battery_kwh_per_peak_kw : float, optional
         Energy of an added battery for each kW of the customer's peak load; 0.625, that of the
         paper's fleet.
-    price : str
-        ``time-of-use`` or ``flat``.
     v_slack_pu : float, optional
         Voltage of the slack bus; the feeder's if not given.
     export_limit_kw : float
@@ -137,10 +130,8 @@ class NewScenarioOptions:
     tier_shares: tuple[float, float, float] | None = None
     pv: PVRule = "existing"
     pv_share_of_peak: float | None = None
-    pv_share_of_buses: float | None = None
     add_batteries: bool = False
     battery_kwh_per_peak_kw: float | None = None
-    price: PriceRule = "time-of-use"
     v_slack_pu: float | None = None
     export_limit_kw: float = inf
     export_price_gbp_per_kwh: float = 0.0
@@ -280,7 +271,6 @@ def _sizes_of_nothing(options: NewScenarioOptions) -> Iterator[Problem]:
     asked = {
         "tier_shares": (options.draw_tiers, "--draw-tiers"),
         "pv_share_of_peak": (options.pv == "sized", "--pv sized"),
-        "pv_share_of_buses": (options.pv == "sized", "--pv sized"),
         "battery_kwh_per_peak_kw": (options.add_batteries, "--add-batteries"),
     }
     for name, (wanted, flag) in asked.items():

@@ -15,6 +15,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.core.tables import packaged_table
 from vppres.feeders.closeness import (
     check_deviation,
     source_deviation,
@@ -24,7 +25,7 @@ from vppres.feeders.closeness import (
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.elements import few
 from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
-from vppres.feeders.new.options import NewScenarioOptions, PriceRule, check_options, outages_of
+from vppres.feeders.new.options import NewScenarioOptions, check_options, outages_of
 from vppres.feeders.new.profiles import Series, place_profiles, timed
 from vppres.feeders.series.files import Reading, read_profiles
 from vppres.io import atomic_folder
@@ -41,61 +42,11 @@ OWN_PROFILES = "source"
 """What stands for the series of the network itself."""
 
 # Demand and PV power of the packaged day of 19 July 2022, hour by hour, as shares of their peaks.
-LOAD_SHAPE = (
-    0.790,
-    0.791,
-    0.795,
-    0.803,
-    0.812,
-    0.834,
-    0.880,
-    0.937,
-    0.945,
-    0.930,
-    0.933,
-    0.916,
-    0.899,
-    0.874,
-    0.882,
-    0.909,
-    0.973,
-    1.000,
-    0.979,
-    0.940,
-    0.928,
-    0.895,
-    0.810,
-    0.794,
-)
-PV_SHAPE = (
-    0.000,
-    0.000,
-    0.000,
-    0.000,
-    0.010,
-    0.087,
-    0.239,
-    0.414,
-    0.621,
-    0.787,
-    0.905,
-    1.000,
-    0.988,
-    0.896,
-    0.774,
-    0.616,
-    0.419,
-    0.231,
-    0.105,
-    0.027,
-    0.000,
-    0.000,
-    0.000,
-    0.000,
-)
+_DAY = packaged_table(__file__, "bundled_day.csv")
+LOAD_SHAPE, PV_SHAPE = (tuple(float(hour[name]) for hour in _DAY) for name in ("load", "pv"))
 
 # Hours of the day (from, to) and prices; mean, lowest and highest price of the paper.
-FLAT_PRICE = 0.36
+DAY_PRICE = 0.36
 NIGHT = (0, 6)
 NIGHT_PRICE = 0.20
 EVENING = (16, 20)
@@ -140,7 +91,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         batteries=assets.batteries,
         load_kw=written(series.load_kw),
         pv_kw=written(series.pv_kw),
-        price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(options.price, grid)),
+        price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(grid)),
         temperature_c=series.system.get("temperature_c", constant_c),
         grid_limit_kw=_grid_limit(options, grid),
         tiers=tuple(assets.tiers),
@@ -148,7 +99,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
     )
-    return scenario, [*assets.notes, *series.notes, *_told_constants(options, series)]
+    return scenario, [*assets.notes, *series.notes, *_told_constants(series)]
 
 
 def _series(
@@ -231,11 +182,11 @@ def _told_bundled(pv: PVSystems) -> Iterator[str]:
         yield f"Without a series, at their largest power in every step: {few(constant)}."
 
 
-def _told_constants(options: NewScenarioOptions, series: Series) -> Iterator[str]:
+def _told_constants(series: Series) -> Iterator[str]:
     """Prices and temperature that no series gives."""
     words = []
     if "price_gbp_per_kwh" not in series.system:
-        words.append(f"prices ({options.price})")
+        words.append("prices (time-of-use)")
     if "temperature_c" not in series.system:
         words.append(f"the temperature, {TEMPERATURE_C:g} °C")
     if words:
@@ -301,13 +252,12 @@ def _available(pv: PVSystems, grid: TimeGrid) -> Floats:
     return shape * pv.p_max_kw
 
 
-def _price(rule: PriceRule, grid: TimeGrid) -> Floats:
+def _price(grid: TimeGrid) -> Floats:
     """Import price of every step in GBP/kWh, shape (T,)."""
-    price = np.full(grid.n_steps, FLAT_PRICE)
-    if rule == "time-of-use":
-        hours = _hours(grid)
-        for (start, end), value in ((NIGHT, NIGHT_PRICE), (EVENING, EVENING_PRICE)):
-            price[(hours >= start) & (hours < end)] = value
+    price = np.full(grid.n_steps, DAY_PRICE)
+    hours = _hours(grid)
+    for (start, end), value in ((NIGHT, NIGHT_PRICE), (EVENING, EVENING_PRICE)):
+        price[(hours >= start) & (hours < end)] = value
     return price
 
 
