@@ -593,3 +593,34 @@ def test_a_battery_that_is_out_is_worth_nothing_and_helps_nobody() -> None:
     assert not np.nan_to_num(found.loc[out, ["weighted_h", "gbp"]]).any()
     pd.testing.assert_frame_equal(found[~out], expected, rtol=1e-5, atol=1e-7)
     assert (found[~out].xs("stored_energy", level="constraint")["weighted_h"] > 1e-4).any()
+
+
+def test_the_supply_of_an_owner_takes_what_its_panels_do_not_give() -> None:
+    # 40 kWh for the first's 30 and 10 of the second's 30 kW. Its own panels give 12 kW more.
+    day = island(energy_kwh=20.0)
+    day = replace(
+        day,
+        pv=PVSystems(["roof"], ["second"], [12.0], [20.0]),
+        pv_kw=np.array([[12.0]]),
+        customers=replace(day.customers, weight=[1.0, 0.3]),
+    )
+    answer = solved(day, priced=PricedTerms(1.0, 0.0, 0.0))
+    # The first needs 30 kWh: 20 from the battery, 10 from the panels. 2 kWh are left.
+    assert answer.served_share[0] == pytest.approx([1.0, 2.0 / 30.0], abs=1e-5)
+    assert answer.prices.service[1] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("sun_kw", [0.0, 5.0, 10.0])
+def test_the_cost_of_a_supply_to_others_by_hand(sun_kw: float) -> None:
+    # 30 kWh and the sun serve the first, now, and half of a third of 60 kW that counts 1.2.
+    day = island(energy_kwh=60.0, steps=2)
+    day = replace(
+        day,
+        load_kw=np.array([[30.0, 30.0], [60.0, 0.0]]),
+        pv=PVSystems(["roof"], ["second"], [10.0], [20.0]),
+        pv_kw=np.array([[sun_kw], [0.0]]),
+    )
+    answer = solved(day, priced=PricedTerms(1.0, 0.0, 0.0))
+    assert answer.served_share[0, 1] == pytest.approx(0.0, abs=1e-5)
+    # What the second takes, its own sun included, is 30 kWh less for the first's 60 kWh later.
+    assert answer.prices.service[1] == pytest.approx(0.3 - 30.0 / 60.0, rel=1e-4)

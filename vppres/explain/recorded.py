@@ -28,6 +28,10 @@ from vppres.solve.shadow_price_model import Held
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
 
+NEARLY_ALL = 1.0 - 1e-4
+"""Largest share of a customer that was not served. In full, the limits of its PV system's export
+and curtailment may bind together with that of its service, and share the price between them."""
+
 FULL_HORIZON = "full-horizon"
 PERFECT = "perfect"
 
@@ -154,14 +158,17 @@ class Recorded:
     def held(self, t: int, n_steps: int) -> Held:
         """Who was served stays served in the step; batteries that moved keep their mode.
 
-        Those that were left out do not charge, and as they count as empty do not discharge.
+        Those that were left out do not charge, and as they count as empty do not discharge. Who was
+        not served may be served by nearly all of its demand.
         """
         lowest = np.zeros((n_steps, len(self.site.customers)))
         lowest[0] = self.served[t]
+        highest = np.ones(lowest.shape)
+        highest[0] = np.where(self.served[t], 1.0, NEARLY_ALL)
         power = self.battery_kw[t]
         return Held(
             lowest,
-            np.ones(lowest.shape),
+            highest,
             (power > MOVE_KW).astype(float),
             ((power >= -MOVE_KW) & ~self.left_out(t)).astype(float),
         )

@@ -41,9 +41,14 @@ class AddedDemand:
 # Battery storage.
 
 
-def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
-    """Charge or discharge, never both: P_ch <= P_max delta, P_dch <= P_max (1 - delta)."""
-    P_max = site.batteries.active_max_kw[None, :]
+def battery_modes(
+    site: Site, v: Variables, p: Parameters, rating_kw: Floats | None = None
+) -> Named:
+    """Charge or discharge, never both: P_ch <= P_max delta, P_dch <= P_max (1 - delta).
+
+    ``P_max`` is what rating and inverter allow; ``rating_kw``, (B,), leaves the inverter out.
+    """
+    P_max = (site.batteries.active_max_kw if rating_kw is None else rating_kw)[None, :]
     return {
         "battery_charge_mode": v.P_ch <= cp.multiply(P_max, v.delta),
         "battery_discharge_mode": v.P_dch <= cp.multiply(P_max, 1 - v.delta),

@@ -17,10 +17,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
-from vppres.scenario.assets import Batteries
-
-SOC_ROUNDING = 1e-6
-"""What a state of charge may miss its limits by, as a share of the capacity: no meter reads it."""
+from vppres.scenario.assets import SOC_ROUNDING, Batteries
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,10 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
-from vppres.model.data import SOC_ROUNDING, WindowData
+from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, cell_kw, soc_after, voltage_drop_pu2
 from vppres.model.site import Site
+from vppres.scenario.assets import SOC_ROUNDING
 
 POWER_TOLERANCE_KW = 1e-3
 POWER_TOLERANCE_REL = 1e-5

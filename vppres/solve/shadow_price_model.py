@@ -20,7 +20,7 @@ from vppres.model import objective as terms
 from vppres.model.beyond_paper.ends import end_of_window, f2_at_end, f7_at_end
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
-from vppres.model.constraints import Named
+from vppres.model.constraints import Named, battery_modes
 from vppres.model.data import WindowData
 from vppres.model.forms import (
     SOLVER_ORDER,
@@ -90,7 +90,11 @@ class ShadowPriceModel:
         self.terminal = end_of_window(ending, len(site.batteries))
         self.p = Parameters.create(site, n_steps)
         x = cp.Variable((n_steps, len(site.customers)), name="x_served")
-        self.v = replace(Variables.create(site, n_steps, "fixed", "relaxed"), x_served=x)
+        # Owners' self-consumption follows their service. A bound of its own would take up a part
+        # of the dual that belongs to the service.
+        P_self = cp.Variable((n_steps, len(site.pv)), name="P_self")
+        v = Variables.create(site, n_steps, "fixed", "relaxed")
+        self.v = replace(v, x_served=x, P_self=P_self)
         self.x_min, self.x_max = (
             cp.Parameter(x.shape, name=name, nonneg=True) for name in ("x_min", "x_max")
         )
@@ -111,6 +115,8 @@ class ShadowPriceModel:
         args = (self.site, self.v, self.p)
         v = self.v
         named = in_order(paper_constraints(*args), SOLVER_ORDER)
+        # An inverter has a price of its own: two rows that bind together would share it.
+        named |= battery_modes(*args, self.site.batteries.p_max_kw)
         if self.sides:
             named = with_polygons(named, self.site, v, Polygon.inscribed(self.sides))
         if self.export is not None:
