@@ -515,9 +515,9 @@ def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
     """How old a reading is."""
     held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
     age_s = max(now_s - held, 0)
-    alone = reading.quantity in MOVING
-    holds_s = reading.resolution_s if alone else max(reading.resolution_s, step_s)
-    lost_s = LOST_AFTER * holds_s
+    long_s = max(reading.resolution_s, step_s)
+    holds_s = reading.resolution_s if reading.quantity in MOVING else long_s
+    lost_s = LOST_AFTER * long_s  # an outage that was seen lasts on
     state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
