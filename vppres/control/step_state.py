@@ -19,7 +19,7 @@ from vppres.model.formulas import (
     lossless_flows,
     squared_voltages,
 )
-from vppres.model.linearise import Drawn, delta_offset, drawn_by
+from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 
 
@@ -64,26 +64,21 @@ class StepState:
         cls, site: Site, seen: Observation, centre: Centre = "lossless", online: Flags | None = None
     ) -> StepState:
         """The first step of an observation; all batteries are online if nothing else is said."""
-        f = seen.forecast
-        point = seen.operating_point
-        v_pu = None if point is None else point.v_pu
-        every = np.ones(len(site.batteries), dtype=bool)
-        load_kw = f.load_kw[0]
-        if seen.switching is not None:  # demand is higher for those who would be restored now
-            window = WindowData.of(seen, site, centre).first(1)
-            load_kw = window.for_service(np.ones((1, len(load_kw)), dtype=bool)).load_kw[0]
+        everyone = np.ones((1, len(site.customers)), dtype=bool)
+        # Demand is higher for those who would be restored now.
+        now = WindowData.of(seen, site, centre).first(1).for_service(everyone)
         return cls(
             site,
-            load_kw,
-            f.pv_kw[0],
-            float(f.grid_limit_kw[0]),
-            seen.soc,
-            seen.eta_charge,
-            seen.eta_discharge,
-            delta_offset(site.network, point, centre),
-            every if online is None else online,
-            f.export_now_kw,
-            drawn_by(site.network, v_pu, f.grid_limit_kw[:1] <= 0.0),
+            now.load_kw[0],
+            now.pv_kw[0],
+            float(now.grid_limit_kw[0]),
+            now.soc,
+            now.eta_charge,
+            now.eta_discharge,
+            now.delta_pu2[0],
+            np.ones(len(site.batteries), dtype=bool) if online is None else online,
+            seen.forecast.export_now_kw,
+            now.drawn,
         )
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 
@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.operating_point import Centre, OperatingPoint
+from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.stored_value import Ending
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -20,7 +20,6 @@ from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
-from vppres.model.linearise import delta_offset, drawn_by
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.shadow_price_model import Held
@@ -131,28 +130,13 @@ class Recorded:
         """
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
-        told = self._told(t, steps)
-        f = told.window
-        steps = steps[: len(f.price_gbp_per_kwh)]
-        centre: Centre = self.options.get("centre", "lossless")
-        network = self.scenario.network
-        point = self._operating_point(t - 1)
-        offset = delta_offset(network, point, centre)
-        v_pu = None if point is None else point.v_pu
-        load_kw = np.vstack([self.load_kw[t], f.load_kw[1:]])
-        return WindowData(
-            load_kw,
-            f.pv_kw,
-            f.price_gbp_per_kwh,
-            f.grid_limit_kw,
-            np.where(self.left_out(t), self.site.batteries.soc_min, self.soc_start[t]),
-            self._eta_charge[t],
-            self._eta_discharge[t],
-            np.tile(offset, (len(steps), 1)),
-            export=f.export,
-            terminal=told.end if len(self.site.batteries) else None,
-            stored_value=told.stored_value,
-            drawn=drawn_by(network, v_pu, f.grid_limit_kw <= 0.0),
+        told = replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
+        data = WindowData.of(told, self.site, self.options.get("centre", "lossless"))
+        empty = self.site.batteries.soc_min
+        return replace(
+            data,
+            load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
+            soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
 
     def held(self, t: int, n_steps: int) -> Held:

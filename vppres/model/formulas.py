@@ -19,6 +19,29 @@ from vppres.scenario.network import Network
 
 Devices = Literal["pv", "batteries", "customers"]
 
+# PV systems.
+
+
+def curtailed_kw(site: Site, wanted_kw: Floats, pv_kw: Floats, demand_kw: Floats) -> Floats:
+    """Curtailment that is possible, nearest to what is wanted, (P,).
+
+    The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    wanted_kw, pv_kw : array, shape (P,)
+        Curtailment that is asked for, and available power.
+    demand_kw : array, shape (C,)
+        Demand of those who are served.
+    """
+    usable = np.minimum(pv_kw, site.pv.s_max_kva)
+    own = np.minimum(site.behind_meter(demand_kw), usable)
+    forced = pv_kw - usable
+    return np.asarray(np.clip(wanted_kw, forced, forced + usable - own))
+
+
 # Batteries.
 
 

@@ -10,6 +10,7 @@ from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.core.arrays import Flags, Floats
+from vppres.model.formulas import curtailed_kw
 from vppres.model.site import Site
 
 BALANCE_KW = 1.0
@@ -79,12 +80,8 @@ def mismatch_kw(
     cold = seen.switching is not None and seen.switching.rules.cold
     if seen.import_kw is None or seen.battery_kw is None or feeder_off(seen) or cold:
         return None
-    usable = np.minimum(readings.pv_kw, site.pv.s_max_kva)
     demand = readings.load_kw * _served(commanded, seen)
-    own = np.minimum(site.behind_meter(demand), usable)
-    # The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
-    forced = readings.pv_kw - usable
-    curtailed = np.clip(commanded.pv_curtailed_kw, forced, forced + usable - own)
+    curtailed = curtailed_kw(site, commanded.pv_curtailed_kw, readings.pv_kw, demand)
     taken = float(demand.sum() + seen.battery_kw.sum())
     given = float((readings.pv_kw - curtailed).sum())
     assert seen.operating_point is not None  # otherwise the feeder was off

@@ -10,7 +10,7 @@ from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
-from vppres.model.formulas import bus_injections, cell_kw, lossless_flows, soc_after
+from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
 from vppres.model.site import Site
 
 
@@ -183,11 +183,8 @@ def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
 def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     """What import has to be, against what the grid gives, and what export has to, likewise."""
     pv = state.site.pv
-    usable = state.usable_pv_kw
-    own = np.minimum(state.site.behind_meter(state.load_kw * row.served), usable)
-    # The plant lets an owner use its own power first; no more passes than the inverter's rating.
-    forced = state.pv_kw - usable
-    curtailed = np.clip(row.curtailed_kw, forced, forced + usable - own)
+    served_kw = state.load_kw * row.served
+    curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = 0.0
