@@ -179,7 +179,7 @@ def race_bars(rows: pd.DataFrame) -> list[Bar]:
         share = float(part["certified"].mean())
         found.append(
             Bar(
-                f"{' and '.join(groups)} instances certified in 10 s of a processor: {least:.0%}",
+                f"{' and '.join(groups)} instances certified in 10 s of CPU time: {least:.0%}",
                 f"{share:.1%} of {len(part)}",
                 share >= least if len(part) else None,
             )
