@@ -23,7 +23,7 @@ MPC = "mpc"
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
-    """Every figure of ``summary.json``, safe for JSON: what is not defined is None.
+    """Every key figure of ``summary.json``, safe for JSON: undefined values are None.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
     Returns
     -------
     dict
-        Keys as in the run folder's contract. The shares and the resilience are None without an
-        outage step, and the island figures likewise.
+        Keys as in ``summary.json``. Shares, resilience and island figures are None without an
+        outage step.
     """
     summary = {
         "resilience": resilience(trajectory),

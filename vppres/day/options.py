@@ -28,19 +28,19 @@ class RunOptions:
     Parameters
     ----------
     controller : {"mpc", "full-horizon", "perfect", "idle", "reserve"}
-        Who decides; ``perfect`` is the full horizon without forecast errors, whatever ``errors``
-        says.
+        The controller; ``perfect`` is the full horizon without forecast errors, whatever
+        ``errors`` is.
     horizon_h : float
         Prediction horizon of the MPC in h.
     soc_end : float or None
-        State of charge that batteries keep at the end of what is known; the scenario's if not
-        given, and none where it has none.
+        Target state of charge of batteries at the end of the known steps, 0 to 1; the scenario's
+        if not given, otherwise none.
     outages : {"known", "likely", "belief", "none"} or None
-        What is known of outages ahead; None leaves it to the scenario.
+        Knowledge of outages ahead; None uses the scenario's.
     solver, method : str
-        Names in the solver table and of the method.
+        Solver of the mixed-integer problems, and method of solving a window.
     forecaster : {"paper", "seasonal", "climatology", "file"}
-        Who forecasts load and PV power: the paper's error model, or what was measured before.
+        Forecaster of load and PV power.
     forecast_file : str or None
         File of quantiles for the forecaster ``file``.
     errors : ForecastErrors
@@ -52,26 +52,26 @@ class RunOptions:
     limits : SolveLimits
         Gaps and time limit of a window.
     polygon_sides : int
-        Sides of an inverter's polygon where the solver needs one.
+        Sides of the polygon for an inverter's capability, if the solver needs one.
     centre : {"lossless", "literal", "none"}
         Linearisation centre of the voltages.
     pv_check : {"absorbing", "literal"}
         Reading of the full horizon's PV check.
     mode : {"paper", "physical"} or None
-        The paper's island, or one that grid-forming batteries hold, planned with losses; None
-        leaves it to the scenario.
+        The paper's island, or one with grid-forming batteries and losses in the plan; None uses
+        the scenario's.
     headroom : float
-        Physical mode: share of a grid-forming battery's inverter that plans leave free in an
-        island.
+        Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
+        an island.
     isolate : bool or None
-        Whether windows are solved in a process of its own; None leaves it to who runs the day:
-        live controllers do, runs do not.
+        Whether windows are solved in a separate process; None: yes for live controllers, no for
+        runs.
     switching : SwitchingRules
         Rules on switching customers; none by default.
     guard : bool
-        Whether decisions are checked and replaced where they cannot be carried out.
+        Whether decisions are checked, and replaced by a fallback if they fail.
     protect_critical : bool
-        Whether the guard serves the first tier in every step that can serve it.
+        Whether the guard supplies the first tier in every step that can.
     reserve : ReserveRule
         When and how far the controller ``reserve`` charges.
 

@@ -45,11 +45,11 @@ def run_day(
     scenario : Scenario
         The actual day.
     options : RunOptions, optional
-        Controller, solver, errors; the defaults are the paper's ideal case at H = 5.
+        Controller, solver, forecast errors; by default the paper's ideal case at H = 5.
     progress : callable, optional
         Called as ``progress(steps done, steps in all)`` after every step.
     faults : FaultPlan, optional
-        What goes wrong; nothing if not given.
+        Faults of the day; none if not given.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def run_day(
     InputError
         If an option is unknown, or the scenario holds a number that no equipment has.
     SolveError
-        If a window has no answer and no guard finds another.
+        If a window has no solution and the guard is off.
     """
     options = (options or RunOptions()).on(scenario)
     check_scenario(scenario)

@@ -1,4 +1,4 @@
-"""The controller for a plant of one's own: measure, ``step``, carry out the set-points."""
+"""The controller for your own plant: measure, ``step``, apply the set-points."""
 
 from __future__ import annotations
 
@@ -92,25 +92,25 @@ class Controller:
         Parameters
         ----------
         scenario : Scenario
-            The site, its time grid, and the series that stand in for what is not measured.
+            The site, its time grid, and the series that replace missing measurements.
         options : RunOptions, optional
             As for :func:`vppres.day.simulate.run_day`; forecast errors, heating and seed have no
-            meaning here. Windows are solved in a process of its own unless the options say
+            effect here. Windows are solved in a separate process unless the options have
             ``isolate=False`` (``docs/operation.md``).
         state : dict, optional
-            What :meth:`state` returned, in this process or another: the controller goes on from
-            there. Of the scenario its site counts; the steps that are known are the state's.
+            The value of :meth:`state`, from this process or another: the controller resumes from
+            it. Only the site of the scenario is used; the known steps are those of the state.
         history : History, optional
-            What was measured up to there, for a forecaster that learns, where neither the scenario
-            nor the state holds it; in the scenario's steps.
+            Earlier measurements for a forecaster that learns, if neither the scenario nor the
+            state has them; in the scenario's steps.
 
         Raises
         ------
         InputError
-            If the options name what is not there, or the state is damaged, of another version,
-            another site, or a controller with other options.
+            If an option is unknown, or the state is damaged or belongs to another version, site
+            or kind of controller.
         SolverLostError
-            If no process to solve in can be started.
+            If the solver process does not start.
         """
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
@@ -122,12 +122,12 @@ class Controller:
         return cls(scenario, exact, decider, state, history)
 
     def state(self) -> dict[str, Any]:
-        """All that decides on the steps to come, as a plain value that JSON can hold.
+        """The whole state of the controller, as a plain value for JSON.
 
-        A controller made with it, in another process or after a restart, decides as this one would
-        to the last bit; its last step may be decided again, too. It holds the steps that are known,
-        the AC operating point, switching duties and cold load, the plan, and what the guard has
-        seen and estimated, beside a layout ``version`` and a ``digest`` of all.
+        A controller made from it, in another process or after a restart, makes the same decisions
+        to the last bit; it may also decide the last step again. The state has the known steps, the
+        AC operating point, switching duties and cold load, the plan, the guard's measurements and
+        estimates, a layout ``version`` and a ``digest``.
 
         Examples
         --------
@@ -143,11 +143,11 @@ class Controller:
             return state_of(at, self._decider, self.options)
 
     def saved(self) -> str:
-        """The state as JSON text, shorter, for whoever keeps it after every step.
+        """The state as JSON text, in a short form to store after every step.
 
-        It goes on as :meth:`state` does, but for two things: the last step cannot be decided again
-        from it, and what was measured, from which a forecaster learns, has to be kept elsewhere
-        (``history`` of :meth:`of`).
+        It differs from :meth:`state` in two ways: you cannot decide the last step again from it,
+        and you must store the measurements for a forecaster that learns separately (``history`` of
+        :meth:`of`).
         """
         with self._turn:
             at = Standing(self.scenario, self._forgotten, self._past)
@@ -155,32 +155,32 @@ class Controller:
 
     @property
     def measured(self) -> History | None:
-        """What was measured in the last step, one row; None where no forecaster learns from it."""
+        """Measurements of the last step, one row; None if no forecaster learns from them."""
         history = self._past.history
         return None if history is None else history.rows(history.n_steps - 1, history.n_steps)
 
     @property
     def times(self) -> pd.DatetimeIndex:
-        """Beginnings of the steps that are known: those that can be decided on, and the past."""
+        """Start times of the known steps: future ones, and the past that is kept."""
         return self.scenario.grid.times
 
     @property
     def decided(self) -> pd.Timestamp | None:
-        """Beginning of the step that was decided last; None before the first."""
+        """Start time of the last decided step; None before the first."""
         return None if self._past.t < 0 else self.times[self._past.t - self._forgotten]
 
     def window(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
         """Times for which the decision at ``time`` uses forecasts, ``time`` itself included.
 
-        A window ends where what is known ends.
+        A window ends with the known steps.
         """
         steps = self._window(step_at(self.scenario.grid, time))
         return self.times[steps.start : steps.stop]
 
     def ahead(self, time: pd.Timestamp | str) -> pd.DatetimeIndex:
-        """Times on which the decision at ``time`` may rest in any way.
+        """All times that the decision at ``time`` may use.
 
-        Those of its window; with beliefs of outages also those that stored energy may be for.
+        Those of its window; with outage probabilities also those for which energy may be stored.
         """
         steps = self._rows(step_at(self.scenario.grid, time)).ahead
         return self.times[steps.start : steps.stop]
@@ -204,14 +204,14 @@ class Controller:
         return range(row, min(stop, grid.n_steps))
 
     def warn(self, *warnings: OutageWarning, replacing: bool = False) -> None:
-        """Take up messages about outages, for controllers that are not told of them otherwise.
+        """Add outage warnings.
 
         Parameters
         ----------
         *warnings : OutageWarning
-            Messages, in any order; of each outage the last one that is issued counts.
+            Warnings, in any order; for each outage the last issued one counts.
         replacing : bool, optional
-            Whether they are all that is said, in place of every message before.
+            Whether they replace all earlier warnings.
 
         Examples
         --------
@@ -230,11 +230,10 @@ class Controller:
             self.scenario = replace(self.scenario, warnings=(*before, *warnings))
 
     def out_probability(self, time: Any) -> pd.Series:
-        """Probability that each step from a time on is one of an outage, 48 h ahead at most.
+        """Probability of an outage in each step from a time on, at most 48 h ahead.
 
-        It rests on what was said by then and seen up to the step that was decided last: of a step
-        that is not decided yet nobody has seen whether there is grid. Where the options take
-        outages for known it is 0 or 1, as the scenario says.
+        It uses the warnings issued by then, and the state of the grid up to the last decided
+        step. If the options have ``outages="known"``, it is 0 or 1 as in the scenario.
 
         Examples
         --------
@@ -273,28 +272,27 @@ class Controller:
     def extend(
         self, more: Scenario | Feed, *, replacing: bool = False, forget: bool = True
     ) -> None:
-        """Append steps to what is known, so that the controller rolls on; nothing else changes.
+        """Append known steps, so that the controller can continue; nothing else changes.
 
-        State, duties, plan and operating point go on over the seam. Fed in pieces of any length, a
-        controller decides the same to the last bit as one that was given everything at once,
-        wherever the windows that it looks at are known.
+        State, duties, plan and operating point carry over. The decisions are the same to the last
+        bit for any division of the series into pieces, if the windows are known in time.
 
         Parameters
         ----------
         more : Scenario or Feed
-            Steps that begin where the known ones end; a scenario of the same site, of which only
-            the series count, or the series alone.
+            Steps that start at the end of the known ones: the series alone, or a scenario of the
+            same site, of which only the series are used.
         replacing : bool, optional
-            Whether ``more`` may begin at any step that is not decided yet, and takes the place of
-            all that was known from there on.
+            Whether ``more`` may start at any undecided step and replaces all known steps from
+            there on.
         forget : bool, optional
             Whether steps before the last decided one are dropped, so that memory stays bounded.
 
         Raises
         ------
         InputError
-            For another site, gaps, overlaps, steps that are over, and with every value that is
-            wrong. Then nothing has changed.
+            For another site, gaps, overlaps, past steps and wrong values. Then nothing has
+            changed.
         """
         with self._turn:
             latest = self._past.t - self._forgotten
@@ -306,28 +304,28 @@ class Controller:
     def step(self, observation: Measurement) -> SetPoints:
         """Decide on the step that begins now.
 
-        The step that was decided last may be decided again, with other measurements: the second
-        decision takes the place of the first; with ``now`` it goes on from there, for the rest of
-        the step. A call that raises changes nothing.
+        You may decide the last step again with other measurements: the second decision replaces
+        the first; with ``now`` it applies to the rest of the step. A call that raises changes
+        nothing.
 
         Parameters
         ----------
         observation : Measurement
-            What is measured and expected. A full-horizon controller plans at its first call, which
-            has to be the first step.
+            Measured and expected values. A full-horizon controller plans at its first call, which
+            must be the first step.
 
         Returns
         -------
         SetPoints
-            The decision, with the AC power flow that it should lead to.
+            The decision, with the AC power flow that it leads to.
 
         Raises
         ------
         InputError
             With every value of the measurement that does not fit the scenario, and for a step
-            before the last.
+            before the last one.
         SolveError
-            If the window has no answer and the options have no guard.
+            If the window has no solution and the guard is off.
         VerificationError
             If the AC power flow of the set-points does not converge.
         """
