@@ -1122,7 +1122,7 @@ def test_very_many_kinds_of_problems_are_counted(tiny_folder: Path) -> None:
     )
     found = messages(tiny_folder)
     assert len(found) == MAX_PROBLEMS_PER_FILE + 1
-    assert found[-1] == "batteries.csv: has 10 more problems. Cure those above first."
+    assert found[-1] == "batteries.csv: has 10 more problems. Fix those above first."
 
 
 def test_many_columns_with_wrong_names_are_refused_quickly(tiny_folder: Path) -> None:

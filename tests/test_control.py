@@ -372,7 +372,7 @@ def test_each_mistake_names_quantity_value_and_cure(
 def test_many_mistakes_of_a_kind_are_counted(tiny: Scenario) -> None:
     lines = refused(Controller.of(tiny), load_kw={f"x{i}": 1.0 for i in range(5000)})
     assert len(lines) == 21
-    assert lines[-1] == "measurement, load_kw: has 4980 more problems. Cure those above first."
+    assert lines[-1] == "measurement, load_kw: has 4980 more problems. Fix those above first."
 
 
 class Liar(dict[str, float]):

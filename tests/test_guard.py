@@ -199,7 +199,7 @@ def test_sound_decision_passes(tiny: Scenario) -> None:
 @pytest.mark.parametrize(
     ("t", "change", "text"),
     [
-        (0, {"served": np.full((1, 3), 0.5)}, "a customer is neither served nor not"),
+        (0, {"served": np.full((1, 3), 0.5)}, "a customer is supplied in part"),
         (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
         (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
         (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),

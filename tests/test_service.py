@@ -318,16 +318,18 @@ def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> N
     # 30 kW for an hour store 28.5 kWh: 0.565 + 0.285 is just full, 0.57 is more.
     assert refused({"big": 0.565}, "batteries", p_kw=("big", 30.0)) == {}
     assert refused({"big": 0.57}, "batteries", p_kw=("big", 30.0)) == {
-        battery: "more than it has room for"
+        battery: "energy above its upper limit"
     }
     # 19 kW for an hour take 20 kWh.
     assert refused({"big": 0.35}, "batteries", p_kw=("big", -19.0)) == {}
     assert refused({"big": 0.34}, "batteries", p_kw=("big", -19.0)) == {
-        battery: "more than it holds"
+        battery: "energy below its lower limit"
     }
     assert refused(half, "batteries", p_kw=("big", np.nan)) == {battery: "no number"}
-    assert refused(half, "pv", p_kw=("roof", 21.0)) == {("pv", "roof"): "more power than there is"}
-    assert refused(half, "pv", p_kw=("roof", -1.0)) == {("pv", "roof"): "power below nothing"}
+    assert refused(half, "pv", p_kw=("roof", 21.0)) == {
+        ("pv", "roof"): "power above the available power"
+    }
+    assert refused(half, "pv", p_kw=("roof", -1.0)) == {("pv", "roof"): "negative power"}
 
 
 def test_what_the_gate_refuses_becomes_the_default(

@@ -86,7 +86,7 @@ def test_what_is_held_still_passes_the_gate(live: tuple[Caller, SetClock]) -> No
     assert said(decided(http, clock, NOON, soc=0.3), "batteries")["big"]["p_kw"] > 20.0
     http.put("/v1/mode", {"mode": "hold", "until": "2026-11-21T18:00:00Z"})
     big = said(decided(http, clock, NOON + HOUR, soc=0.84), "batteries")["big"]
-    assert (big["p_kw"], big["reason"]) == (0.0, "default: more than it has room for")
+    assert (big["p_kw"], big["reason"]) == (0.0, "default: energy above its upper limit")
 
 
 def test_an_operator_orders_some_and_the_others_stay(live: tuple[Caller, SetClock]) -> None:

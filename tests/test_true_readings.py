@@ -281,7 +281,7 @@ def test_what_was_refused_was_not_stored(live: tuple[Caller, SetClock]) -> None:
 def test_a_battery_that_was_never_heard_is_out_and_says_so(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
     found = controller.step(Measurement(controller.times[3], {"small": 0.85}))
-    assert found.solve["estimated"] == "soc big was never heard; battery big is out"
+    assert found.solve["estimated"] == "soc big was never received; battery big is out"
     assert found.batteries["p_kw"]["big"] == 0.0
     assert found.customers["served"]["hospital"]  # by the other one and the sun
 

@@ -141,7 +141,7 @@ def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]
         ordered += found[:MAX_PROBLEMS_PER_FILE]
         more = sum(1 + problem.more for problem in found[MAX_PROBLEMS_PER_FILE:])
         if more > 0:
-            ordered.append(Problem(file, f"has {more} more problems", "Cure those above first."))
+            ordered.append(Problem(file, f"has {more} more problems", "Fix those above first."))
     return ordered
 
 

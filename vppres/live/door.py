@@ -88,7 +88,7 @@ class Door:
             Problem(
                 self.where,
                 f"has {count - MOST_OF_A_KIND} more problems",
-                "Cure those above first.",
+                "Fix those above first.",
                 field=field,
             )
             for field, count in self._counts.items()

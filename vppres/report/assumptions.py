@@ -1,4 +1,4 @@
-"""What a run took for granted: every option in words, the data, and what the model simplifies."""
+"""Assumptions of a run: every option in words, the data, and simplifications of the model."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
 
 
 def simplifications(run: Trajectory) -> list[str]:
-    """What the model leaves out, as it matters to this run."""
+    """Simplifications of the model that matter to this run."""
     options = run.options
     day = run.scenario
     errors = options.get("errors", {})
@@ -67,13 +67,13 @@ def simplifications(run: Trajectory) -> list[str]:
     sentences = [
         "One phase stands for three: loads, PV and lines are balanced, and lines are series "
         "impedances without charging.",
-        "Everything is constant within a step: faster changes of load, sun or voltage are not "
-        "seen.",
-        "The optimisation sees the network linearised; voltages, currents and losses in this "
-        "report are those of the AC power flow of what was done.",
-        "Line ratings are reported, not held."
+        "Values are constant within a step: faster changes of load, PV power or voltage are "
+        "ignored.",
+        "The optimisation uses a linearised network; voltages, currents and losses in this "
+        "report are from the AC power flow of the actual step.",
+        "Line ratings are reported, not enforced."
         if day.network.has_ratings
-        else "No line has a rating: currents are reported, overloads cannot be.",
+        else "No line has a rating: the report has currents, but no overloads.",
         "Forecasts are the actual load and PV power: no forecast errors."
         if exact
         else "Forecasts have errors; the current step, prices, the grid's availability and "

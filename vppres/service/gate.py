@@ -86,8 +86,8 @@ def _batteries(decision: Wanted, scenario: Scenario, soc: Mapping[str, float]) -
         "apparent power above its rating": np.hypot(p_kw, q_kvar)
         - b.s_max_kva
         - _slack(b.s_max_kva),
-        "more than it has room for": over - SOC_SHARE,
-        "more than it holds": under - SOC_SHARE,
+        "energy above its upper limit": over - SOC_SHARE,
+        "energy below its lower limit": under - SOC_SHARE,
     }
     return _named(list(b.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
 
@@ -100,8 +100,8 @@ def _pv(decision: Wanted, scenario: Scenario) -> dict[str, str]:
     q_kvar = table["q_kvar"].to_numpy(float)
     available_kw = table["available_kw"].to_numpy(float)
     reasons = {
-        "power below nothing": -p_kw - POWER_KW,
-        "more power than there is": p_kw - available_kw - _slack(pv.p_max_kw),
+        "negative power": -p_kw - POWER_KW,
+        "power above the available power": p_kw - available_kw - _slack(pv.p_max_kw),
         "apparent power above its rating": np.hypot(p_kw, q_kvar)
         - pv.s_max_kva
         - _slack(pv.s_max_kva),
@@ -113,7 +113,7 @@ def _customers(decision: Wanted) -> dict[str, str]:
     """Served, or not."""
     served = decision.customers["served"]
     return {
-        str(name): "neither served nor not"
+        str(name): "supply is neither on nor off"
         for name, value in served.items()
         if not isinstance(value, (bool, np.bool_))
     }

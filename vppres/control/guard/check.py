@@ -139,7 +139,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
 
 def _service(row: _Row) -> str:
     partly = np.minimum(np.abs(row.served), np.abs(row.served - 1.0))
-    return "a customer is neither served nor not" if partly.max(initial=0.0) > 1e-6 else ""
+    return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
 
 def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:

@@ -155,7 +155,7 @@ class Estimator:
         words = []
         for i in np.flatnonzero(~soc.trusted):
             if np.isnan(soc.soc[i]):
-                words.append(f"soc {names[i]} was never heard")
+                words.append(f"soc {names[i]} was never received")
                 continue
             kind = "frozen" if soc.frozen[i] else "missing"
             words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
