@@ -8,10 +8,14 @@ from typing import Any
 
 import pytest
 
+from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, client, decided, said, site
 from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access
+from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
+from vppres.service.serve import opened
 
 EVENT: dict[str, Any] = {
     "id": "17",
@@ -86,3 +90,43 @@ def test_what_is_none_is_refused_by_name(tiny: Scenario, tmp_path: Path) -> None
             assert answer.status == 422, (change, answer)
             assert words in answer.content.decode(), answer.json()
         assert http.get("/v1/events").json() == {}
+
+
+def test_what_is_sent_again_replaces_all_that_was_said(tiny: Scenario, tmp_path: Path) -> None:
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        http.post("/v1/openadr/events", EVENT)
+        http.post("/v1/openadr/events", {**EVENT, "id": "17.0"})
+        before = set(http.get("/v1/events").json())
+        again = {**EVENT, "intervals": EVENT["intervals"][:1]}
+        assert http.post("/v1/openadr/events", again).status == 201
+        gone = before - set(http.get("/v1/events").json())
+        assert gone == {"17.1.PRICE", "17.1.ALERT_POSSIBLE_OUTAGE"}
+
+
+def test_names_may_be_as_long_as_openadr_has_them(tiny: Scenario, tmp_path: Path) -> None:
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        for tail in "ab":
+            name = 99 * "x" + tail
+            assert http.post("/v1/openadr/events", {**EVENT, "id": name}).status == 201
+        names = list(http.get("/v1/events").json())
+        assert len(names) == 8 and max(map(len, names)) <= 100
+
+
+def test_a_message_is_one_transaction(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many = [{"payloads": [{"type": "ALERT_OTHER", "values": [i]}]} for i in range(300)]
+    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
+        http = Caller(make_app(runner, Access()))
+        before = runner.store.changes
+        assert http.post("/v1/openadr/events", {**EVENT, "intervals": many}).status == 201
+        assert runner.store.changes == before + 1
+        assert len(runner.store.events()) == 300
+
+
+def test_more_than_can_be_kept_at_once_is_refused(tiny: Scenario, tmp_path: Path) -> None:
+    kinds = ("ALERT_OTHER", "ALERT_BLACK_START")
+    part = {"payloads": [{"type": kind, "values": []} for kind in kinds]}
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        answer = http.post("/v1/openadr/events", {**EVENT, "intervals": [part] * 1001})
+        assert answer.status == 422 and "too many payloads" in answer.json()["detail"]

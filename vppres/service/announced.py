@@ -25,6 +25,9 @@ from vppres.service.window import Window
 
 HOUR = pd.Timedelta(hours=1)
 
+SHAPES = {"lognormal": "sigma", "weibull": "shape"}
+"""What says of a family how different its lengths are."""
+
 
 def prices(events: Iterable[Event], window: Window) -> Floats:
     """Import prices of a window, (W,): those of events over those of the profile."""
@@ -112,24 +115,37 @@ def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestam
 
 
 def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
-    """Refuse what the controller would have to round.
+    """Refuse what the controller would have to round, and lengths that no outage has.
 
     Raises
     ------
     InputError
-        For an uncertain outage where outages are taken for known, or for unknown.
+        For an uncertain outage where outages are taken for known, or for unknown; for a
+        distribution of which one length in ten is nothing, or without end.
     """
-    if options.outages in (BELIEF, LIKELY) or certain_interval(body) is not None:
-        return
-    raise InputError(
-        Problem(
-            "event",
-            f"is uncertain, and the service takes outages for {options.outages}",
-            f"Start it with --outages {BELIEF}, or announce a certain outage.",
-            field="type",
-            value="outage_belief",
+    believes = options.outages in (BELIEF, LIKELY)
+    if not believes and certain_interval(body) is None:
+        raise InputError(
+            Problem(
+                "event",
+                f"is uncertain, and the service takes outages for {options.outages}",
+                f"Start it with --outages {BELIEF}, or announce a certain outage.",
+                field="type",
+                value="outage_belief",
+            )
         )
-    )
+    lengths_h = list(_quantiles_h(_distribution(body["duration"])).values())
+    if not all(np.isfinite(hours) and hours > 0.0 for hours in lengths_h):
+        name = SHAPES[body["duration"]["family"]]
+        raise InputError(
+            Problem(
+                "event",
+                "gives lengths that no outage has",
+                "Give one between 0.5 and 2, as outages have it.",
+                field=f"duration.{name}",
+                value=body["duration"][name],
+            )
+        )
 
 
 def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta) -> list[Any]:
@@ -209,15 +225,22 @@ def _length(
     if body["family"] == "until":
         steps = max(-((begun - read_moment(body["until"])) // step), 1)
         return OutageLength("discrete", hours=(steps * (step / HOUR),), probability=(1.0,))
+    return _distribution(body)
+
+
+def _distribution(body: Mapping[str, Any] | None) -> OutageLength | None:
+    """A length that does not depend on the beginning; None if there is none, or a known end."""
+    if body is None or body["family"] == "until":
+        return None
     if body["family"] == "discrete":
         return OutageLength(
             "discrete", hours=tuple(body["hours"]), probability=tuple(body["probabilities"])
         )
-    lognormal = body["family"] == "lognormal"
+    scale = "median_h" if body["family"] == "lognormal" else "scale_h"
     return OutageLength(
         body["family"],
-        scale_h=body["median_h" if lognormal else "scale_h"],
-        shape=body["sigma" if lognormal else "shape"],
+        scale_h=body[scale],
+        shape=body[SHAPES[body["family"]]],
         max_h=np.inf if body["max_h"] is None else body["max_h"],
     )
 
@@ -234,7 +257,8 @@ def _quantiles_h(length: OutageLength | None) -> dict[str, Any]:
     elif length.family == "lognormal":
         values = length.scale_h * np.exp(length.shape * Z90 * np.array([-1.0, 0.0, 1.0]))
     else:
-        values = length.scale_h * (-np.log([0.9, 0.5, 0.1])) ** (1.0 / length.shape)
+        with np.errstate(over="ignore", divide="ignore"):
+            values = length.scale_h * (-np.log([0.9, 0.5, 0.1])) ** (1.0 / np.float64(length.shape))
     names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
     return {
         name: float(min(value, length.max_h)) for name, value in zip(names, values, strict=True)

@@ -6,7 +6,9 @@ an assumption here. Payloads that mean nothing to a feeder are named and left ou
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+import re
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any
 
 import pandas as pd
@@ -20,6 +22,9 @@ POSSIBLE_OUTAGE = 0.5
 """Probability of an outage that is announced as possible."""
 
 LONGEST = pd.Timedelta(days=366)
+LONGEST_NAME = 60
+"""Of an event: what is longer is cut, with a hash in place of its end."""
+
 SOURCE = "openadr"
 POUND = "GBP"
 POWER_KW = {"KW": 1.0, "W": 1e-3, "MW": 1e3}
@@ -30,6 +35,9 @@ ALERTS = (
     "ALERT_OTHER",
 )
 _EVENT: TypeAdapter[Any] = TypeAdapter(payloads.Event)
+_ONE: TypeAdapter[Any] = TypeAdapter(
+    Annotated[list[payloads.Number], Field(min_length=1, max_length=1)]
+)
 
 
 class _Part(BaseModel):
@@ -57,7 +65,7 @@ class Part(_Part):
 
     id: int = 0
     intervalPeriod: Period | None = None
-    payloads: list[Payload] = Field(max_length=50)
+    payloads: list[Payload] = Field(fail_fast=True, max_length=50)
 
 
 class Descriptor(_Part):
@@ -76,7 +84,16 @@ class OpenADREvent(_Part):
     eventName: payloads.Name | None = None
     intervalPeriod: Period | None = None
     payloadDescriptors: list[Descriptor] | None = Field(None, max_length=50)
-    intervals: list[Part] = Field(min_length=1, max_length=payloads.MOST_VALUES)
+    intervals: list[Part] = Field(fail_fast=True, min_length=1, max_length=payloads.MOST_VALUES)
+
+    @property
+    def name(self) -> str:
+        """What our events of it are called by."""
+        name: str = self.id or self.eventName or self.programID
+        if len(name) <= LONGEST_NAME:
+            return name
+        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+        return f"{name[: LONGEST_NAME - 17]}.{digest}"
 
 
 def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list[str]]:
@@ -94,17 +111,25 @@ def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list
     InputError
         If times or values are not those of its types.
     """
-    name = event.id or event.eventName or event.programID
     found: dict[str, Any] = {}
-    ignored: list[str] = []
+    ignored = set()
     for number, (start, length, part) in enumerate(_intervals(event)):
         for payload in part.payloads:
             body = _body(payload, start, length, event, believes)
             if body is None:
-                ignored.append(payload.type)
+                ignored.add(payload.type)
             else:
-                found[f"{name}.{number}.{payload.type}"[-payloads.LONGEST_NAME :]] = _checked(body)
-    return found, sorted(set(ignored))
+                found[f"{event.name}.{number}.{payload.type}"] = _checked(body)
+    if len(found) > payloads.MOST_VALUES:
+        cure = f"Send {payloads.MOST_VALUES} payloads at most."
+        raise _wrong("intervals", "have too many payloads", cure, str(len(found)))
+    return found, sorted(ignored)
+
+
+def those_of(event: OpenADREvent, names: Iterable[str]) -> list[str]:
+    """Of names of our events those that an earlier message of this event gave."""
+    ours = re.compile(rf"{re.escape(event.name)}\.\d+\.\w+")
+    return [name for name in names if ours.fullmatch(name)]
 
 
 def _intervals(event: OpenADREvent) -> Iterator[tuple[pd.Timestamp, pd.Timedelta, Part]]:
@@ -120,6 +145,8 @@ def _intervals(event: OpenADREvent) -> Iterator[tuple[pd.Timestamp, pd.Timedelta
         length = _length(text)
         yield start, length, part
         start = start + length
+        if start.year > payloads.LAST_YEAR:
+            raise _wrong("intervalPeriod", payloads.OTHER_CENTURY, "Give an earlier end.")
 
 
 def _body(
@@ -173,10 +200,11 @@ def _unit(event: OpenADREvent, kind: str, field: str) -> str | None:
 
 def _number(payload: Payload) -> float:
     """The only value."""
-    values = payload.values
-    if len(values) != 1 or isinstance(values[0], bool) or not isinstance(values[0], (int, float)):
-        raise _wrong("values", f"of {payload.type} is not one number", "Give [number].")
-    return float(values[0])
+    try:
+        (value,) = _ONE.validate_python(payload.values)
+    except ValidationError:
+        raise _wrong("values", f"of {payload.type} is not one number", "Give [number].") from None
+    return float(value)
 
 
 def _time(text: str) -> pd.Timestamp:

@@ -25,9 +25,14 @@ MOST_VALUES = 2_000
 MOST_READINGS = 20_000
 """Of a batch: what is kept in a transaction of a second or so."""
 
+MOST_FIELDS = 50
+"""Of an object: more than any of ours has; of each beyond a mistake would be made."""
+
 LONGEST_NAME = 100
 LARGEST_SUM_ERROR = 1e-3
+FIRST_YEAR, LAST_YEAR = 2000, 2199
 
+OTHER_CENTURY = "is not a time of this century or the next"
 _DURATION = re.compile(r"PT(?=\d)(\d{1,4}H)?(\d{1,5}M)?(\d{1,6}S)?")
 
 
@@ -42,8 +47,8 @@ def read_moment(value: Any) -> pd.Timestamp:
         raise ValueError("is not a time. Write ISO 8601, for example 2026-07-19T12:00:00Z")
     if moment.tzinfo is None:
         raise ValueError("has no offset. Write one, for example 2026-07-19T12:00:00Z")
-    if not 2000 <= moment.year < 2200:
-        raise ValueError("is not a time of this century or the next")
+    if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+        raise ValueError(OTHER_CENTURY)
     return moment
 
 
@@ -86,6 +91,9 @@ Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
 Hours = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=8760)]
 Shape = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=20)]
 
+Probabilities = Annotated[list[Share], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
+Powers = Annotated[list[Power], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
+
 Quantity = Literal["soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "online", "grid_on"]
 
 
@@ -93,6 +101,13 @@ class Body(BaseModel):
     """What all bodies have in common: no other fields than those named."""
 
     model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_too_many_fields(cls, given: Any) -> Any:
+        if isinstance(given, dict) and len(given) > MOST_FIELDS:
+            raise ValueError(f"has {len(given)} fields. Leave out those that there are not")
+        return given
 
 
 class Readings(Body):
@@ -108,7 +123,14 @@ class Readings(Body):
     quantity: Quantity
     start: Moment
     resolution: Duration
-    values: list[Number | None] = Field(min_length=1, max_length=MOST_VALUES)
+    values: Annotated[
+        list[Number | None], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)
+    ]
+
+    @model_validator(mode="after")
+    def _of_our_time(self) -> Readings:
+        _check_last(self.start, self.resolution, len(self.values))
+        return self
 
 
 class Telemetry(Body):
@@ -148,11 +170,12 @@ class Onset(Body):
 
     start: Moment
     resolution: Duration
-    probabilities: list[Share] = Field(min_length=1, max_length=MOST_VALUES)
+    probabilities: Probabilities
 
     @model_validator(mode="after")
     def _sums_to_one(self) -> Onset:
         _check_sum(self.probabilities)
+        _check_last(self.start, self.resolution, len(self.probabilities))
         return self
 
 
@@ -178,8 +201,8 @@ class Discrete(Body):
     """One of several lengths."""
 
     family: Literal["discrete"]
-    hours: list[Hours] = Field(min_length=1, max_length=MOST_VALUES)
-    probabilities: list[Share] = Field(min_length=1, max_length=MOST_VALUES)
+    hours: Annotated[list[Hours], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
+    probabilities: Probabilities
 
     @model_validator(mode="after")
     def _belong_together(self) -> Discrete:
@@ -218,6 +241,13 @@ class Belief(Body):
         return self
 
 
+def _check_last(start: pd.Timestamp, resolution: pd.Timedelta, values: int) -> None:
+    """Whether the last of so many values is of our time, by arithmetic that has no end."""
+    years = (values - 1) * resolution.total_seconds() / (365.25 * 86_400)
+    if start.year + years > LAST_YEAR:
+        raise ValueError(f"has values beyond the year {LAST_YEAR}. Give fewer, or nearer ones")
+
+
 def _check_sum(probabilities: list[float]) -> None:
     if abs(sum(probabilities) - 1.0) > LARGEST_SUM_ERROR:
         raise ValueError("has probabilities that do not sum to 1. Give all that can happen")
@@ -237,7 +267,14 @@ class Prices(Body):
     source: Name = "operator"
     start: Moment
     resolution: Duration
-    price_gbp_per_kwh: list[Price] = Field(min_length=1, max_length=MOST_VALUES)
+    price_gbp_per_kwh: Annotated[
+        list[Price], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)
+    ]
+
+    @model_validator(mode="after")
+    def _of_our_time(self) -> Prices:
+        _check_last(self.start, self.resolution, len(self.price_gbp_per_kwh))
+        return self
 
 
 class Alert(Interval):
@@ -253,9 +290,9 @@ Event = Annotated[Outage | Belief | ImportLimit | Prices | Alert, Field(discrimi
 class Quantiles(Body):
     """The median of each step, and what one in ten lies below or above."""
 
-    p10: list[Power] | None = Field(None, max_length=MOST_VALUES)
-    p50: list[Power] = Field(min_length=1, max_length=MOST_VALUES)
-    p90: list[Power] | None = Field(None, max_length=MOST_VALUES)
+    p10: Powers | None = None
+    p50: Powers
+    p90: Powers | None = None
 
     @model_validator(mode="after")
     def _do_not_cross(self) -> Quantiles:
@@ -274,7 +311,15 @@ class Forecasts(Body):
     issued_at: Moment
     start: Moment
     resolution: Duration
-    assets: dict[Name, Quantiles] = Field(min_length=1, max_length=MOST_SERIES)
+    assets: Annotated[
+        dict[Name, Quantiles], Field(fail_fast=True, min_length=1, max_length=MOST_SERIES)
+    ]
+
+    @model_validator(mode="after")
+    def _of_our_time(self) -> Forecasts:
+        longest = max(len(one.p50) for one in self.assets.values())
+        _check_last(self.start, self.resolution, longest)
+        return self
 
 
 class StepRequest(Body):

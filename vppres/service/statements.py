@@ -11,10 +11,11 @@ import pandas as pd
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
-from vppres.service.records import Measured, seconds
+from vppres.service.records import ChangedError, Event, Measured, seconds
 from vppres.service.tables import (
     ACKS,
     AUDIT,
+    EVENTS,
     FORECASTS,
     HEARD_OF,
     LOST,
@@ -81,6 +82,39 @@ def put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
     db.execute(table.delete().where(_where(table, row)))
     db.execute(table.insert().values(**row))
+
+
+def put_event(
+    db: sa.Connection,
+    identifier: str,
+    body: Mapping[str, Any] | None,
+    now: pd.Timestamp,
+    replacing: int | None,
+) -> Event:
+    """Add a version of an event, none to withdraw it.
+
+    Raises
+    ------
+    ChangedError
+        If it is to replace another version, or withdraws what does not hold.
+    """
+    newest = sa.select(EVENTS).where(EVENTS.c.id == identifier).order_by(EVENTS.c.version.desc())
+    before = db.execute(newest.limit(1)).first()
+    holds = before is not None and before.body is not None
+    if replacing is not None and (before is None or not holds or before.version != replacing):
+        raise ChangedError(f"The event has another version than {replacing}.")
+    if body is None and not holds:
+        raise ChangedError("The event was withdrawn before.")
+    version = 1 if before is None else before.version + 1
+    at = seconds(now)
+    text = None if body is None else as_text(body)
+    db.execute(EVENTS.insert().values(id=identifier, version=version, made_at=at, body=text))
+    return Event(version, dict(body or {}), at, at, new=not holds)
+
+
+def as_text(body: Mapping[str, Any]) -> str:
+    """A body as it is stored."""
+    return json.dumps(body, sort_keys=True)
 
 
 def put_measured(db: sa.Connection, rows: Iterable[Measured]) -> None:

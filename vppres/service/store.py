@@ -33,10 +33,12 @@ from vppres.service.statements import (
     FORECAST,
     LATEST,
     REFUSING,
+    as_text,
     count_steps,
     note,
     note_lost,
     put,
+    put_event,
     put_measured,
     tag_of,
     upserting,
@@ -197,22 +199,25 @@ class Store:
         ChangedError
             If the event has another version, or there is none to be withdrawn.
         """
+        return self.put_events({identifier: body}, now, actor, replacing)[identifier]
+
+    def put_events(
+        self,
+        bodies: Mapping[str, dict[str, Any] | None],
+        now: pd.Timestamp,
+        actor: str,
+        replacing: int | None = None,
+    ) -> dict[str, Event]:
+        """Keep versions of several events, all or none of them."""
         with self._changes() as db:
-            e = EVENTS.c
-            newest = sa.select(EVENTS).where(e.id == identifier).order_by(e.version.desc())
-            before = db.execute(newest.limit(1)).first()
-            holds = before is not None and before.body is not None
-            if replacing is not None and (not holds or before.version != replacing):
-                raise ChangedError(f"The event has another version than {replacing}.")
-            if body is None and not holds:
-                raise ChangedError("The event was withdrawn before.")
-            version = 1 if before is None else before.version + 1
-            text = None if body is None else json.dumps(body, sort_keys=True)
-            put(db, EVENTS, id=identifier, version=version, made_at=seconds(now), body=text)
-            action = "event withdrawn" if body is None else "event"
-            note(db, now, actor, action, f"{identifier} {text or ''}")
+            found = {
+                name: put_event(db, name, body, now, replacing) for name, body in bodies.items()
+            }
+            for name, body in bodies.items():
+                action = "event withdrawn" if body is None else "event"
+                note(db, now, actor, action, f"{name} {'' if body is None else as_text(body)}")
         self._event_changes += 1
-        return Event(version, body or {}, seconds(now), seconds(now), new=not holds)
+        return found
 
     def events(self) -> dict[str, Event]:
         """The latest version of each event that holds."""

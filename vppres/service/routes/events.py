@@ -11,7 +11,7 @@ from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
 from vppres.service.announced import check_belief
 from vppres.service.clock import written
-from vppres.service.openadr import OpenADREvent, events_of
+from vppres.service.openadr import OpenADREvent, events_of, those_of
 from vppres.service.records import moment
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
@@ -86,17 +86,17 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.post("/v1/openadr/events", status_code=201)
     def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
-        """An event of OpenADR 3 as it stands; it replaces what an earlier one of its name said."""
+        """An event of OpenADR 3 as it stands; it replaces all that an earlier one of it said."""
         believes = runner.options.outages in (BELIEF, LIKELY)
         found, ignored = events_of(body, believes)
         for event in found.values():
             if isinstance(event, payloads.Prices):
                 check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
-        now = runner.clock.now()
-        for name, event in found.items():
-            runner.store.put_event(name, payloads.plain(event), now, actor)
-            if not isinstance(event, payloads.Alert):
-                runner.changes.note(f"event {name}")
+        bodies = dict.fromkeys(those_of(body, runner.store.events()))
+        bodies |= {name: payloads.plain(event) for name, event in found.items()}
+        runner.store.put_events(bodies, runner.clock.now(), actor)
+        if any(not isinstance(event, payloads.Alert) for event in found.values()):
+            runner.changes.note(f"event {body.name}")
         return {"events": list(found), "ignored": ignored}
 
     return router

@@ -1,0 +1,196 @@
+"""What is accepted over HTTP can be decided on; what is not is refused by name, and cheaply."""
+
+from __future__ import annotations
+
+import json
+import time
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.support.live_service import HERE, NOON, client, decided, site
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+
+BELIEVING = RunOptions(horizon_h=2.0, isolate=False, outages="belief")
+BEGIN = "2026-11-21T12:00:00Z"
+HUGE = 10**400
+LATE = "2199-12-31T00:00:00Z"
+
+
+def belief(**fields: Any) -> dict[str, Any]:
+    onset = {"start": BEGIN, "resolution": "PT1H", "probabilities": [1.0]}
+    return {"type": "outage_belief", "probability": 0.5, "onset": onset, **fields}
+
+
+def forecast(values: list[float], resolution: str = "PT1H", start: str = BEGIN) -> dict[str, Any]:
+    assets = {"shop": {"p50": values}}
+    return {"issued_at": BEGIN, "start": start, "resolution": resolution, "assets": assets}
+
+
+def reading(**fields: Any) -> dict[str, Any]:
+    one = {"source": "scada", "asset": "big", "quantity": "soc", "start": BEGIN,
+           "resolution": "PT1H", "values": [0.5]}  # fmt: skip
+    return {"series": [{**one, **fields}]}
+
+
+def openadr(kind: str, values: list[Any], **period: str) -> dict[str, Any]:
+    common = {"start": BEGIN, "duration": "PT1H", **period}
+    part = {"payloads": [{"type": kind, "values": values}]}
+    return {"programID": "p", "intervalPeriod": common, "intervals": [part, part]}
+
+
+REFUSED = {
+    "forecast of a gigawatt": ("PUT", "/v1/forecasts/load_kw", forecast([2e6])),
+    "forecast of 400 digits": ("PUT", "/v1/forecasts/load_kw", forecast([HUGE])),
+    "weibull of nothing": (
+        "PUT",
+        "/v1/events/x",
+        belief(duration={"family": "weibull", "scale_h": 4.0, "shape": 0.003}),
+    ),
+    "weibull without end": (
+        "PUT",
+        "/v1/events/x",
+        belief(duration={"family": "weibull", "scale_h": 4.0, "shape": 0.003, "max_h": 9.0}),
+    ),
+    "onset of centuries": (
+        "PUT",
+        "/v1/events/x",
+        belief(onset={"start": LATE, "resolution": "PT9999H", "probabilities": [0.0] * 1999 + [1]}),
+    ),
+    "prices of centuries": (
+        "PUT",
+        "/v1/events/x",
+        {"type": "price", "start": LATE, "resolution": "PT1H", "price_gbp_per_kwh": [1.0] * 2000},
+    ),
+    "limit of 400 digits": (
+        "PUT",
+        "/v1/events/x",
+        {"type": "import_limit", "start": BEGIN, "limit_kw": HUGE},
+    ),
+    "readings of centuries": (
+        "POST",
+        "/v1/telemetry",
+        reading(start=LATE, resolution="PT9999H", values=[0.5] * 2000),
+    ),
+    "reading of 400 digits": ("POST", "/v1/telemetry", reading(values=[HUGE])),
+    "reading of a gigawatt": (
+        "POST",
+        "/v1/telemetry",
+        reading(asset="shop", quantity="load_kw", values=[2e6]),
+    ),
+    "OpenADR of 400 digits": ("POST", "/v1/openadr/events", openadr("PRICE", [HUGE])),
+    "OpenADR of centuries": (
+        "POST",
+        "/v1/openadr/events",
+        openadr("ALERT_OTHER", [], start=LATE, duration="P300D"),
+    ),
+    "OpenADR of a gigawatt": (
+        "POST",
+        "/v1/openadr/events",
+        openadr("IMPORT_CAPACITY_LIMIT", [1e10]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_step_could_take_is_refused(name: str, tiny: Scenario, tmp_path: Path) -> None:
+    method, path, body = REFUSED[name]
+    with client(Service(site(tiny), BELIEVING), tmp_path, SetClock(NOON)) as http:
+        answer = http.ask(method, path, body, {})
+        assert answer.status == 422, answer
+        problem = answer.json()["problems"][0]
+        assert problem["message"] and problem["cure"]
+
+
+def test_a_length_that_cannot_be_is_named_with_its_shape(tiny: Scenario, tmp_path: Path) -> None:
+    method, path, body = REFUSED["weibull of nothing"]
+    with client(Service(site(tiny), BELIEVING), tmp_path, SetClock(NOON)) as http:
+        (problem,) = http.ask(method, path, body, {}).json()["problems"]
+    assert (problem["field"], problem["value"]) == ("duration.shape", "0.003")
+
+
+numbers = st.one_of(
+    st.floats(allow_nan=False),
+    st.sampled_from([0.0, 1e-300, 5e-324, 1e6, 1e9, 1e300, -1.0, 0.003, 20.0, HUGE]),
+)
+lengths = st.one_of(
+    st.fixed_dictionaries({"family": st.just("weibull"), "scale_h": numbers, "shape": numbers},
+                          optional={"max_h": numbers}),
+    st.fixed_dictionaries({"family": st.just("lognormal"), "median_h": numbers, "sigma": numbers},
+                          optional={"max_h": numbers}),
+    st.fixed_dictionaries({"family": st.just("discrete"), "hours": st.lists(numbers, min_size=1, max_size=1),
+                           "probabilities": st.just([1.0])}),
+)  # fmt: skip
+messages = st.one_of(
+    numbers.map(lambda x: ("/v1/forecasts/load_kw", forecast([x]))),
+    numbers.map(
+        lambda x: ("/v1/forecasts/pv_kw", {**forecast([x]), "assets": {"roof": {"p50": [x]}}})
+    ),
+    st.tuples(numbers, lengths).map(
+        lambda x: ("/v1/events/storm", belief(probability=x[0], duration=x[1]))
+    ),
+    lengths.map(lambda x: ("/v1/events/storm", belief(duration=x))),
+    numbers.map(
+        lambda x: ("/v1/events/cap", {"type": "import_limit", "start": BEGIN, "limit_kw": x})
+    ),
+    numbers.map(
+        lambda x: (
+            "/v1/events/price",
+            {"type": "price", "start": BEGIN, "resolution": "PT1H", "price_gbp_per_kwh": [x]},
+        )
+    ),
+)
+
+
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:divide", "ignore:invalid")
+def test_whatever_is_said_the_step_is_decided(
+    tiny: Scenario, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """By property: a message is refused, or the next step stands on it."""
+
+    @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(st.lists(messages, min_size=1, max_size=3))
+    def check(said: list[tuple[str, dict[str, Any]]]) -> None:
+        clock = SetClock(NOON)
+        folder = tmp_path_factory.mktemp("live")
+        with client(Service(site(tiny), BELIEVING), folder, clock) as http:
+            for path, body in said:
+                assert http.put(path, body).status in (200, 201, 422)
+            plan = decided(http, clock, NOON)
+            assert plan["status"] == "ok", (plan.get("reason"), plan["solve"])
+
+    check()
+
+
+def crowd() -> bytes:
+    """8 MB of readings that are none: 2.6 million mistakes."""
+    one = json.dumps(reading(values=[""] * 1280)["series"][0], separators=(",", ":"))
+    return f'{{"series":[{",".join([one] * 2000)}]}}'.encode()
+
+
+def strangers() -> bytes:
+    """8 MB of fields that there are not."""
+    fields = ",".join(f'"{i:x}":0' for i in range(780_000))
+    return f'{{"series":[{{{fields}}}]}}'.encode()
+
+
+@pytest.mark.parametrize("body", [crowd, strangers])
+def test_a_body_of_mistakes_costs_little(body: Any, tiny: Scenario, tmp_path: Path) -> None:
+    sent = body()
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        tracemalloc.start()
+        begin = time.process_time()
+        answer = http.post("/v1/telemetry", sent)
+        used_s = time.process_time() - begin
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert answer.status == 422 and 1 <= len(answer.json()["problems"]) <= 50
+    # A mistake is some 1 kB and 40 us: 2.6 million are 3.3 GB and minutes.
+    assert most < 400e6 and used_s < 20.0
