@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,28 +26,42 @@ from vppres.day.options import RunOptions
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
-from vppres.service.client import Client
+from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
-pytestmark = pytest.mark.skipif(BROKER is None, reason="no mosquitto on the path")
 
 
 @pytest.fixture(scope="module")
 def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    port = free_port()
+    with brokering(tmp_path_factory.mktemp("mqtt"), port):
+        yield port
+
+
+def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        port = int(free.getsockname()[1])
-    settings = tmp_path_factory.mktemp("mqtt") / "mosquitto.conf"
+        return int(free.getsockname()[1])
+
+
+@contextmanager
+def brokering(folder: Path, port: int) -> Iterator[None]:
+    """A broker at a port."""
+    if BROKER is None:
+        pytest.skip("no mosquitto on the path")
+    settings = folder / "mosquitto.conf"
     settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
-    process = subprocess.Popen([str(BROKER), "-c", str(settings)], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([BROKER, "-c", str(settings)], stderr=subprocess.DEVNULL)
     within(10, lambda: socket.create_connection(("127.0.0.1", port)).close() or True)
-    yield port
-    process.terminate()
-    process.wait(10)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(10)
 
 
 def within(seconds: float, true: Callable[[], Any]) -> None:
@@ -138,6 +152,7 @@ def test_the_broker_forgets_a_set_point_that_has_ended(tmp_path: Path, broker: i
         bridge = Bridge(Client(address, secret), Topics("vppres/short"))
         bridge.broker.connect("127.0.0.1", broker)
         bridge.broker.loop_start()
+        within(10, bridge.broker.is_connected)
         assert isinstance(runner.clock, SetClock) and runner.last is not None
         ends = pd.Timestamp(runner.last["setpoints"][0]["valid_until"])
         runner.clock.set(ends - pd.Timedelta("2s"))
@@ -155,12 +170,16 @@ def test_the_broker_forgets_a_set_point_that_has_ended(tmp_path: Path, broker: i
         bridge.service.close()
 
 
-def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path, broker: int) -> None:
-    from vppres.service.mqtt import Bridge, Topics
+@dataclass(frozen=True)
+class Message:
+    """What a broker hands over."""
 
-    class Message:
-        topic = "vppres/telemetry/big/soc"
-        payload = b"0.4"
+    topic: str = "vppres/telemetry/big/soc"
+    payload: bytes = b"0.4"
+
+
+def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path) -> None:
+    from vppres.service.mqtt import Bridge, Topics
 
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, "wrong"), Topics())
@@ -175,3 +194,88 @@ def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path, broker: 
         bridge.service.close()
     with pytest.raises(OSError, match="does not answer"):
         Bridge(Client(address, secret), Topics()).turn()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        Message(payload=b"nan"),
+        Message(payload=b"-inf"),
+        Message(payload=b"1e400"),
+        Message(payload=b"\xff"),
+        Message("vppres/telemetry/big/mood"),
+        Message("vppres/telemetry//soc"),
+        Message("vppres/telemetry/nobody/soc"),
+        Message("vppres/telemetry/%00/soc"),
+        Message(f"vppres/telemetry/{'x' * 300}/soc"),
+    ],
+)
+def test_one_odd_message_loses_no_other(odd: Message, tmp_path: Path) -> None:
+    from vppres.service.mqtt import Bridge, Topics
+
+    with site(tmp_path) as (runner, address, secret):
+        bridge = Bridge(Client(address, secret), Topics())
+        for message in (odd, Message("vppres/telemetry/small/soc", b"0.7")):
+            bridge._heard(None, None, message)
+        bridge.turn()
+        now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
+        heard = {one.asset: one.value for one in runner.store.latest(now, ["soc"])}
+        assert heard["small"] == 0.7 and heard.get("big") is None
+        bridge.service.close()
+
+
+def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
+    """As much as is promised to be kept while the service is away."""
+    from vppres.service.mqtt import MOST_WAITING, Bridge, Topics
+
+    with site(tmp_path) as (runner, address, secret):
+        bridge = Bridge(Client(address, secret), Topics())
+        for number in range(MOST_WAITING):
+            bridge._heard(None, None, Message())
+            bridge._waiting[-1]["source"] = f"mqtt-{number}"
+        bridge.turn()
+        assert not bridge._waiting
+        assert len(runner.store.contacts()) == MOST_WAITING
+        bridge.service.close()
+
+
+def test_what_comes_while_others_are_sent_is_not_dropped(tmp_path: Path) -> None:
+    from vppres.service.mqtt import MOST_WAITING, Bridge, Topics
+
+    class Service:
+        """Hears more while it is asked."""
+
+        def ask(self, *_: Any) -> Any:
+            bridge._heard(None, None, Message(payload=b"0.9"))
+            return Answer(200, {"refused": []}, 0.0)
+
+    bridge = Bridge(Service(), Topics())  # type: ignore[arg-type]
+    for _ in range(MOST_WAITING):
+        bridge._heard(None, None, Message())
+    bridge._send(list(bridge._waiting))
+    assert [one["values"] for one in bridge._waiting] == [[0.9]]
+
+
+def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    from vppres.service.mqtt import Bridge, Topics
+
+    port = free_port()
+    with site(tmp_path) as (_, address, secret):
+        bridge = Bridge(Client(address, secret), Topics())
+        end = threading.Event()
+        running = threading.Thread(target=bridge.run, args=("127.0.0.1", port, 0.05, end))
+        running.start()
+        try:
+            within(10, lambda: "does not answer: tried again" in caplog.text)
+            assert running.is_alive()
+            if BROKER is not None:
+                with brokering(tmp_path, port):
+                    device = Device(port)
+                    within(20, lambda: device.told.get("vppres/status") == "online")
+                    within(10, lambda: len([t for t in device.told if "/setpoints/" in t]) == 7)
+                    device.close()
+        finally:
+            end.set()
+            running.join(20)
+        assert not running.is_alive()
+        bridge.service.close()

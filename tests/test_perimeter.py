@@ -27,7 +27,7 @@ from vppres.service import serve as service
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
-from vppres.service.limits import MOST_KNOWN, Limits, Rate
+from vppres.service.limits import Limits, Rate
 from vppres.service.perimeter import MOST_STEPS_ASKED
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
@@ -68,7 +68,17 @@ def test_its_names_have_ports_and_capital_letters(http: Caller, host: str) -> No
     assert http.get("/livez", host=host).status == 200
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://[", "file://"])
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "null",
+        "http://[",
+        "file://",
+        "http://localhost:3000",
+        "ftp://localhost",
+    ],
+)
 def test_a_page_of_others_changes_nothing(http: Caller, runner: Runner, origin: str) -> None:
     before = runner.store.changes
     for ask in (lambda: http.put("/v1/events/x", OUTAGE, origin=origin),
@@ -80,8 +90,13 @@ def test_a_page_of_others_changes_nothing(http: Caller, runner: Runner, origin: 
 
 
 def test_its_own_page_may(http: Caller, runner: Runner) -> None:
-    for origin in ("http://localhost:8420", "https://vpp.example"):
-        assert http.put("/v1/events/x", OUTAGE, origin=origin).status in (200, 201)
+    for origin, host in (
+        ("http://localhost:8420", "localhost:8420"),
+        ("https://vpp.example", "VPP.example"),
+        ("https://vpp.example", "vpp.example:443"),
+        ("http://[::1]:8420", "[::1]:8420"),
+    ):
+        assert http.put("/v1/events/x", OUTAGE, origin=origin, host=host).status in (200, 201)
     assert http.delete("/v1/events/x").status == 200
 
 
@@ -120,7 +135,7 @@ def test_tokens_are_kept_with_their_end_and_removed(tmp_path: Path) -> None:
         assert [row[1] for row in runner.store.audit()] == ["token", "token", "token removed"]
 
 
-def test_a_bucket_fills_with_time_and_is_forgotten() -> None:
+def test_a_bucket_fills_with_time() -> None:
     clock = [0.0]
     limits = Limits({"read": Rate(per_s=2.0, at_once=3.0)}, now=lambda: clock[0])
     assert [limits.wait_s("a", "read") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
@@ -129,9 +144,6 @@ def test_a_bucket_fills_with_time_and_is_forgotten() -> None:
     assert [limits.wait_s("a", "read") for _ in range(2)] == [0.0, 0.5]
     clock[0] = 100.0
     assert [limits.wait_s("a", "read") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
-    for who in range(MOST_KNOWN):
-        limits.wait_s(str(who), "read")
-    assert len(limits._left) == MOST_KNOWN
 
 
 def test_who_asks_too_often_is_told_to_wait(runner: Runner) -> None:

@@ -56,7 +56,7 @@ class Database(Protocol):
         ...
 
     def check(self, db: sa.Connection) -> None:
-        """Raise a StorageError, in a transaction, if another process has it by now."""
+        """Raise a StorageError, in a transaction, if it is not this process's any more."""
         ...
 
     def close(self) -> None:
@@ -104,10 +104,17 @@ class InFolder:
         if not reading:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = _locked(folder)
-        self.engine = sa.create_engine(
-            f"sqlite:///{folder / 'service.db'}", connect_args={"timeout": BUSY_S}
-        )
+        self._file = folder / "service.db"
+        self.engine = sa.create_engine(f"sqlite:///{self._file}", connect_args={"timeout": BUSY_S})
         sa.event.listen(self.engine, "connect", _durable)
+        try:
+            self.engine.connect().close()
+        except sa.exc.DBAPIError as error:
+            self.close()
+            cure = "Put a copy in its place, or remove it: then the service begins anew."
+            problem = Problem(str(self._file), f"is no database of a service: {error.orig}", cure)
+            raise InputError(problem) from error
+        self._opened = self._file.stat()
 
     @property
     def name(self) -> str:
@@ -115,9 +122,18 @@ class InFolder:
         return str(self.folder)
 
     def check(self, db: sa.Connection) -> None:
-        """Nobody can have taken the lock."""
+        """Nobody can have taken the lock, but the file can be gone."""
         if self._lock is None:
             raise StorageError(_ONLY_READ)
+        try:
+            same = os.path.samestat(self._file.stat(), self._opened)
+        except OSError:
+            same = False
+        if not same:
+            raise StorageError(
+                f"{self._file} was removed or replaced while the service ran: nothing is kept any "
+                "more. Stop the service, put the file back, and start it again."
+            )
 
     def close(self) -> None:
         """Let go of database and lock."""

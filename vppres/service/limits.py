@@ -1,16 +1,15 @@
-"""How often somebody may ask: a bucket for each, which fills as time goes by."""
+"""How often may be asked: a bucket for each token and scope, which fills as time goes by."""
 
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from vppres.service.access import Denied
 
-MOST_KNOWN = 1_000
-"""Buckets that are remembered; the one that was not used for longest is forgotten."""
+DENIED = "denied"
+"""The kind of requests without a token: all of them together have one bucket."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +25,8 @@ RATES = {
     "telemetry": Rate(50.0, 200.0),
     "events": Rate(5.0, 100.0),
     "operator": Rate(10.0, 100.0),
-    "denied": Rate(1.0, 30.0),
+    DENIED: Rate(1.0, 30.0),
 }
-"""By scope, for each token; and for each address whose requests are denied."""
 
 
 class Limits:
@@ -51,11 +49,11 @@ class Limits:
     def __init__(
         self, rates: Mapping[str, Rate] | None = None, now: Callable[[], float] = time.monotonic
     ) -> None:
-        self.rates = RATES if rates is None else dict(rates)
+        self.rates = RATES if rates is None else rates
         self.now = now
-        self._left: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}
 
-    def check(self, who: str, kind: str) -> None:
+    def check(self, name: str, kind: str) -> None:
         """Take one.
 
         Raises
@@ -63,20 +61,18 @@ class Limits:
         Denied
             If there is none.
         """
-        wait_s = self.wait_s(who, kind)
+        wait_s = self.wait_s(name, kind)
         if wait_s > 0.0:
             raise Denied(429, "Too many requests: slow down.", wait_s)
 
-    def wait_s(self, who: str, kind: str) -> float:
+    def wait_s(self, name: str, kind: str) -> float:
         """Take one; 0 if there was one, else how long to wait for the next."""
         rate = self.rates.get(kind)
         if rate is None:
             return 0.0
         now = self.now()
-        left, at = self._left.pop((who, kind), (rate.at_once, now))
+        left, at = self._left.get((name, kind), (rate.at_once, now))
         left = min(rate.at_once, left + (now - at) * rate.per_s)
         granted = left >= 1.0
-        self._left[who, kind] = (left - granted, now)
-        if len(self._left) > MOST_KNOWN:
-            self._left.popitem(last=False)
+        self._left[name, kind] = (left - granted, now)
         return 0.0 if granted else (1.0 - left) / rate.per_s

@@ -18,12 +18,14 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import math
 import os
 import threading
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 from urllib.parse import quote, unquote
 
@@ -32,10 +34,12 @@ import pandas as pd
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from pydantic import ValidationError
 
 from vppres.core.errors import InputError
 from vppres.service.client import Client
 from vppres.service.clock import written
+from vppres.service.payloads import MOST_SERIES, Readings
 
 MOST_WAITING = 10_000
 """Readings that are kept while the service does not answer; then the oldest are dropped."""
@@ -113,22 +117,22 @@ class Bridge:
         self._published.clear()
 
     def _heard(self, _broker: Any, _data: Any, message: Any) -> None:
-        """A reading; what is no number is known to be missing."""
+        """A reading; what is no number is known to be missing, what is no reading is left out."""
         asset, quantity = self.topics.reading(message.topic)
+        reading = {
+            "source": "mqtt",
+            "asset": asset,
+            "quantity": quantity,
+            "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
+            "resolution": self.resolution,
+            "values": [_number(message.payload)],
+        }
         try:
-            value = float(message.payload)
-        except ValueError:
-            value = None
-        self._waiting.append(
-            {
-                "source": "mqtt",
-                "asset": asset,
-                "quantity": quantity,
-                "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
-                "resolution": self.resolution,
-                "values": [value],
-            }
-        )
+            Readings.model_validate(reading)
+        except ValidationError as error:
+            log.warning("%r is no topic of a reading: %s", message.topic, error.errors()[0]["msg"])
+        else:
+            self._waiting.append(reading)
 
     def turn(self) -> None:
         """Send what was read, and publish what is new of the set-points.
@@ -138,18 +142,24 @@ class Bridge:
         InputError, OSError
             If the service refuses or does not answer; readings are kept for the next turn.
         """
-        sending = list(self._waiting)
-        if sending:
-            answer = self.service.ask("POST", "/v1/telemetry", {"series": sending})
-            if answer.status >= 500 or answer.status in (401, 403, 429):
-                raise InputError(f"telemetry: the service answers {answer.status}")
-            for refused in answer.body.get("refused") or answer.body.get("problems") or []:
-                log.warning("telemetry: %s %s", refused["field"], refused["message"])
-            for _ in sending:
-                self._waiting.popleft()
+        while self._waiting:
+            self._send(list(islice(self._waiting, MOST_SERIES)))
         found = self.service.wanted("GET", "/v1/setpoints").body
-        for point in found["setpoints"]:
+        # What is published before there is a broker would be published again.
+        for point in found["setpoints"] if self.broker.is_connected() else ():
             self._publish(point, pd.Timestamp(found["at"]))
+
+    def _send(self, sending: list[dict[str, Any]]) -> None:
+        """Send as many readings as the service takes at once."""
+        answer = self.service.ask("POST", "/v1/telemetry", {"series": sending})
+        if answer.status >= 500 or answer.status in (401, 403, 429):
+            raise InputError(f"telemetry: the service answers {answer.status}")
+        for refused in answer.body.get("refused") or answer.body.get("problems") or []:
+            log.warning("telemetry: %s %s", refused["field"], refused["message"])
+        for one in sending:
+            # The oldest may have been dropped for newer ones meanwhile.
+            if self._waiting and self._waiting[0] is one:
+                self._waiting.popleft()
 
     def _publish(self, point: dict[str, Any], now: pd.Timestamp) -> None:
         """A set-point that is new; the broker forgets it when it ends, whoever is still there."""
@@ -171,8 +181,13 @@ class Bridge:
         self._published[key] = state
 
     def run(self, host: str, port: int, every_s: float, end: threading.Event) -> None:
-        """Go on until the end; what fails is tried again."""
-        self.broker.connect(host, port)
+        """Go on until the end; what fails is tried again, the broker too."""
+
+        def waits(*_: Any) -> None:
+            log.error("the broker at %s:%d does not answer: tried again", host, port)
+
+        self.broker.on_connect_fail = waits
+        self.broker.connect_async(host, port)
         self.broker.loop_start()
         try:
             while not end.wait(every_s):
@@ -181,11 +196,20 @@ class Bridge:
                 except (InputError, OSError) as error:
                     log.error("%s", error)
         finally:
-            self.broker.publish(self.topics.status, "offline", qos=1, retain=True).wait_for_publish(
-                5
-            )
+            if self.broker.is_connected():
+                last = self.broker.publish(self.topics.status, "offline", qos=1, retain=True)
+                last.wait_for_publish(5)
             self.broker.disconnect()
             self.broker.loop_stop()
+
+
+def _number(payload: bytes) -> float | None:
+    """The number of a payload; None if it is none, or no finite one."""
+    try:
+        value = float(payload)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -27,6 +27,7 @@ TOO_LARGE = f"The request has more than {MOST_BYTES} bytes. Send it in parts."
 GUARDED = "/v1/"
 SAFE = ("GET", "HEAD", "OPTIONS")
 ANYWHERE = "*"
+PORTS = {"http": 80, "https": 443}
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -98,18 +99,18 @@ class Perimeter:
     def _check(self, scope: Scope) -> None:
         """Whether a request may go on, by its head alone."""
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        if not self._is_ours(headers.get(b"host", "")):
+        host = headers.get(b"host", "")
+        if not self._is_ours(host):
             raise HTTPException(400, "The service has another name. Give it with --name.")
         origin = headers.get(b"origin")
         changes = scope["method"] not in SAFE
-        if changes and origin is not None and not self._is_ours(origin_host(origin)):
+        if changes and origin is not None and not same_place(origin, host):
             raise HTTPException(403, "The request was made up by a page from elsewhere.")
         length = headers.get(b"content-length", "0")
         if length.isdecimal() and (len(length) > 20 or int(length) > MOST_BYTES):
             raise HTTPException(413, TOO_LARGE)
         if scope["path"].startswith(GUARDED):
-            client = scope.get("client") or ("",)
-            self.guard.check(headers.get(b"authorization"), client[0])
+            self.guard.check(headers.get(b"authorization"))
 
     def _is_ours(self, host: str) -> bool:
         name = host_name(host)
@@ -159,13 +160,18 @@ def host_name(host: str) -> str | None:
     return parts.hostname if plain and (port is None or port > 0) and " " not in host else None
 
 
-def origin_host(origin: str) -> str:
-    """Host and port of an origin; nothing for ``null``.
+def same_place(origin: str, host: str) -> bool:
+    """Whether a page's origin is the host and port that it asks.
 
-    >>> origin_host("https://vpp.example:8420"), origin_host("null")
-    ('vpp.example:8420', '')
+    >>> same_place("https://vpp.example", "VPP.example:443"), same_place("null", "vpp.example")
+    (True, False)
+    >>> same_place("http://localhost:3000", "localhost:8420")
+    False
     """
     try:
-        return urlsplit(origin).netloc
+        page, asked = urlsplit(origin), urlsplit(f"//{host}")
+        port = PORTS.get(page.scheme)
+        same_port = port is not None and (page.port or port) == (asked.port or port)
     except ValueError:
-        return ""
+        return False
+    return same_port and page.hostname is not None and page.hostname == asked.hostname

@@ -53,8 +53,11 @@ BY_HAND = ("hold", "manual")
 MOST_JOBS = 100
 """Steps that were asked for and are remembered, beside those that are stored."""
 
-MOST_MISSED = 10_000
-"""Steps missed in a row that are written down one by one."""
+LONGEST_GAP = pd.Timedelta(days=7)
+"""Since the last step: over a longer time it was the clock that was set, and no step is missed."""
+
+EARLY_SHARE = 0.1
+"""Share of a step by which a clock may be set back without a word."""
 
 KEEP_DAYS = 400.0
 """More than a year, so that the same day of the last one is there."""
@@ -141,12 +144,15 @@ class Runner:
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
         self._within: Within | None = None
-        self._state = store.state()
-        self._controller = self._restored()
-        # One thread decides all steps, so that there is one process that solves.
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
         if isinstance(clock, SetClock) and self.last is not None:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
+        self._state = self._last_state()
+        if self._made_later(self.last, clock.now()):
+            self._come_back(clock.now())
+        else:
+            self._controller = self._restored()
+        # One thread decides all steps, so that there is one process that solves.
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
 
     def close(self) -> None:
         """End the thread, after the step that it is in."""
@@ -263,24 +269,27 @@ class Runner:
 
     @property
     def ahead_s(self) -> float:
-        """How long the last plan still holds, in s; negative when it is over."""
+        """How long the last plan still holds, in s; negative when it is over, or not yet there."""
         if self.last is None:
             return -float("inf")
-        end = pd.Timestamp(self.last["start"]) + self.length
-        return (end - self.clock.now()).total_seconds()
+        start, now = pd.Timestamp(self.last["start"]), self.clock.now()
+        left = start + self.length - now if start <= now else now - start
+        return float(left.total_seconds())
 
     def _step(self, time: pd.Timestamp | None, actor: str | None) -> dict[str, Any]:
         """The same, in the thread of steps."""
         now = self.clock.now()
         asked = None if actor is None else Asked(actor, now)
         time = self.begun(now) if time is None else time.tz_convert("UTC")
+        if self._made_later(self.last, now):
+            self._come_back(now)
         stored = self.store.step(time)
         if stored is not None:
             return stored
         self._check(time, now)
         if self.rehearsal and isinstance(self.clock, SetClock):
             self.clock.set(time)
-        self._write_missed(time)
+        self._bridge_gap(time)
         return self._planned(time, asked)
 
     def _anew(self) -> dict[str, Any] | None:
@@ -417,8 +426,8 @@ class Runner:
 
     def _forget(self, time: pd.Timestamp) -> None:
         """Once a day drop what is too old."""
-        begun = None if self.last is None else pd.Timestamp(self.last["start"]).normalize()
-        if begun != time.normalize():
+        begun = time if self.last is None else pd.Timestamp(self.last["start"])
+        if begun.normalize() != time.normalize() and time - begun <= LONGEST_GAP:
             with suppress(StorageError):  # the step is kept; tomorrow is another day
                 self.store.forget(time - self.keeps, time - pd.Timedelta(days=REMEMBERED_DAYS))
 
@@ -430,16 +439,35 @@ class Runner:
         refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
         return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, refused), asked)
 
-    def _write_missed(self, time: pd.Timestamp) -> None:
+    def _bridge_gap(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
         if self.last is None:
             return
         missed = pd.Timestamp(self.last["start"]) + self.length
-        for _ in range(MOST_MISSED):
-            if missed >= time:
-                return
+        if time - missed > LONGEST_GAP:
+            log.warning("the clock went from %s to %s: no step counts as missed", missed, time)
+            self._controller = self._restored()
+            return
+        while missed < time:
             self._without(missed, "missed", "the service did not run")
             missed += self.length
+
+    def _made_later(self, plan: dict[str, Any] | None, now: pd.Timestamp) -> bool:
+        """Whether a plan was made later than now, by a clock that has been set back since."""
+        if plan is None or isinstance(self.clock, SetClock):  # that one never goes back
+            return False
+        return bool(pd.Timestamp(plan["generated_at"]) > now + EARLY_SHARE * self.length)
+
+    def _come_back(self, now: pd.Timestamp) -> None:
+        """Take back what was decided ahead of time: it is decided again when its time comes."""
+        begun = self.begun(now)
+        later = begun if self._made_later(self.store.step(begun), now) else begun + self.length
+        reason = f"the clock was set back to {written(now)}"
+        log.warning("%s: steps from %s on are decided again", reason, written(later))
+        self.store.withdraw(later, now, reason)
+        self.last = self.store.last_step()
+        self._state = self._last_state()
+        self._controller = self._restored()
 
     def _restored(self) -> Controller:
         """The controller where the last stored state left it."""
@@ -451,6 +479,22 @@ class Runner:
         if self.options.forecaster in FORECASTERS:
             history = learned(self.store, self.scenario, self.begun(self.clock.now()))
         return Controller.of(known, self.options, state=state, history=history)
+
+    def _last_state(self) -> str | None:
+        """The last state that is whole; None where nothing was decided yet."""
+        states = self.store.states()
+        for text in states:
+            try:
+                json.loads(text)
+                return text
+            except ValueError:
+                log.error("the last state of the controller is cut: the one before it is taken")
+        if states:
+            cure = "Put a copy of the database in its place, or remove it."
+            raise InputError(
+                Problem(self.store.place, "has no whole state of the controller", cure)
+            )
+        return None
 
     def _feed(self, time: pd.Timestamp) -> None:
         """Let the controller know the steps up to the horizon's end and one more."""

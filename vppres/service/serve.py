@@ -16,14 +16,12 @@ from vppres.model.site import Site
 from vppres.service.access import LOOPBACK, Access, check_address, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import Clock, SetClock, SystemClock
+from vppres.service.connections import MOST_AT_ONCE, Connection
 from vppres.service.loop import Loop
 from vppres.service.runner import Runner, Service
 from vppres.service.store import Store
 
 DEFAULT_PORT = 8420
-MOST_AT_ONCE = 500
-"""Connections; those beyond are told to come back."""
-
 GRACE_S = 10
 """What requests may take to end after the service was told to."""
 
@@ -197,6 +195,8 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
+            proxy_headers=False,  # nothing depends on an address, which anybody can make up
+            http=Connection,
             ssl_certfile=address.certificate,
             ssl_keyfile=address.key,
             limit_concurrency=MOST_AT_ONCE,

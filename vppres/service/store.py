@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
+import time as machine
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import starmap
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pandas as pd
 import sqlalchemy as sa
 
 from vppres.core.errors import InputError, Problem, StorageError
+from vppres.service.clock import written
 from vppres.service.database import opened_database
 from vppres.service.records import (
     After,
@@ -64,6 +66,9 @@ from vppres.service.tables import (
 
 LAYOUT = "1"
 STATES_KEPT = 3
+TRIED_S = 5.0
+"""For how long the database is as it was when it was last written to."""
+
 COMPACT = (",", ":")
 COUNTED = {"preserve_rowcount": True}
 
@@ -91,6 +96,9 @@ class Store:
         self._engine = self._database.engine
         self._reading = reading
         self._writing = threading.Lock()
+        self._trying = threading.Lock()
+        self._takes = not reading
+        self._tried_at = -TRIED_S
         self.changes = 0  # whoever shows what is stored looks again when it has grown
         self._events_known: tuple[int, dict[str, Event]] | None = None
         self._event_changes = 0
@@ -117,13 +125,18 @@ class Store:
         self._database.close()
 
     def ready(self) -> bool:
-        """Whether the database takes a transaction."""
-        try:
-            with self._changes(routine=True) as db:
-                put(db, META, key="checked", value="")
-        except StorageError:
-            return False
-        return True
+        """Whether the database takes a transaction; tried now and then, however often it is asked.
+
+        Whoever asks while it is tried hears of the time before.
+        """
+        if self._trying.acquire(blocking=False):
+            try:
+                if machine.monotonic() - self._tried_at > TRIED_S:
+                    with suppress(StorageError), self._changes(routine=True) as db:
+                        put(db, META, key="checked", value="")
+            finally:
+                self._trying.release()
+        return self._takes
 
     # Telemetry
 
@@ -372,12 +385,19 @@ class Store:
                 for outcome, count in found:
                     count_steps(db, outcome, count)
 
-    def state(self) -> str | None:
-        """The controller's last state, as it was written."""
-        chosen = sa.select(STATES.c.state).order_by(STATES.c.time.desc()).limit(1)
+    def states(self) -> list[str]:
+        """The controller's states that are kept, the last one first, as they were written."""
+        chosen = sa.select(STATES.c.state).order_by(STATES.c.time.desc())
         with self._reads() as db:
-            text: str | None = db.execute(chosen).scalar()
-        return text
+            return list(db.execute(chosen).scalars())
+
+    def withdraw(self, since: pd.Timestamp, now: pd.Timestamp, reason: str) -> None:
+        """Take back the steps from a time on, with all that came of them."""
+        with self._changes() as db:
+            gone = 0
+            for table in (STATES, MEASURED, STEPS):
+                gone = db.execute(table.delete().where(table.c.time >= seconds(since))).rowcount
+            note(db, now, "clock", "steps withdrawn", f"{gone} from {written(since)} on: {reason}")
 
     def put_measured(self, rows: Iterable[Measured]) -> None:
         """Keep what was measured in steps."""
@@ -547,9 +567,16 @@ class Store:
     @contextmanager
     def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
         """A transaction that writes; what is routine need not be seen at once."""
-        with self._writing, _plain_errors(), self._engine.begin() as db:
-            self._database.check(db)
-            yield db
+        try:
+            with self._writing, _plain_errors(), self._engine.begin() as db:
+                self._database.check(db)
+                yield db
+        except StorageError:
+            self._takes = False
+            raise
+        finally:
+            self._tried_at = machine.monotonic()
+        self._takes = True
         self.changes += not routine
 
     @contextmanager

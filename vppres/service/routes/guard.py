@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Header
 
 from vppres.service.access import Access, Denied
-from vppres.service.limits import Limits
+from vppres.service.limits import DENIED, Limits
 
 
 class Guard:
@@ -36,16 +36,16 @@ class Guard:
 
         return Depends(actor)
 
-    def check(self, authorization: str | None, address: str) -> None:
-        """Whether somebody is known, before anything else of the request is read.
+    def check(self, authorization: str | None) -> None:
+        """Whether a token is known, before anything else of the request is read.
 
         Raises
         ------
         Denied
-            If not; 429 for an address that tries too often.
+            If not; 429 where there are many of these.
         """
         try:
             self.access.known(authorization)
         except Denied:
-            self.limits.check(address, "denied")
+            self.limits.check("", DENIED)
             raise

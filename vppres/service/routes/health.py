@@ -15,7 +15,7 @@ def routes(runner: Runner) -> APIRouter:
     figures = Figures(runner)
 
     @router.get("/livez")
-    def livez() -> dict[str, str]:
+    async def livez() -> dict[str, str]:
         """Whether the service answers."""
         return {"status": "ok"}
 

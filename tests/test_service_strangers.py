@@ -1,0 +1,211 @@
+"""Nobody without a right can stop the service: what anybody may send to it costs little."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import resource
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, client, site
+from tests.support.tiny_day import tiny_scenario
+from vppres.core.errors import StorageError
+from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access, new_token
+from vppres.service.app import make_app
+from vppres.service.client import Client
+from vppres.service.clock import SetClock, written
+from vppres.service.connections import MOST_AT_ONCE, SILENT_S
+from vppres.service.runner import Service
+from vppres.service.serve import opened
+from vppres.service.started import Started, started
+from vppres.service.store import TRIED_S
+
+WITHIN_S = 1.0
+MOST_MB = 1_000.0
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Started]:
+    """A service in a process of its own, whose clock is set."""
+    served = Service(site(tiny_scenario()), HERE, paced=True)
+    with started(served, tmp_path_factory.mktemp("live")) as own:
+        yield own
+
+
+def address(own: Started) -> tuple[str, int]:
+    host, _, port = own.url.removeprefix("http://").rpartition(":")
+    return host, int(port)
+
+
+def lives(own: Started) -> float:
+    """How long ``/livez`` takes over a connection of its own, in s."""
+    begin = time.perf_counter()
+    asked = http.client.HTTPConnection(*address(own), timeout=60)
+    with closing(asked):
+        asked.request("GET", "/livez")
+        assert asked.getresponse().status == 200
+    return time.perf_counter() - begin
+
+
+@contextmanager
+def silent(own: Started, many: int) -> Iterator[list[socket.socket]]:
+    """Connections that send nothing, and others that send half a head."""
+    opened = []
+    for number in range(many):
+        one = socket.create_connection(address(own))
+        if number % 2:
+            with suppress(OSError):
+                one.send(b"GET /livez HT")
+        opened.append(one)
+    try:
+        yield opened
+    finally:
+        for one in opened:
+            one.close()
+
+
+@pytest.mark.parametrize("many", [MOST_AT_ONCE, 3 * MOST_AT_ONCE])
+def test_connections_that_ask_for_nothing_lock_nobody_out(own: Started, many: int) -> None:
+    assert many + 100 < resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    with silent(own, many):
+        assert max(lives(own) for _ in range(10)) < WITHIN_S
+        with closing(Client(own.url)) as asked:
+            assert asked.ask("GET", "/v1/plan").status == 200
+
+
+def test_a_head_has_its_time(own: Started) -> None:
+    """Byte after byte, or a body that nobody waits for: the connection is closed all the same."""
+    host, port = address(own)
+    trickling = socket.create_connection((host, port))
+    answered = socket.create_connection((host, port))
+    answered.send(b"POST /nowhere HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100\r\n\r\n")
+    begin = time.monotonic()
+    ended = set()
+    while len(ended) < 2 and time.monotonic() - begin < 3 * SILENT_S:
+        for one in {trickling, answered} - ended:
+            try:
+                one.send(b"G")
+            except OSError:
+                ended.add(one)
+        time.sleep(0.1)
+    assert len(ended) == 2
+    for one in ended:
+        one.close()
+
+
+def test_a_connection_that_is_answered_in_time_stays(own: Started) -> None:
+    with closing(http.client.HTTPConnection(*address(own))) as asked:
+        for _ in range(3):
+            asked.request("GET", "/livez")
+            asked.getresponse().read()
+            port = asked.sock.getsockname()[1]
+            time.sleep(1.0)
+        asked.request("GET", "/livez")
+        assert asked.sock.getsockname()[1] == port
+
+
+def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
+    from tests.test_service_bodies import crowd, strangers
+
+    with closing(Client(own.url)) as operator:
+        for hour, body in enumerate((crowd(), strangers(), None), start=1):
+            now = site(tiny_scenario()).grid.start + pd.Timedelta(hours=hour)
+            operator.wanted("PUT", "/v1/clock", {"now": written(now)})
+            others = [threading.Thread(target=mistaken, args=(own, body))]
+            if body is None:
+                others = [threading.Thread(target=read, args=(own, i)) for i in range(26)]
+            for one in others:
+                one.start()
+            time.sleep(0.2)
+            answer = operator.wanted("POST", "/v1/steps")
+            assert answer.body["status"] == "ok" and answer.seconds < 10.0
+            took = []
+            while any(one.is_alive() for one in others):
+                took.append(lives(own))
+                time.sleep(0.05)
+            assert np.percentile(took or [0.0], 95) < WITHIN_S, max(took)
+    lines = Path(f"/proc/{own.pid}/status").read_text().splitlines()
+    (peak,) = (line for line in lines if line.startswith("VmHWM"))
+    assert int(peak.split()[1]) / 1024 < MOST_MB
+
+
+def mistaken(own: Started, body: bytes) -> None:
+    """Send a body of mistakes."""
+    with closing(http.client.HTTPConnection(*address(own), timeout=120)) as asked:
+        asked.request("POST", "/v1/telemetry", body, {"content-type": "application/json"})
+        assert asked.getresponse().status == 422
+
+
+def read(own: Started, number: int, times: int = 500) -> None:
+    """Look many times at one thing."""
+    path = ("/v1/setpoints", "/v1/plan", "/readyz", "/v1/overview")[number % 4]
+    with closing(http.client.HTTPConnection(*address(own), timeout=120)) as asked:
+        for _ in range(times):
+            asked.request("GET", path)
+            asked.getresponse().read()
+
+
+def test_who_asks_whether_it_is_ready_writes_nothing(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
+        http = Caller(make_app(runner, Access()))
+        http.post("/v1/steps")
+        writes: list[Any] = []
+        monkeypatch.setattr(runner.store._database, "check", writes.append)
+        assert [http.get("/readyz").status for _ in range(50)] == [200] * 50
+        assert len(writes) == 0  # the step was written a moment ago
+        runner.store._tried_at -= TRIED_S
+        assert [http.get("/readyz").status for _ in range(50)] == [200] * 50
+        assert len(writes) == 1
+
+
+def test_whoever_is_denied_has_no_limit_of_its_own(
+    own: Started, tiny: Scenario, tmp_path: Path
+) -> None:
+    """Whatever address a request says that it comes from."""
+    _, token = new_token("panel:read")
+    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
+        http = Caller(make_app(runner, Access([token])))
+        answers = [
+            http.get("/v1/plan", authorization="Bearer x", x_forwarded_for=f"10.0.0.{i}").status
+            for i in range(40)
+        ]
+        assert answers[:30] == [401] * 30 and answers[30:] == [429] * 10
+
+
+def test_a_database_that_is_gone_is_noticed(tiny: Scenario, tmp_path: Path) -> None:
+    """Nothing is acknowledged that is not kept."""
+    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
+        event = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
+        assert http.put("/v1/events/storm", event).status == 201
+        assert http.post("/v1/steps").status == 200 and http.get("/readyz").status == 200
+        os.unlink(tmp_path / "service.db")
+        answer = http.put("/v1/events/storm", event)
+        assert answer.status == 503 and "was removed or replaced" in answer.json()["detail"]
+        ready = http.get("/readyz")
+        assert ready.status == 503 and not ready.json()["checks"]["database"]
+        (tmp_path / "service.db").write_bytes(b"")
+        assert http.put("/v1/events/storm", event).status == 503
+        assert http.get("/v1/plan").status == 200
+
+
+def test_a_table_that_breaks_is_said(tiny: Scenario, tmp_path: Path) -> None:
+    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
+        with pytest.raises(StorageError), runner.store._changes() as db:
+            db.exec_driver_sql("SELECT nothing")
+        assert not runner.store.ready()
+        runner.store._tried_at -= TRIED_S
+        assert runner.store.ready()
