@@ -20,6 +20,7 @@ from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
+    DEFAULT_PASSES,
     FIRST_SHARE,
     LOSS_TOLERANCE_KW,
     SOC_NUDGE,
@@ -273,7 +274,7 @@ def test_record_keeps_its_claims(seed: int) -> None:
 def test_plan_and_ac_agree_where_the_passes_sufficed(seed: int) -> None:
     run = physical_day(seed)
     steps = run.steps[
-        (run.steps["passes"] < RunOptions().passes)
+        (run.steps["passes"] < DEFAULT_PASSES)
         & ~run.steps["corrected"]
         & (run.steps["dark"] == 0)
         & (run.steps["status"] != "planned")
@@ -332,6 +333,37 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
     assert not agree(exact, replace(met, v_pu=one_off), points, tiny.network)
+
+
+def test_no_ac_point_is_never_agreement(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    data = island_window(tiny, 0.85, 0, 3)
+    start = lossless(data, physics_of(site, data, 0.1))
+    dispatch = WindowSolver(site).solve(start).dispatch
+    points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
+    none = replace(points, converged=np.zeros(3, dtype=bool))
+    assert not agree(start, dispatch, none, tiny.network)
+
+
+def with_capacitor(day: Scenario, share: float) -> Scenario:
+    """The day with a capacitor at its last bus, as a share of all batteries' inverters."""
+    net = day.network
+    kvar = np.zeros(net.n_buses)
+    kvar[-1] = -share * float(day.batteries.s_max_kva.sum())
+    network = replace(net, drawing_bus=net.buses, q_shunt_kvar=kvar)
+    return replace(day, network=network)
+
+
+@pytest.mark.parametrize("share", [0.8, 3.0])
+def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, share: float) -> None:
+    day = with_capacitor(tiny, share)
+    run = run_day(day, RunOptions(mode="physical", horizon_h=5.0))
+    steps = run.steps
+    # What no set of customers and batteries can hold is promised to nobody.
+    assert (steps["dark"] > 0).any() == (share > 1.0)
+    assert steps.loc[steps["dark"] > 0, "shed_kw"].tolist() == [0.0] * int(steps["dark"].sum())
+    # The first point knows the capacitor: model and AC agree at once.
+    assert (steps["passes"] == 1).all()
 
 
 @pytest.mark.parametrize(("failures", "mark"), [(0, ""), (1, "nudged"), (2, "lossless")])

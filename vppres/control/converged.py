@@ -27,7 +27,7 @@ from vppres.model.beyond_paper.losses import (
     lossless,
 )
 from vppres.model.data import Physics, WindowData
-from vppres.model.linearise import Drawn
+from vppres.model.linearise import Drawn, drawn_by
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.scenario.network import Network
@@ -103,16 +103,46 @@ class ConvergedPlanner:
         t0 = observation.t0
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
+        whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.n_steps))
         physics = physics_of(site, whole, self.headroom)
         dark = dark_steps(site, whole)
         start = self._at_rest(lossless(without_power(whole, dark), physics))
         if self.passes == 0:
             return self._in_the_dark(whole, dark, self.solver.solve(start))
         deadline = Deadline(self.solver.limits.time_s)
-        data, solution = self._decide(self._guessed(t0, start), start, deadline.part(FIRST_SHARE))
+        first = deadline.part(FIRST_SHARE)
+        try:
+            data, solution = self._decide(self._guessed(t0, start), start, first)
+        except InfeasibleError:
+            beyond = self._beyond_batteries(start, first)
+            if not beyond.any():
+                raise
+            dark = dark | beyond
+            start = self._at_rest(lossless(without_power(whole, dark), physics))
+            data, solution = self._decide(start, start, first)
         reached, solution = self._converge(data, solution, deadline)
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
+
+    def _drawn_everywhere(self, observation: Observation, n_steps: int) -> Drawn | None:
+        """What the network draws, in an island too: nothing but its batteries can supply it."""
+        point = observation.operating_point
+        v_pu = None if point is None or np.isnan(point.v_pu).any() else point.v_pu
+        return drawn_by(self.solver.site.network, v_pu, np.zeros(n_steps, dtype=bool))
+
+    def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
+        """Island steps that have no dispatch whoever is served: for capacitors, for example."""
+        beyond = np.zeros(start.n_steps, dtype=bool)
+        if start.drawn is None:
+            return beyond
+        for step in np.flatnonzero(start.dark & lit_steps(start)):
+            try:
+                self.solver.solve(start.part(slice(step, step + 1)), deadline.left_s)
+            except InfeasibleError:
+                beyond[step] = True
+            except (NumericalError, LimitError):
+                pass  # not proven
+        return beyond
 
     def _in_the_dark(
         self, whole: WindowData, dark: Flags, solution: WindowSolution
@@ -177,8 +207,10 @@ class ConvergedPlanner:
             solver_s = solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
         reached = linearised(data, network, points)
+        carried = bool(points.converged[lit_steps(data)].all())
         return reached, replace(
             decided,
+            status=decided.status if carried else Status.INACCURATE,
             dispatch=solution.dispatch,
             terms=solution.terms,
             loss_kw=solution.loss_kw,
@@ -282,14 +314,20 @@ def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
 
 
 def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Network) -> bool:
-    """Whether voltages, losses and what the network draws agree, or AC has no answer."""
-    if not points.converged.all():
-        return bool(~points.converged.any())
-    off_pu = np.abs(dispatch.v_pu - points.v_pu).max()
-    off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw).max()
+    """Whether voltages, losses and what the network draws agree in every step with power.
+
+    A step without an AC point never agrees: nothing carries its plan.
+    """
+    lit = lit_steps(data)
+    if not lit.any():
+        return True
+    if not points.converged[lit].all():
+        return False
+    off_pu = np.abs(dispatch.v_pu - points.v_pu)[lit].max()
+    off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw)[lit].max()
     if data.drawn is not None:
-        drawn_kw, drawn_kvar = network.drawn(points.v_pu)
-        off = [drawn_kw - data.drawn.kw, drawn_kvar - data.drawn.kvar]
+        drawn_kw, drawn_kvar = network.drawn(points.v_pu[lit])
+        off = [drawn_kw - data.drawn.kw[lit], drawn_kvar - data.drawn.kvar[lit]]
         off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
     return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 
