@@ -14,7 +14,7 @@ from tests.support.live_service import HERE, NOON, client, decided, heard, said,
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.database import Leased
+from vppres.service.database import OnServer
 from vppres.service.runner import Service
 from vppres.service.store import Store
 
@@ -28,12 +28,6 @@ def server() -> Iterator[postgres.Server]:
     found = postgres.Server()
     yield found
     found.close()
-
-
-@pytest.fixture(autouse=True)
-def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten times shorter, so that nobody waits."""
-    monkeypatch.setattr("vppres.service.database.LEASE_S", 1.5)
 
 
 def test_it_decides_as_with_sqlite_and_goes_on_after_a_restart(
@@ -61,24 +55,31 @@ def test_it_decides_as_with_sqlite_and_goes_on_after_a_restart(
         Store(address, "another site")
 
 
-def test_a_second_process_is_refused_and_the_next_one_waits_for_a_dead_one(
-    server: postgres.Server,
-) -> None:
+# A connection whose server died under it is dropped as it is.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_second_process_is_refused_until_the_first_one_is_gone(server: postgres.Server) -> None:
     address = server.new_database()
     first = Store(address, "site")
     with pytest.raises(InputError, match="is in use: another process serves from it"):
         Store(address, "site")
-    assert isinstance(first._database, Leased)
-    # Killed: nothing renews, nothing is given back.
-    first._database._ended.set()
-    first._database._renewing.join()
+    # Its session is gone, as when it is killed or cut off.
+    assert isinstance(first._database, OnServer)
+    with first._engine.begin() as db:
+        db.execute(
+            sa.text(
+                "SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory' "
+                "AND database = (SELECT oid FROM pg_database WHERE datname = current_database())"
+            )
+        )
     second = Store(address, "site")
     with pytest.raises(StorageError, match="Another process serves from"):
         first.put_setting("mode", {}, NOON, "the dead")
     second.put_setting("mode", {"mode": "off"}, NOON, "the living")
     assert second.setting("mode")[0] == {"mode": "off"}
     second.close()
-    first._database.engine.dispose()
+    first.close()
+    Store(address, "site").close()
 
 
 # A connection whose server died under it is dropped as it is.

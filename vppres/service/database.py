@@ -2,8 +2,8 @@
 
 SQLite runs with WAL and ``synchronous=FULL``: what was committed survives a kill and a loss of
 power. A lock on a file beside it keeps a second process out; it ends with the process that holds
-it. PostgreSQL has a lease in a table of its own: whoever holds it renews it, every transaction
-checks that it still does, and a process that is dead lets it run out.
+it. PostgreSQL has an advisory lock of a session that does nothing else: every transaction asks
+whether that session is still there, and the server ends the one of a process that is dead.
 """
 
 from __future__ import annotations
@@ -11,21 +11,16 @@ from __future__ import annotations
 import fcntl
 import importlib.util
 import os
-import threading
-import time
-import uuid
 from pathlib import Path
 from typing import Any, Protocol
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql
 
 from vppres.core.errors import InputError, Problem, StorageError
 
 BUSY_S = 5
-LEASE_S = 15.0
-RENEWALS = 3
-"""How often a lease is renewed before it would end."""
+LOCK = 0x76707072
+"""Number of the advisory lock, of all that a database may have."""
 
 PATIENCE_S = 10
 """After which a statement is given up, and a server that does not answer."""
@@ -34,15 +29,6 @@ POSTGRESQL = "postgresql://"
 DRIVER = "postgresql+psycopg://"
 
 _ONLY_READ = "The state is only read."
-
-_leases = sa.MetaData()
-_lease = sa.Table(
-    "lease",
-    _leases,
-    sa.Column("name", sa.String, primary_key=True),
-    sa.Column("holder", sa.String, nullable=False),
-    sa.Column("expires", sa.Float, nullable=False),
-)
 
 
 class Database(Protocol):
@@ -80,7 +66,7 @@ def opened_database(place: Path | str, reading: bool = False) -> Database:
         If another process serves from it, there is nothing to read, or the server does not answer.
     """
     if str(place).startswith(POSTGRESQL):
-        return Leased(str(place), reading)
+        return OnServer(str(place), reading)
     return InFolder(Path(place), reading)
 
 
@@ -142,22 +128,20 @@ class InFolder:
             os.close(self._lock)
 
 
-class Leased:
-    """PostgreSQL, as long as a lease is renewed.
+class OnServer:
+    """PostgreSQL, as long as a session holds a lock there.
 
     Parameters
     ----------
     address : str
         Of the database, which is one site's.
     reading : bool, optional
-        Whether it is only read, without a lease.
+        Whether it is only read, without a lock.
     """
 
     def __init__(self, address: str, reading: bool = False) -> None:
         url = sa.make_url(address.replace(POSTGRESQL, DRIVER, 1))
         self._shown: str = url.render_as_string(hide_password=True).replace(DRIVER, POSTGRESQL)
-        self._lease_s = LEASE_S
-        self._holder = uuid.uuid4().hex
         _check_driver()
         self.engine = sa.create_engine(
             url,
@@ -167,13 +151,13 @@ class Leased:
                 "options": f"-c statement_timeout={PATIENCE_S * 1000}",
             },
         )
-        self._renewing: threading.Thread | None = None
+        self._holder: sa.Connection | None = None
+        self._reading = reading
         try:
             if reading:
                 self.engine.connect().close()
-                return
-            _leases.create_all(self.engine)
-            self._take()
+            elif not self._taken():
+                raise InputError(_in_use(self.name))
         except InputError:
             self.engine.dispose()
             raise
@@ -182,9 +166,6 @@ class Leased:
             words = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
             cure = "Start the server, or give another address with --state."
             raise InputError(Problem(self.name, f"does not answer: {words}", cure)) from error
-        self._ended = threading.Event()
-        self._renewing = threading.Thread(target=self._renew, name="vppres-lease", daemon=True)
-        self._renewing.start()
 
     @property
     def name(self) -> str:
@@ -192,66 +173,39 @@ class Leased:
         return self._shown
 
     def check(self, db: sa.Connection) -> None:
-        """Renew the lease in a transaction, so that nothing is written without it."""
-        if self._renewing is None:
+        """Whether the lock is still held, or can be had again after the server was away."""
+        if self._reading:
             raise StorageError(_ONLY_READ)
-        mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)
-        renewed = db.execute(sa.update(_lease).where(mine).values(expires=_now() + self._lease_s))
-        if renewed.rowcount != 1:
+        if not self._held() and not self._taken():
             raise StorageError(f"Another process serves from {self.name} by now.")
 
     def close(self) -> None:
-        """Give the lease back."""
-        if self._renewing is None:
-            self.engine.dispose()
-            return
-        self._ended.set()
-        self._renewing.join()
-        mine = sa.and_(_lease.c.name == "service", _lease.c.holder == self._holder)
-        try:
-            with self.engine.begin() as db:
-                db.execute(sa.delete(_lease).where(mine))
-        except sa.exc.SQLAlchemyError:
-            pass  # it runs out
+        """Give the lock back, with its session."""
+        self._let_go()
         self.engine.dispose()
 
-    def _take(self) -> None:
-        """Have the lease, or wait for one that is not renewed to run out.
+    def _held(self) -> bool:
+        """Whether the session that took the lock is still there."""
+        if self._holder is None:
+            return False
+        try:
+            self._holder.execute(sa.select(1))
+        except sa.exc.SQLAlchemyError:
+            return False
+        return True
 
-        Raises
-        ------
-        InputError
-            If somebody renews it meanwhile.
-        """
-        first = None
-        while True:
-            with self.engine.begin() as db:
-                wanted = postgresql.insert(_lease).values(
-                    name="service", holder=self._holder, expires=_now() + self._lease_s
-                )
-                taken = db.execute(
-                    wanted.on_conflict_do_update(
-                        index_elements=["name"],
-                        set_={"holder": wanted.excluded.holder, "expires": wanted.excluded.expires},
-                        where=_lease.c.expires < _now(),
-                    ).returning(_lease.c.holder)
-                )
-                if taken.first() is not None:
-                    return
-                now = tuple(db.execute(sa.select(_lease.c.holder, _lease.c.expires)).one())
-            first = now if first is None else first
-            if now != first:
-                raise InputError(_in_use(self.name))
-            time.sleep(self._lease_s / RENEWALS / 2)
+    def _taken(self) -> bool:
+        """Whether a new session has the lock."""
+        self._let_go()
+        self._holder = self.engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+        return bool(self._holder.scalar(sa.select(sa.func.pg_try_advisory_lock(LOCK))))
 
-    def _renew(self) -> None:
-        """Until the end; a server that is away is asked again, and a lost lease stays lost."""
-        while not self._ended.wait(self._lease_s / RENEWALS):
-            try:
-                with self.engine.begin() as db:
-                    self.check(db)
-            except (sa.exc.SQLAlchemyError, StorageError):
-                continue
+    def _let_go(self) -> None:
+        """End the session, as far as it is there: back in the pool it would keep the lock."""
+        if self._holder is not None:
+            self._holder.invalidate()
+            self._holder.close()
+            self._holder = None
 
 
 def _check_driver() -> None:
@@ -259,11 +213,6 @@ def _check_driver() -> None:
     if importlib.util.find_spec("psycopg") is None:
         cure = 'Install the extra: pip install "vppres[postgres]".'
         raise InputError(Problem("state", "needs the package psycopg", cure))
-
-
-def _now() -> Any:
-    """Seconds of the server's clock: those of two machines may differ."""
-    return sa.cast(sa.extract("epoch", sa.func.clock_timestamp()), sa.Float)
 
 
 def _in_use(name: str) -> Problem:
