@@ -173,3 +173,63 @@ def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(
     plan = http.post("/v1/steps").json()
     assert not plan["grid"]["available"] and "anew" not in plan
     assert runner.changes.reasons == ()
+
+
+@pytest.mark.parametrize(
+    "past",
+    [
+        {"type": "outage", "start": "2026-11-21T09:00:00Z", "end": "2026-11-21T12:13:00Z"},
+        {"type": "import_limit", "start": "2026-11-21T09:00Z", "end": "2026-11-21T10:00Z",
+         "limit_kw": 5.0},
+        {"type": "price", "start": "2026-11-21T09:00:00Z", "resolution": "PT1H",
+         "price_gbp_per_kwh": [0.1, 0.2]},
+    ],
+)  # fmt: skip
+def test_what_is_wholly_past_is_not_announced(
+    live: tuple[Caller, SetClock, Runner], past: dict[str, Any]
+) -> None:
+    """But an event that is known may be ended so."""
+    http, _, _ = live
+    answer = http.put("/v1/events/old", past)
+    assert answer.status == 422
+    assert answer.json()["problems"][0]["message"] == "lies wholly in the past"
+    assert http.get("/v1/events").json() == {}
+    http.put("/v1/events/old", {"type": "outage", "start": past["start"]})
+    assert http.put("/v1/events/old", past).status == 200
+
+
+def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, _, _ = live
+    manual = {
+        "mode": "manual",
+        "until": "2026-11-21T14:00:00Z",
+        "setpoints": [
+            {"kind": "batteries", "asset": "big", "p_kw": -51.0},
+            {"kind": "batteries", "asset": "small", "p_kw": 30.0, "q_kvar": 20.0},
+            {"kind": "pv", "asset": "roof", "p_kw": 29.0},
+        ],
+    }
+    found = http.put("/v1/mode", manual)
+    assert found.status == 422
+    assert [(one["field"], one["message"]) for one in found.json()["problems"]] == [
+        ("p_kw of big", "is beyond its rating of 50 kW"),
+        ("kVA of small", "is beyond its rating of 35 kVA"),
+    ]
+    assert http.get("/v1/mode").json()["mode"] == "auto"
+    for path in ("/v1/setpoints", "/v1/explanations"):
+        assert http.get(f"{path}?asset=bigg").status == 404
+        assert "Did you mean big?" in http.get(f"{path}?asset=bigg").json()["detail"]
+
+
+def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, clock, _ = live
+    storm = {"type": "outage", "start": "2026-11-21T12:05:00Z", "end": "2026-11-21T13:00:00Z"}
+    http.put("/v1/events/storm", storm)
+    http.post("/v1/telemetry", grid(0.0))
+    # Its reading holds for an hour; after that nobody has seen the outage go on.
+    seen = [decided(http, clock, NOON + hours * pd.Timedelta("1h"))["grid"] for hours in (1, 2)]
+    assert [one["available"] for one in seen] == [False, True]

@@ -97,6 +97,33 @@ def is_over(body: Mapping[str, Any], now: pd.Timestamp) -> bool:
     return end is not None and end <= now
 
 
+def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
+    """Refuse to announce what is wholly in the past; an event that is known may be ended so.
+
+    Raises
+    ------
+    InputError
+        If it is over.
+    """
+    end = _moment(body.get("end"))
+    if body["type"] == "price":
+        end = read_moment(body["start"]) + len(body["price_gbp_per_kwh"]) * read_duration(
+            body["resolution"]
+        )
+    elif body["type"] == "outage_belief":
+        end = (certain_interval(body) or (now, None))[1]
+    if end is not None and end <= now:
+        raise InputError(
+            Problem(
+                "event",
+                "lies wholly in the past",
+                f"It is {now.isoformat()}; give times that are still to come.",
+                field="end",
+                value=end.isoformat(),
+            )
+        )
+
+
 def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
     if body["type"] == "outage":

@@ -7,6 +7,7 @@ counts, however old it is, and the guard adds what was stored since.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -32,6 +33,7 @@ from vppres.service.announced import (
     prices,
 )
 from vppres.service.clock import written
+from vppres.service.gate import POWER_KW, RATING_SHARE
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.records import DECIDED, Event, Reading, moment, seconds, versions
@@ -196,19 +198,34 @@ def readings_of(
 
 
 def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:
-    """Whether an operator asks something of devices that there are.
+    """Whether an operator asks of devices that there are what they can do.
 
     Raises
     ------
     InputError
-        With everybody who is not at the site.
+        With everything that is not at the site or beyond a rating.
     """
     problems = []
     for one in asked:
-        known = [str(name) for name in getattr(scenario, one.kind).id]
+        devices = getattr(scenario, one.kind)
+        known = [str(name) for name in devices.id]
         if one.asset not in known:
             cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
             problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
+        elif one.p_kw is not None:
+            i = known.index(one.asset)
+            powers = (
+                ("p_kw", one.p_kw, abs(one.p_kw), devices.p_max_kw[i], "kW"),
+                ("kVA", None, math.hypot(one.p_kw, one.q_kvar), devices.s_max_kva[i], "kVA"),
+            )
+            for name, value, power, rating, unit in powers:
+                if power > rating + POWER_KW + RATING_SHARE * rating:
+                    message = f"is beyond its rating of {rating:g} {unit}"
+                    where = f"{name} of {one.asset}"
+                    shown = power if value is None else value
+                    problems.append(
+                        Problem("mode", message, "Give at most the rating.", None, where, shown)
+                    )
     if problems:
         raise InputError(problems)
 
@@ -239,7 +256,7 @@ def known_at(
     at = time if now is None else now
     readings = _Readings.at(at, scenario, store)
     window = Window.of(controller, time)
-    events = [one for one in store.events().values() if not is_over(one.body, at)]
+    events = list(store.events().values())
     doubt = _doubt(readings.last.get((GRID, "grid_on")), at, window.length, store)
     grid = _grid(controller, window, readings, events, at, doubt)
     powers = _Powers(window, readings, store)
@@ -461,8 +478,10 @@ def _grid(
 
     A reading that it is lost, and that another one contradicts, counts for nothing.
     """
-    limits = limits_kw(events, window)
-    out = outages(events, window) | (limits <= 0.0)
+    # What ended within the step is over for the rest of it.
+    lasting = [one for one in events if not is_over(one.body, now)]
+    limits = limits_kw(lasting, window)
+    out = outages(lasting, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)
     last = readings.last.get((GRID, "grid_on"))
     known_by = "profile"

@@ -9,7 +9,7 @@ from starlette.exceptions import HTTPException
 
 from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
-from vppres.service.announced import check_belief
+from vppres.service.announced import check_belief, check_not_over
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of, those_of
 from vppres.service.records import moment
@@ -63,6 +63,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if isinstance(body, payloads.Belief):
             check_belief(plain, runner.options)
         now = runner.clock.now()
+        if identifier not in runner.store.events():
+            check_not_over(plain, now)
         put = runner.store.put_event(identifier, plain, now, actor, _version(if_match))
         if not isinstance(body, payloads.Alert):
             runner.changes.note(f"event {identifier}")

@@ -14,7 +14,7 @@ from vppres.service.clock import written
 from vppres.service.explainer import Explainer, only
 from vppres.service.plans import etag
 from vppres.service.routes.guard import Guard
-from vppres.service.routes.times import moment_asked
+from vppres.service.routes.times import check_asset, moment_asked
 from vppres.service.runner import Runner
 
 RESPOND_ASYNC = "respond-async"
@@ -84,6 +84,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
         """Why each device does what it does in a step, the last one if no time is given."""
+        check_asset(asset, runner.scenario)
         found = explainer.of(_kept(time))
         return _unless_known(found if asset is None else only(found, asset), if_none_match)
 

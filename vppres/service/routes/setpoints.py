@@ -13,7 +13,7 @@ from vppres.service.clock import written
 from vppres.service.plans import points_at
 from vppres.service.records import versions
 from vppres.service.routes.guard import Guard
-from vppres.service.routes.times import moment_asked
+from vppres.service.routes.times import check_asset, moment_asked
 from vppres.service.runner import Runner
 from vppres.service.statements import REFUSED
 
@@ -32,6 +32,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         _: str = guarded("read"),
     ) -> Response:
         """What devices must do at a time, now if not given; defaults when that is over."""
+        check_asset(asset, runner.scenario)
         now = runner.clock.now() if time is None else moment_asked(time)
         found = runner.store.last_step(now)
         every = [] if found is None else points_at(found, now)

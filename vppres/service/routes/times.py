@@ -1,10 +1,13 @@
-"""Times in the addresses of requests."""
+"""Times and assets in the addresses of requests."""
 
 from __future__ import annotations
 
 import pandas as pd
+from starlette.exceptions import HTTPException
 
 from vppres.core.errors import InputError, Problem
+from vppres.io.messages import did_you_mean
+from vppres.scenario.scenario import Scenario
 from vppres.service.payloads import read_moment
 
 
@@ -22,3 +25,12 @@ def moment_asked(text: str) -> pd.Timestamp:
         raise InputError(
             Problem("request", str(error), "Give a time.", field="at", value=text)
         ) from None
+
+
+def check_asset(asset: str | None, scenario: Scenario) -> None:
+    """Whether an asset that a request asks about is at the site; 404 if not."""
+    kinds = (scenario.batteries, scenario.pv, scenario.customers)
+    known = [str(name) for kind in kinds for name in kind.id]
+    if asset is not None and asset not in known:
+        cure = did_you_mean(asset, known, "Ask /v1/site.")
+        raise HTTPException(404, f"There is no such asset. {cure}")
