@@ -155,6 +155,7 @@ def _rows_of(scheme: ThermalScheme, days: dict[str, DayResult]) -> list[Row]:
     return [
         measured("R19a", mpc.resilience, ".3f", scheme, reason),
         measured("R19b", full.resilience, ".3f", scheme, reason),
+        measured("R19c", mpc.resilience / full.resilience - 1.0, ".3f", scheme, reason),
         measured("R20a", imported[MPC], ".0f", scheme, reason),
         measured("R20b", imported[FULL], ".0f", scheme, reason),
         measured("R21", shortfall_kwh(full), ".0f", scheme, reason),

@@ -88,7 +88,11 @@ def test_ideal_day_of_both_controllers(days: Days) -> None:
     ]
     found = {row.id for row in rows}
     assert {"R4", "R5", "R6a", "R6b", "R7", "R8", "R9", "R10", "R11", "R22", "R23"} <= found
-    assert misses(rows) == []
+    # Nothing charges in hour 0 or discharges before hour 6, and the MPC charges later in the
+    # morning than the full horizon: docs/reproduction.md gives the figures.
+    not_held = {"R8", "R9", "R10b"}
+    assert {row.id for row in rows if not row.holds} == not_held
+    assert misses([row for row in rows if row.id not in not_held]) == []
 
 
 def test_planned_is_what_happens_under_ideal_conditions(days: Days) -> None:
@@ -116,6 +120,7 @@ def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
 
 def test_mpc_makes_up_for_the_heating(days: Days) -> None:
     results = days(efficiency.jobs(HEATING))
-    rows = [row for row in efficiency.rows(HEATING, results) if row.id in ("R19a", "R20a", "R24")]
-    assert len(rows) == 3
+    held = ("R19a", "R19c", "R20a", "R24")
+    rows = [row for row in efficiency.rows(HEATING, results) if row.id in held]
+    assert len(rows) == len(held)
     assert misses(rows) == []
