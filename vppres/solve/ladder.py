@@ -20,7 +20,7 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
 from vppres.solve.fleet.all_terms import all_terms
-from vppres.solve.fleet.masters import Master, masters_of
+from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     everyone_served,
@@ -235,13 +235,13 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
     data = task.data
     sunny = (data.pv_kw > 0.0).any(axis=1)
     matched = task.site.batteries.idle and bool((data.dark & sunny).any())
-    levels = [] if matched else [partial(_by_levels, task, make) for make in masters_of(task)]
-    return [*levels, partial(all_terms, task)]
+    fleets = () if matched else fleets_of(data)
+    return [*(partial(_by_levels, task, lumped) for lumped in fleets), partial(all_terms, task)]
 
 
-def _by_levels(task: WindowTask, make: Callable[[], Master | None]) -> None:
+def _by_levels(task: WindowTask, lumped: bool) -> None:
     """Service, then cost, by a master that may not apply."""
-    master = make()
+    master = master_of(task, lumped, task.search)
     if master is not None:
         service_then_cost(task, master)
 

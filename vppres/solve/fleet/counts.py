@@ -23,7 +23,7 @@ from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
-from vppres.solve.programs import DIRECT, PROOF, SMALL_PROOF, Program, ProgramSolution, add_row
+from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution, add_row
 from vppres.solve.result import Outcome, Status
 
 TOLERANCE = 1e-6
@@ -48,25 +48,6 @@ RETRIES = 4
 COST_NODES = 200
 """Nodes of a search for a cheaper set where there are several outages: cost joins what service
 leaves apart, and a proof to the usual 0.1 % takes 20 times as long as all the rest."""
-
-SERVICE_NODES = 500
-FEW_BINARIES = 2000
-"""Nodes after which a search for the most service ends where there are no more customers times
-steps: what was open after 1,500 was still open after 25,000, and binaries, which come next, closed
-it. Of 46 such windows 15 took more than 2 s with 500 nodes, 23 with 1,500. In a window of 2,300
-binaries did not close it. In long windows all searches have so many together."""
-
-ROOT_NODES = 100
-"""Nodes for which a search of a long window counts at least: its root takes as long. One of 21
-quarter hours was asked sixteen times, each with one cut more: 6.2 s, and 3.2 s where binaries are
-asked after the second."""
-
-LONG = 12
-"""Steps from which on HiGHS looks for no set in a problem of its own at the root either. In shorter
-windows that would save 15 ms, and find another of equally good sets here and there."""
-
-FEW_COUNTS = 30
-"""Whole numbers up to which it does: of a search of 36, two outages at once, it is a gain."""
 
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
@@ -190,8 +171,6 @@ class Counts:
         When service and cost must be done.
     """
 
-    prefix = ""
-
     def __init__(self, model: DemandModel, data: WindowData, deadline: Deadline) -> None:
         self.deadline = deadline
         self.unit = model.relaxation.grid
@@ -217,7 +196,6 @@ class Counts:
         self.best: Flags | None = None
         self.kept: _Found | None = None
         self.gap = 0.0
-        self._nodes_left = SERVICE_NODES
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units within a gap; everyone connected is served."""
@@ -354,7 +332,7 @@ class Counts:
         """
         layout, _ = self._program(free)
         joined = len(self.outages) > 1 or any(cut.weights[-2] for cut in self.cuts)
-        if not self.whole or joined or len(layout.weight) <= FEW_COUNTS:
+        if not self.whole or joined:
             return None
         everyone = int((self.able[free] * self.units).sum())
         lost = int(np.ceil(everyone + linear.bound - self.least[0] - TOLERANCE))
@@ -481,13 +459,8 @@ class Counts:
         gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
-        nodes = self._nodes_left if self.load_kw.size <= FEW_BINARIES else None
-        if nodes is not None and nodes <= 0:
-            return _Found(Status.NO_ANSWER, np.nan, proven, self.able, np.zeros(0))
-        solver = self._search(program, layout, cuts, gap, nodes, proven + HALF_UNIT)
+        solver = self._search(program, layout, cuts, gap, enough=proven + HALF_UNIT)
         found = self._found(solver, layout, deadline)
-        if layout.n_steps >= LONG:
-            self._nodes_left -= max(ROOT_NODES, solver.getInfo().mip_node_count)
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.
@@ -579,8 +552,7 @@ class Counts:
         enough: float = -np.inf,
     ) -> highspy.Highs:
         """A search with cuts, to so many nodes; nothing is below ``enough``."""
-        small = layout.n_steps >= LONG and len(layout.weight) <= FEW_COUNTS
-        solver = program.loaded(gap_abs, nodes, enough, SMALL_PROOF if small else PROOF)
+        solver = program.loaded(gap_abs, nodes, enough, PROOF)
         for cut in cuts:
             cut.add_to(solver)
         return solver

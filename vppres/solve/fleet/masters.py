@@ -1,13 +1,12 @@
-"""The masters of service and cost: by counts where a step's service is free, else by binaries.
+"""The masters of service and cost: by binaries, or by counts in long windows.
 
 ``docs/method.md``, *Why counts are enough* and *With switching rules*.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, Protocol
 
 import cvxpy as cp
@@ -24,7 +23,7 @@ from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
 from vppres.solve.programs import columns_of, compiled, near_linear
-from vppres.solve.result import Outcome
+from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
 
@@ -35,10 +34,9 @@ window's gap is many units, the search leaves its share of that open, as the cou
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
 
-FEW_CUSTOMERS = 12
-MANY_STEPS = 20
-"""Customers up to which, and steps from which on, binaries are tried before counts: 9 customers in
-40 quarter hours took 3.5 s by counts and take 0.3 s by binaries."""
+MOST_BINARIES = 2000
+"""Customers times steps up to which a window is searched with a binary for each; beyond, whole
+numbers for each weight are fewer, and cuts stand for the fleet."""
 
 MANY_BINARIES = 150
 """Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
@@ -54,11 +52,10 @@ battery of the best efficiencies says too little, and the search begins with eve
 class Master(Protocol):
     """Finds served sets and bounds of a window in a relaxation without the network.
 
-    ``unit`` is the weights' grid, ``prefix`` begins the names of its stages. Searches end at the
-    deadline, which whoever asks may set anew.
+    ``unit`` is the granularity of the weights. Searches end at the deadline, which the caller may
+    set anew.
     """
 
-    prefix: str
     unit: float
     deadline: Deadline
 
@@ -90,8 +87,6 @@ class Binaries:
     lumped : bool
         Whether the fleet is one battery.
     """
-
-    prefix = "binary_"
 
     def __init__(
         self,
@@ -133,19 +128,27 @@ class Binaries:
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
     ) -> tuple[Outcome, Flags | None]:
-        """Least cost of all sets with so many units; linear where any gap will do."""
-        integer = np.isfinite(gap_gbp)
-        model = relaxation_of(self.cache, self.data, integer=bool(integer), lumped=self.lumped)
-        model.fill(self.data, all_connected=everyone)
-        write(model.service_min, units_min * self.unit)
-        left_s = self.deadline.left_s
-        if not integer:
-            return run(model.cost_problem, self.spec, 0.0, left_s), None
+        """Least cost of all sets with so many units; the LP relaxation first, which may do."""
+        relaxed = self._with_units(units_min, everyone, integer=False)
+        bound = run(relaxed.cost_problem, self.spec, 0.0, self.deadline.left_s)
+        if bound.status != Status.OPTIMAL or bound.bound >= known_gbp - gap_gbp:
+            return bound, None
+        model = self._with_units(units_min, everyone, integer=True)
         options = None if self.best is None else self.spec.of_cheaper
+        left_s = self.deadline.left_s
         outcome = search_for_set(
             model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best, options=options
         )
+        if not outcome.status.has_answer:
+            return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, self._set(outcome)
+
+    def _with_units(self, units_min: float, everyone: bool, integer: bool) -> AggregateModel:
+        """The relaxation of all sets with so many units."""
+        model = relaxation_of(self.cache, self.data, integer=integer, lumped=self.lumped)
+        model.fill(self.data, all_connected=everyone)
+        write(model.service_min, units_min * self.unit)
+        return model
 
     def _set(self, outcome: Outcome) -> Flags | None:
         """Who is served by the last answer."""
@@ -184,32 +187,17 @@ def search_for_set(
     return replace(outcome, solve_s=deadline.spent_s)
 
 
-def masters_of(task: WindowTask) -> list[Callable[[], Master | None]]:
-    """What makes the masters of a window, in the order of trial; they may not apply.
+def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
+    """The master of a window, with one equivalent battery or every battery; None without a grid.
 
-    Rules join a step to another, so that a step is not free to serve its cheapest customers: counts
-    say nothing then. Without rules binaries follow where the set that the counts chose has no
-    dispatch, to the last digit where the search with all terms would stop at the gap. Few customers
-    over many steps have hardly more binaries than counts, and no cuts that each ask for a search.
+    Counts need steps in which every customer is free: switching rules join them.
     """
-    kinds: tuple[Callable[[WindowTask, bool], Master | None], ...] = (_counts, _binaries)
-    if len(task.site.customers) <= FEW_CUSTOMERS and task.data.n_steps >= MANY_STEPS:
-        kinds = (_binaries, _counts)
-    if task.data.switching is not None:
-        kinds = (_binaries,)
-    return [partial(kind, task, lumped) for lumped in fleets_of(task.data) for kind in kinds]
-
-
-def _binaries(task: WindowTask, lumped: bool) -> Master | None:
-    """The master by binaries, where weights and prices of switching have a grid."""
-    master = Binaries(task.cache, task.data, task.spec, task.search, lumped)
+    data = task.data
+    if data.switching is None and data.load_kw.size > MOST_BINARIES:
+        model = demand_of(task.cache, data, lumped)
+        return Counts(model, data, deadline) if model.relaxation.grid else None
+    master = Binaries(task.cache, data, task.spec, deadline, lumped)
     return master if master.applies else None
-
-
-def _counts(task: WindowTask, lumped: bool) -> Master | None:
-    """The master by counts, where weights have a grid."""
-    model = demand_of(task.cache, task.data, lumped)
-    return Counts(model, task.data, task.search) if model.relaxation.grid else None
 
 
 def relaxation_of(

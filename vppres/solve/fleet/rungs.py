@@ -52,7 +52,7 @@ def service_then_cost(task: WindowTask, master: Master) -> None:
     """Service first, on the weights' grid, then the cost of all sets that serve as much."""
     known = task.certificate
     outcome, served = master.service(task.gap / master.unit)
-    known.note(f"{master.prefix}service", outcome)
+    known.note("service", outcome)
     if served is None:
         known.prove(outcome)
         return
@@ -84,7 +84,7 @@ def _cost_level(task: WindowTask, master: Master) -> None:
         (admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2, cost_gap_gbp(best.terms.f2)
     )
     master.deadline = whole_time
-    known.note(f"{master.prefix}cost_level", outcome)
+    known.note("cost_level", outcome)
     if not outcome.status.has_answer:
         return
     known.cost_bound_gbp = known.least_cost_gbp(outcome)
@@ -92,7 +92,7 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     if admitted > needed:
         # Costs of sets that serve less: the linear relaxation is enough.
         least, _ = master.cost((needed - UNITS_TOLERANCE) / unit, False, np.inf, np.inf)
-        known.note(f"{master.prefix}least_cost", least)
+        known.note("least_cost", least)
         bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
     known.bound = max(bound, best.value)
     if (

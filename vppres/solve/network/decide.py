@@ -20,8 +20,7 @@ from vppres.solve.dispatch import (
     with_least_reactive,
     with_tie_breakers,
 )
-from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.masters import demand_of, fleets_of
+from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
@@ -77,6 +76,7 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
     """
     known = task.certificate
     fleet = fleet_master(task, task.search)
+    assert fleet is not None
     outcome, served = fleet.service(task.gap / master.unit)
     if not task.is_huge and served is not None and not forbids(master, outcome, served):
         return False
@@ -95,10 +95,9 @@ def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
     return less or not master.carries(served)
 
 
-def fleet_master(task: WindowTask, deadline: Deadline) -> Counts:
-    """The master by counts with the fleet that is tried first."""
-    demand = demand_of(task.cache, task.data, fleets_of(task.data)[0])
-    return Counts(demand, task.data, deadline)
+def fleet_master(task: WindowTask, deadline: Deadline) -> Master | None:
+    """The master without the network, with the fleet that is tried first."""
+    return master_of(task, fleets_of(task.data)[0], deadline)
 
 
 def network_master(task: WindowTask) -> NetworkMaster | None:
@@ -191,27 +190,28 @@ class InNetwork:
     def _bound_cost(self, found: Candidate) -> None:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
-        Where the fleet's bound is not enough, that of shares of customers in the network may be.
-        With switching rules it is the only one: the fleet's, by binaries, takes seconds here.
+        In a small window shares of customers in the network say more than the fleet does. In a
+        large one the whole customers of the fleet come first, then the network if it may help.
         """
         known = self.task.certificate
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
         enough = (needed - UNITS_TOLERANCE) / unit
-        by_counts = self.task.data.switching is None
-        bounds = [("cost_level", self._fleet_cost)] if by_counts else []
-        for name, least in (*bounds, ("network_least_cost", self._network_cost)):
+        served = (found.service - UNITS_TOLERANCE) / unit
+        names = (
+            ("cost_level", "network_least_cost") if self.task.is_large else ("network_least_cost",)
+        )
+        for name in names:
+            least = self._fleet_cost if name == "cost_level" else self._network_cost
             cost_gbp = self._bound(name, least(enough, found))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
+            if np.ceil(served) > np.ceil(enough):
+                # Sets that serve as much as this one, not only as much as it is worth, cost more.
+                cost_gbp = max(cost_gbp, self._bound(name, least(served, found)))
+            known.cost_bound_gbp = max(known.cost_bound_gbp, cost_gbp)
             done = self._certified(found) or self.task.deadline.passed
             if done or self.task.is_huge or not self._closable(found):
                 break
-        served = (found.service - UNITS_TOLERANCE) / unit
-        if by_counts and np.ceil(served) > np.ceil(enough):
-            # Sets that serve as much as this one, not only as much as it is worth, cost more.
-            as_much = self._bound("cost_level", self._fleet_cost(served, found))
-            cost_gbp = max(cost_gbp, as_much)
-        known.cost_bound_gbp = cost_gbp
 
     def _certified(self, found: Candidate) -> bool:
         """Whether a dispatch is within the gaps of the bound."""
@@ -233,7 +233,7 @@ class InNetwork:
         return self.task.certificate.least_cost_gbp(outcome)
 
     @cached_property
-    def _fleet(self) -> Counts:
+    def _fleet(self) -> Master | None:
         """The fleet's master; cuts of its first answer serve the second too."""
         task = self.task
         share_s = FLEET_SHARE * task.deadline.left_s
@@ -242,6 +242,7 @@ class InNetwork:
 
     def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
         """Least cost of all sets with so many units, without the network."""
+        assert self._fleet is not None
         return self._fleet.cost(units_min, False, found.terms.f2, cost_gap_gbp(found.terms.f2))[0]
 
     def _network_cost(self, units_min: float, _: Candidate) -> Outcome:
