@@ -75,7 +75,7 @@ MECHANISMS = (
     Mechanism("steps apart", {"ladder.falls_apart": no}, ("apart",)),
     Mechanism(
         "counts",
-        {"fleet.masters._counts": nothing},
+        {"fleet.masters.MOST_BINARIES": np.inf},
         ("fleet.counts", "fleet.demand", "fleet.cuts", "fleet.recursion"),
     ),
     Mechanism(
@@ -83,17 +83,17 @@ MECHANISMS = (
         {"fleet.counts.Counts._step_by_step": nothing},
         ("fleet.recursion", "fleet.counts.Counts._step_by_step"),
     ),
-    Mechanism("binaries", {"fleet.masters._binaries": nothing}, ("fleet.masters.Binaries",)),
+    Mechanism(
+        "smaller batteries in the recursion",
+        {"fleet.counts.SMALLER": 1},
+    ),
     Mechanism(
         "equivalent battery first",
-        {
-            "fleet.masters.fleets_of": every_battery,
-            "fleet.all_terms.fleets_of": every_battery,
-        },
+        {"ladder.fleets_of": every_battery, "fleet.all_terms.fleets_of": every_battery},
         ("fleet.masters.fleets_of",),
     ),
     Mechanism(
-        "start near the linear solution",
+        "MIP start near the LP relaxation",
         {"fleet.masters.near_linear": nothing},
         ("programs.near_linear",),
     ),
@@ -108,6 +108,7 @@ MECHANISMS = (
         {"network.decide.network_master": nothing, "ladder.network_master": nothing},
         ("network.master", "network.sets", "network.cheapest", "network.feeders"),
     ),
+    Mechanism("sets by cuts before binaries", {"network.master.ROUNDS": 0}),
     Mechanism(
         "cuts of feeders",
         {"network.master.NetworkMaster._by_feeders": none_held},
@@ -124,7 +125,17 @@ MECHANISMS = (
         ("network.terms",),
     ),
     Mechanism("smaller network for tie-breakers", {"dispatch.Reduction.of": nothing}),
-    Mechanism("options of HiGHS", {"programs.SetOptions.of": no_options}),
+    Mechanism(
+        "options of HiGHS",
+        {
+            "programs.SetOptions.of": no_options,
+            "solvers.SetOptions.of": no_options,
+            "programs.PROOF": {},
+            "fleet.counts.PROOF": {},
+            "network.sets.FEW_ROWS": {},
+            "network.feeders.SEARCH": {},
+        },
+    ),
     Mechanism(
         "sums to branch on",
         {
@@ -142,7 +153,6 @@ MECHANISMS = (
 )
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "counts and recursion, binaries alone": ("counts", "recursion"),
-    "the fleet": ("counts", "binaries", "all terms of the fleet", "battery modes"),
+    "the fleet": ("counts", "all terms of the fleet", "battery modes"),
 }
 """Mechanisms that are switched off together."""

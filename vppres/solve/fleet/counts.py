@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import highspy
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.solve.deadline import Deadline, Stopwatch
-from vppres.solve.fleet.cuts import VIOLATED_KW, Cut, Reach
+from vppres.solve.fleet.cuts import Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
@@ -42,9 +41,6 @@ they have to weigh the loss again."""
 HALF_UNIT = 0.5
 """What a whole number may miss a bound by and still be the number itself."""
 
-RETRIES = 4
-"""Times that another set is looked for whose demand takes up the sun."""
-
 COST_NODES = 200
 """Nodes of a search for a cheaper set where there are several outages: cost joins what service
 leaves apart, and a proof to the usual 0.1 % takes 20 times as long as all the rest."""
@@ -60,10 +56,6 @@ fleet lacks of its set."""
 
 STEPS_SHARE = 0.2
 """Share of the time left in which they are tried."""
-
-DEMAND_GAP_REL = 1e-4
-"""Gap of the search for whom to serve with the PV power that would be lost: the demand that is
-asked for is met either way, and a tenth of a per mille more costs nothing that counts."""
 
 
 def runs(flags: Flags) -> list[Flags]:
@@ -189,11 +181,9 @@ class Counts:
         self.one = OneBattery.of(model.relaxation.site, data)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
-        self.orders: dict[tuple[int, int], Wholes] = {}
         self.proven: dict[bytes, float] = {}
         self.carried: set[bytes] = set()
         self.blocks: list[Flags] = []
-        self.best: Flags | None = None
         self.kept: _Found | None = None
         self.gap = 0.0
 
@@ -211,12 +201,10 @@ class Counts:
             )
             found = self._better(whole, found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
-        served = self._using_the_sun(found, free, search) if found.status.has_answer else None
-        self.best = served
         outcome = Outcome(
             found.status, anyway - found.value, anyway - found.bound, watch.spent_s, DIRECT
         )
-        return outcome, served
+        return outcome, found.served if found.status.has_answer else None
 
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
@@ -240,7 +228,7 @@ class Counts:
         found, near = self._least_at_once(free, units_min, known_gbp, gap_gbp)
         outcome = Outcome(found.status, found.value, found.bound, watch.spent_s, DIRECT)
         none = near or not found.status.has_answer
-        return outcome, None if none else self._completed(found, free)
+        return outcome, None if none else found.served
 
     # Cost, one search for all steps.
 
@@ -388,9 +376,9 @@ class Counts:
 
     def _losses(self, layout: _Layout, t: int, most_lost: int) -> Losses:
         """Ways to lose service in a step, so many units at most."""
-        weights = layout.weight[layout.count_step == t].tolist()
-        orders = [self._cheapest_first(t, weight) for weight in weights]
-        return Losses.of(weights, [self.load_kw[t, order] for order in orders], most_lost)
+        counts = np.flatnonzero(layout.count_step == t)
+        loads_kw = [layout.load_kw[layout.count == count] for count in counts]
+        return Losses.of(layout.weight[counts].tolist(), loads_kw, most_lost)
 
     # Service, one search for the steps of each block.
 
@@ -435,23 +423,13 @@ class Counts:
         """Cuts that a block's steps or the loss have a part in."""
         return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
 
-    def _most(
-        self,
-        block: Flags,
-        deadline: Deadline,
-        share: float = 1.0,
-        least_kw: Floats | None = None,
-    ) -> _Found:
+    def _most(self, block: Flags, deadline: Deadline, share: float = 1.0) -> _Found:
         """Least of the loss minus the service of a block's steps, in units.
 
-        ``share`` is the block's part of the gap, ``least_kw`` (W,) a demand to have at least, with
-        which bounds are none.
+        ``share`` is the block's part of the gap.
         """
         cuts = self._touching(block)
         layout, program = self._of_service(block)
-        if least_kw is not None:
-            steps = slice(0, layout.n_steps)
-            program.x_lower[steps] = np.maximum(program.x_lower[steps], least_kw)
         if not self.whole or any(cut.weights[layout.lost] for cut in cuts):
             solver = self._search(program, layout, cuts, LOSSY_GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
@@ -465,8 +443,7 @@ class Counts:
             return found
         # Service is whole, so its bound may be rounded.
         bound = max(float(np.ceil(found.bound - TOLERANCE)), proven)
-        if least_kw is None:
-            self.proven[block.tobytes()] = bound
+        self.proven[block.tobytes()] = bound
         ended = found.value <= bound + HALF_UNIT
         return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
 
@@ -580,74 +557,3 @@ class Counts:
         return _Found(
             answer.status, answer.value, answer.bound, served, answer.x[: layout.n_steps + 2]
         )
-
-    def _cheapest_first(self, t: int, weight: int) -> Wholes:
-        """Customers of a weight who can be served in a step, by their demand."""
-        if (t, weight) not in self.orders:
-            alike = np.flatnonzero(self.able[t] & (self.units == weight))
-            self.orders[t, weight] = alike[np.argsort(self.load_kw[t, alike], kind="stable")]
-        return self.orders[t, weight]
-
-    def _using_the_sun(self, found: _Found, free: Flags, deadline: Deadline) -> Flags:
-        """The set of an answer, completed; another as good where the fleet cannot carry that.
-
-        Demand has steps, and the least that keeps the sun may be more than is left for it. Another
-        set of the same service then has that much demand from the beginning.
-        """
-        first = served = self._completed(found, free)
-        least_kw = np.zeros(len(free))
-        for _ in range(RETRIES):
-            if not self.whole or (served == found.served).all():
-                return served
-            demand_kw = (self.load_kw * served).sum(axis=1)
-            status, cuts = self._separated(np.append(demand_kw, found.point[-2:]))
-            if status != Status.OPTIMAL:
-                return first
-            if not cuts:
-                return served
-            self.cuts += cuts
-            raised = demand_kw > (self.load_kw * found.served).sum(axis=1) + VIOLATED_KW
-            least_kw = np.where(raised, np.maximum(least_kw, demand_kw), least_kw)
-            search = partial(self._most, free, deadline, least_kw=least_kw)
-            another = self._carried(search, deadline)
-            if not another.status.has_answer or another.value > found.value + HALF_UNIT:
-                return first
-            found, served = another, self._completed(another, free)
-        return first
-
-    def _completed(self, found: _Found, free: Flags) -> Flags:
-        """The set with as many of each weight whose demand takes up the PV power.
-
-        Those with the smallest demand serve as much with the least, but where there is more PV
-        power than the fleet can store, some of it would be lost with them.
-        """
-        served = found.served.copy()
-        point = found.point.copy()
-        point[:-2] = (self.load_kw * served).sum(axis=1)
-        needed = self.reach.least_demand(point, self.deadline)
-        if needed is None:
-            return served
-        for t in np.flatnonzero(free & (needed > point[:-2] + VIOLATED_KW)):
-            served[t] = self._with_demand(served[t], int(t), float(needed[t]))
-        return served
-
-    def _with_demand(self, served: Flags, t: int, needed_kw: float) -> Flags:
-        """As many of each weight with the least demand above what is needed, or else the most."""
-        able = np.flatnonzero(self.able[t] & (self.units > 0))
-        weights, kind = np.unique(self.units[able], return_inverse=True)
-        counts = np.bincount(kind, served[able], len(weights)).astype(float)
-        rows = sp.coo_array((np.ones(len(able)), (kind, np.arange(len(able)))))
-        load = self.load_kw[t, able]
-        each = np.ones(len(able))
-        program = Program(
-            load, 0.0 * each, each, sp.csc_array(rows), counts, counts, np.arange(len(able))
-        )
-        enough = program.with_rows(sp.csc_array(load[None, :]), np.array([needed_kw]))
-        answer = ProgramSolution.of(enough.loaded(DEMAND_GAP_REL * needed_kw), self.deadline)
-        if not answer.status.has_answer:
-            most = replace(program, cost=-load)
-            answer = ProgramSolution.of(most.loaded(), self.deadline)
-        chosen = served.copy()
-        if answer.status.has_answer:
-            chosen[able] = answer.x > 0.5
-        return chosen

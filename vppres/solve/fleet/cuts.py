@@ -118,26 +118,6 @@ class Reach:
         cut = Cut(weights / size, most / size)
         return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
 
-    def least_demand(self, point: Floats, deadline: Deadline) -> Floats | None:
-        """Demand (W) that the fleet needs at least to stay within a point's loss and cost.
-
-        It is more than the point's where PV power would otherwise be lost; None if there is none.
-        """
-        step = len(self.program.cost)
-        loads = self.places[:-2].astype(np.int32)
-        count = len(self.asked)
-        size = len(loads)
-        self.solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
-        cost = self.solver.getLp().col_cost_[step]
-        self.solver.changeColCost(step, 0.0)
-        self.solver.changeColBounds(step, 0.0, 0.0)
-        self.solver.changeColsCost(size, loads, np.ones(size))
-        answer = ProgramSolution.of(self.solver, deadline)
-        self.solver.changeColsCost(size, loads, np.zeros(size))
-        self.solver.changeColBounds(step, 0.0, np.inf)
-        self.solver.changeColCost(step, cost)
-        return answer.x[loads] if answer.status == Status.OPTIMAL else None
-
     def _most(self, weights: Floats, prices: Floats) -> float:
         """Upper bound on a weighted sum of demand, loss and cost, from any prices of the rows.
 
