@@ -191,6 +191,9 @@ def _certified(rows: pd.DataFrame) -> pd.Series[bool]:
 def main(
     sampled: Annotated[bool, typer.Option("--sample", help="Some windows of each group.")] = False,
     only: Annotated[list[str], typer.Option(metavar="NAME", help="Variants; all without.")] = [],  # noqa: B006 (typer copies it)
+    groups: Annotated[
+        list[str], typer.Option("--group", metavar="NAME", help="Groups of windows; all without.")
+    ] = [],  # noqa: B006 (typer copies it)
     results: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the rows.")] = Path(
         "results/ablation"
     ),
@@ -202,6 +205,7 @@ def main(
     chosen = [v for v in variants() if not only or v.name in only]
     found = list(cases())
     found = sample(found, SAMPLE) if sampled else found
+    found = [case for case in found if not groups or case.group in groups]
     results.mkdir(parents=True, exist_ok=True)
     file = results / "rows.csv"
     rows = pd.read_csv(file) if file.is_file() else pd.DataFrame({"window": []})

@@ -12,7 +12,7 @@ import vppres.solve.ladder  # noqa: F401 (the names below are looked up in what 
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.solve.certificate import Candidate
-from vppres.solve.programs import SetOptions
+from vppres.solve.programs import PROOF, SetOptions
 
 SOLVE = "vppres.solve."
 
@@ -63,6 +63,11 @@ def as_found(_: object, found: Candidate) -> Candidate:
 def no_options(*_: object) -> SetOptions:
     """HiGHS as it comes."""
     return SetOptions({}, {})
+
+
+def one_set(*_: object) -> SetOptions:
+    """The same options of HiGHS for every search."""
+    return SetOptions(PROOF, PROOF)
 
 
 def no_groups(*_: object) -> list[Any]:
@@ -143,6 +148,17 @@ MECHANISMS = (
             "network.terms.columns_of_alike": no_groups,
         },
         ("programs.columns_of_alike", "programs.with_sums"),
+    ),
+    Mechanism(
+        "options by kind of window",
+        {"programs.SetOptions.of": one_set, "solvers.SetOptions.of": one_set},
+        ("programs.SetOptions",),
+    ),
+    Mechanism("patience", {"network.master.PATIENCE_NODES": 10**9}, ("deadline.Patience",)),
+    Mechanism(
+        "end of a search at its root",
+        {"network.master.COST_ASKED": 10**9},
+        ("programs.ProgramSolution.of_short_search",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),
     Mechanism(

@@ -193,19 +193,6 @@ def test_batteries_of_no_power_are_as_good_as_the_whole_problem(seed: int) -> No
     assert_agree(scenario, data, both_methods(Site.of(scenario), data))
 
 
-# Few customers over many steps.
-
-
-def test_few_customers_over_many_steps_are_searched_by_binaries() -> None:
-    """Nine customers in 40 quarter hours: counts took twelve times as long as the monolith."""
-    window = hard_window("quarters", 10)
-    answer = WindowSolver(window.site).solve(window.data)
-    assert len(window.site.customers) == 9
-    assert answer.status == Status.OPTIMAL
-    assert answer.stages[0].startswith("binary_service[")
-    assert not any(stage.startswith("service[") for stage in answer.stages)
-
-
 @pytest.fixture
 def all_terms_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves every rung below the search of all terms in the network out."""

@@ -17,9 +17,6 @@ from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.programs import knapsack
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.forecast import ForecastErrors
-from vppres.day.options import RunOptions
-from vppres.day.simulate import run_day
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -28,7 +25,7 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import least_reactive
-from vppres.solve.fleet.counts import SERVICE_NODES, Counts
+from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.masters import Binaries, demand_of
@@ -315,6 +312,8 @@ def test_counts_are_rounded_down_where_time_runs_out(
         return replace(found, status=Status.NO_ANSWER) if integer else found
 
     monkeypatch.setattr(Counts, "_most", late)
+    monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
+    monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", 0)
     counts = Counts(demand_model(site, data.n_steps, lumped=True), data, Deadline(TIME_S))
     outcome, served = counts.service(0.5)
     assert outcome.status == Status.TIME_LIMIT
@@ -325,18 +324,6 @@ def test_counts_are_rounded_down_where_time_runs_out(
     found = WindowSolver(site).solve(data)
     assert found.stages[0] == "service[highs]:time_limit"
     assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
-
-
-def test_binaries_close_what_counts_leave_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = hard_window("tight", 3)
-    before = WindowSolver(case.site).solve(case.data)
-    monkeypatch.setattr("vppres.solve.fleet.counts.SERVICE_NODES", 3)
-    monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
-    answer = WindowSolver(case.site).solve(case.data)
-    assert answer.stages[0] == "service[highs]:gap_open", answer.stages
-    assert "binary_service[highs]" in answer.stages
-    assert answer.status == Status.OPTIMAL
-    assert answer.objective == pytest.approx(before.objective, abs=SolveLimits().gap_abs)
 
 
 @pytest.mark.parametrize(("status", "searches"), [(Status.GAP_OPEN, 1), (Status.OPTIMAL, 3)])
@@ -360,19 +347,6 @@ def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
     ended = counts._carried(search, counts.deadline)
     assert asked == [cuts + k for k in range(searches)]
     assert ended.status == (Status.OPTIMAL if searches > 1 else Status.NO_ANSWER)
-
-
-@pytest.mark.parametrize(("steps", "again"), [(6, Status.OPTIMAL), (12, Status.NO_ANSWER)])
-def test_searches_of_a_long_window_share_their_nodes(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, steps: int, again: Status
-) -> None:
-    monkeypatch.setattr("vppres.solve.fleet.counts.ROOT_NODES", SERVICE_NODES)
-    data = day_window(packaged, 10, steps, 0.5)
-    counts = Counts(demand_model(Site.of(packaged), steps, lumped=True), data, Deadline(TIME_S))
-    first, second = (counts._most(~counts.unlimited, counts.deadline) for _ in range(2))
-    assert first.status == Status.OPTIMAL
-    assert second.status == again
-    assert second.bound == first.bound
 
 
 @pytest.mark.parametrize("certified", [True, False])
@@ -660,14 +634,6 @@ def test_a_cheaper_set_in_the_network_is_found(
     assert found.terms.f2 < first.terms.f2 - cheaper_gbp
     # What the other search could at most have saved covers what this one found.
     assert first.terms.f2 - first.cost_gap_gbp <= found.terms.f2 + 1e-3
-
-
-def test_counts_choose_customers_who_use_the_sun(packaged: Scenario) -> None:
-    # At noon those with the smallest demand would leave PV power unused, and binaries would decide.
-    errors = ForecastErrors(load_alpha_per_h=0.01)
-    run = run_day(packaged, RunOptions(horizon_h=5.0, errors=errors, seed=1))
-    assert run.steps["stages"].str.startswith("service").sum() >= 6
-    assert not run.steps["stages"].str.contains("binary").any()
 
 
 @pytest.mark.parametrize("seed", range(5))

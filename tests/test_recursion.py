@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from benchmarks.scaling import Case, windows_of
 from experiments.random_feeders import random_window
 from vppres.core.errors import SolveError
 from vppres.model.site import Site
+from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost
 from vppres.solve.ladder import WindowSolver
@@ -68,28 +69,33 @@ def test_no_set_loses_fewer_units(seed: int) -> None:
 
 
 @pytest.mark.parametrize("stressed", [False, True])
-def test_the_search_finds_no_more(monkeypatch: pytest.MonkeyPatch, stressed: bool) -> None:
-    """Random windows one way and the other: neither answer exceeds the other's bound."""
+def test_binaries_counts_and_the_recursion_agree(
+    monkeypatch: pytest.MonkeyPatch, stressed: bool
+) -> None:
+    """Random windows in three ways: no answer exceeds another's bound."""
     closed = 0
     for seed in range(12):
         case = random_window(seed, stressed)
+        solver = WindowSolver(Site.of(case.scenario), limits=SolveLimits(time_s=5.0))
         answers: list[WindowSolution | None] = []
-        for few in (10**9, 0):
-            monkeypatch.setattr("vppres.solve.fleet.counts.FEW_COUNTS", few)
-            try:
-                limits = SolveLimits(time_s=5.0)
-                answers.append(WindowSolver(Site.of(case.scenario), limits=limits).solve(case.data))
-            except SolveError:
-                answers.append(None)
-        searched, stepped = answers
-        assert (searched is None) == (stepped is None), seed
-        if searched is None or stepped is None:
-            continue
-        room = 1e-6 * max(1.0, abs(searched.objective))
-        assert stepped.objective <= searched.bound + room, seed
-        assert searched.objective <= stepped.bound + room, seed
-        closed += stepped.status == Status.OPTIMAL
+        for most, steps in ((600, Counts._step_by_step), (0, Counts._step_by_step), (0, nothing)):
+            monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", most)
+            with monkeypatch.context() as patched:
+                patched.setattr(Counts, "_step_by_step", steps)
+                try:
+                    answers.append(solver.solve(case.data))
+                except SolveError:
+                    answers.append(None)
+        found = [answer for answer in answers if answer is not None]
+        assert len(found) in (0, 3), seed
+        for one, other in permutations(found, 2):
+            assert one.objective <= other.bound + 1e-6 * max(1.0, abs(one.objective)), seed
+        closed += all(answer.status == Status.OPTIMAL for answer in found)
     assert closed >= 10
+
+
+def nothing(*_: object) -> None:
+    """No recursion."""
 
 
 def test_a_dark_window_of_quarter_hours_is_decided() -> None:

@@ -320,7 +320,7 @@ class Counts:
         """
         layout, _ = self._program(free)
         joined = len(self.outages) > 1 or any(cut.weights[-2] for cut in self.cuts)
-        if not self.whole or joined:
+        if not self.whole or joined or not len(layout.weight):
             return None
         everyone = int((self.able[free] * self.units).sum())
         lost = int(np.ceil(everyone + linear.bound - self.least[0] - TOLERANCE))

@@ -34,9 +34,9 @@ window's gap is many units, the search leaves its share of that open, as the cou
 ROUNDING = 1e-6
 """By how much a bound may exceed a whole number and still be rounded down to it."""
 
-MOST_BINARIES = 2000
-"""Customers times steps up to which a window is searched with a binary for each; beyond, whole
-numbers for each weight are fewer, and cuts stand for the fleet."""
+MOST_BINARIES = 600
+"""Customers times steps up to which a window is searched with a binary for each. Beyond, that takes
+a second and more; whole numbers for each weight are fewer, and cuts stand for the fleet."""
 
 MANY_BINARIES = 150
 """Binaries from which on a search begins with a set: with fewer that takes as long as itself."""

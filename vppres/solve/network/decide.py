@@ -201,6 +201,7 @@ class InNetwork:
         names = (
             ("cost_level", "network_least_cost") if self.task.is_large else ("network_least_cost",)
         )
+        known.cost_bound_gbp = -np.inf  # until now that of sets without the network
         for name in names:
             least = self._fleet_cost if name == "cost_level" else self._network_cost
             cost_gbp = self._bound(name, least(enough, found))
