@@ -2,7 +2,7 @@
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help venv test quick nightly lint types docs pages doctests pytest durations mutants reproduce \
-  studies bench scenario lock clean
+  studies bench ablation scenario lock clean
 
 VENV ?= .venv
 JOBS ?= 2
@@ -119,6 +119,9 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks
+
+ablation: $(STAMP)  ## what each mechanism of the solver is worth, into docs/_static/benchmarks (hours)
+	$(BIN)/python -m benchmarks.ablation --publish
 
 scenario: $(STAMP)  ## rebuild the packaged scenarios
 	$(BIN)/python -m data.uk_heatwave_2022.build

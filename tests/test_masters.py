@@ -305,11 +305,8 @@ def test_counts_are_rounded_down_where_time_runs_out(
     best = WindowSolver(site).solve(data)
     search = Counts._most
 
-    def late(
-        self: Counts, block: np.ndarray, integer: bool, deadline: Deadline, share: float = 1.0
-    ) -> object:
-        found = search(self, block, integer, deadline, share)
-        return replace(found, status=Status.NO_ANSWER) if integer else found
+    def late(self: Counts, block: np.ndarray, deadline: Deadline, share: float = 1.0) -> object:
+        return replace(search(self, block, deadline, share), status=Status.NO_ANSWER)
 
     monkeypatch.setattr(Counts, "_most", late)
     monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)

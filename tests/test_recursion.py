@@ -76,7 +76,7 @@ def test_binaries_counts_and_the_recursion_agree(
     closed = 0
     for seed in range(12):
         case = random_window(seed, stressed)
-        solver = WindowSolver(Site.of(case.scenario), limits=SolveLimits(time_s=5.0))
+        solver = WindowSolver(Site.of(case.scenario), limits=SolveLimits(time_s=30.0))
         answers: list[WindowSolution | None] = []
         for most, steps in ((600, Counts._step_by_step), (0, Counts._step_by_step), (0, nothing)):
             monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", most)
