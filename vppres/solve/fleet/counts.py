@@ -41,21 +41,9 @@ they have to weigh the loss again."""
 HALF_UNIT = 0.5
 """What a whole number may miss a bound by and still be the number itself."""
 
-COST_NODES = 200
-"""Nodes of a search for a cheaper set where there are several outages: cost joins what service
-leaves apart, and a proof to the usual 0.1 % takes 20 times as long as all the rest."""
-
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
 linear solution has a fraction for each cut that binds."""
-
-SMALLER = 6
-SPARE_ENERGY = 1.2
-"""Batteries that are tried, each with less energy than the one before by so many times what the
-fleet lacks of its set."""
-
-STEPS_SHARE = 0.2
-"""Share of the time left in which they are tried."""
 
 
 def runs(flags: Flags) -> list[Flags]:
@@ -167,7 +155,6 @@ class Counts:
         self.deadline = deadline
         self.unit = model.relaxation.grid
         model.fill(data)
-        self.dt_h = model.relaxation.site.dt_h
         self.load_kw = data.load_kw
         self.able = model.able
         self.units = model.customer_units
@@ -184,7 +171,6 @@ class Counts:
         self.proven: dict[bytes, float] = {}
         self.carried: set[bytes] = set()
         self.blocks: list[Flags] = []
-        self.kept: _Found | None = None
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
@@ -199,7 +185,7 @@ class Counts:
             whole = self._step_by_step(found, free) or self._carried(
                 lambda: self._in_blocks(free, solved, search), search
             )
-            found = self._better(whole, found, free)
+            found = whole if whole.status.has_answer else self._rounded(found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
         outcome = Outcome(
             found.status, anyway - found.value, anyway - found.bound, watch.spent_s, DIRECT
@@ -238,17 +224,14 @@ class Counts:
         """Least cost of so many units, and whether its bound says that there is no set to find."""
         found = self._carried(self._least_by_shares(free, units_min), self.deadline)
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
-        if found.status == Status.OPTIMAL and not near:
-            whole = self._carried(lambda: self._least(free, units_min, gap_gbp), self.deadline)
-            if whole.status.has_answer:
-                found = whole
-            else:
-                near = True  # the search was not finished, and its bound is all there is
-                by_nodes = len(self.outages) > 1 and not self.deadline.passed
-                ended = Status.GAP_OPEN if by_nodes else Status.TIME_LIMIT
-                bound = float(np.fmax(found.bound, whole.bound))
-                found = replace(found, status=ended, bound=bound)
-        return found, bool(near)
+        # Cost joins what service leaves apart: a search of several outages would not end.
+        if found.status != Status.OPTIMAL or near or len(self.outages) > 1:
+            return found, True
+        whole = self._carried(lambda: self._least(free, units_min, gap_gbp), self.deadline)
+        if whole.status.has_answer:
+            return whole, False
+        bound = float(np.fmax(found.bound, whole.bound))
+        return replace(found, status=Status.TIME_LIMIT, bound=bound), True
 
     def _carried(self, solve: Callable[[], _Found], deadline: Deadline) -> _Found:
         """Solve, cut off what the fleet cannot carry, and again until it carries the answer.
@@ -296,14 +279,6 @@ class Counts:
         status, cut = self.reach.separate(point, self.deadline)
         return status, [] if cut is None else [cut]
 
-    def _better(self, whole: _Found, linear: _Found, free: Flags) -> _Found:
-        """The better of what a search and what one battery found, or else the linear one."""
-        if not whole.status.has_answer:
-            return self.kept or self._rounded(linear, free)
-        if self.kept is None or self.kept.value > whole.value - HALF_UNIT:
-            return whole
-        return replace(self.kept, bound=whole.bound, status=whole.status)
-
     def _rounded(self, linear: _Found, free: Flags) -> _Found:
         """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
         units = int((linear.served[free] * self.units).sum())
@@ -329,42 +304,20 @@ class Counts:
         if is_too_much(layout.n_steps, units_of_step, most_lost):
             return None
         losses = [self._losses(layout, t, most_lost) for t in range(layout.n_steps)]
-        one = self.one
-        found = self._of_one_battery(one, free, layout, losses, most_lost)
+        found = self._of_one_battery(free, layout, losses, most_lost)
         proven = found.value if found else self.least[0] - everyone + most_lost + 1
         self.proven[free.tobytes()] = proven
-        end = self.deadline.part(STEPS_SHARE)
-        for _ in range(SMALLER):
-            if found is None or end.passed:
-                return None
-            status, cuts = self._separated(found.point)
-            if status != Status.OPTIMAL:
-                return None
-            if not cuts:
-                return self._within_gap(replace(found, bound=proven))
-            self.cuts += cuts
-            missing_kw = max(float(cut.weights @ found.point) - cut.most for cut in cuts)
-            one = replace(one, stored_kwh=one.stored_kwh - SPARE_ENERGY * missing_kw * self.dt_h)
-            found = self._of_one_battery(one, free, layout, losses, most_lost)
-        return None
-
-    def _within_gap(self, found: _Found) -> _Found | None:
-        """A set that the fleet carries, if no other has much more; kept in any case."""
-        if found.value - found.bound < max(1.0, WHOLE_GAP_SHARE * self.gap):
-            return found
-        self.kept = replace(found, status=Status.TIME_LIMIT)
-        return None
+        if found is None:
+            return None
+        status, cuts = self._separated(found.point)
+        self.cuts += cuts
+        return found if status == Status.OPTIMAL and not cuts else None
 
     def _of_one_battery(
-        self,
-        one: OneBattery,
-        free: Flags,
-        layout: _Layout,
-        losses: list[Losses],
-        most_lost: int,
+        self, free: Flags, layout: _Layout, losses: list[Losses], most_lost: int
     ) -> _Found | None:
         """Most service that one battery carries, if it loses no more than so many units."""
-        ways = fewest_lost(one, self.demand_kw, losses, most_lost)
+        ways = fewest_lost(self.one, self.demand_kw, losses, most_lost)
         if ways is None:
             return None
         left_out = [step.left_out[way] for step, way in zip(losses, ways, strict=True)]
@@ -431,13 +384,13 @@ class Counts:
         cuts = self._touching(block)
         layout, program = self._of_service(block)
         if not self.whole or any(cut.weights[layout.lost] for cut in cuts):
-            solver = self._search(program, layout, cuts, LOSSY_GAP_SHARE * self.gap)
+            solver = self._search(program, cuts, LOSSY_GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
         gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
-        solver = self._search(program, layout, cuts, gap, enough=proven + HALF_UNIT)
+        solver = self._search(program, cuts, gap, proven + HALF_UNIT)
         found = self._found(solver, layout, deadline)
         if not found.status.has_answer:
             return found
@@ -455,8 +408,7 @@ class Counts:
     def _least(self, free: Flags, units_min: float, gap_gbp: float) -> _Found:
         """Least cost of so many units."""
         layout, program = self._of_cost(free)
-        nodes = COST_NODES if len(self.outages) > 1 else None
-        solver = self._search(program, layout, self.cuts, gap_gbp, nodes)
+        solver = self._search(program, self.cuts, gap_gbp)
         self._ask_for(units_min, free, layout, solver)
         return self._found(solver, layout, self.deadline)
 
@@ -520,16 +472,10 @@ class Counts:
         )
 
     def _search(
-        self,
-        program: Program,
-        layout: _Layout,
-        cuts: list[Cut],
-        gap_abs: float,
-        nodes: int | None = None,
-        enough: float = -np.inf,
+        self, program: Program, cuts: list[Cut], gap_abs: float, enough: float = -np.inf
     ) -> highspy.Highs:
-        """A search with cuts, to so many nodes; nothing is below ``enough``."""
-        solver = program.loaded(gap_abs, nodes, enough, PROOF)
+        """A search with cuts; nothing is below ``enough``."""
+        solver = program.loaded(gap_abs, enough=enough, more=PROOF)
         for cut in cuts:
             cut.add_to(solver)
         return solver

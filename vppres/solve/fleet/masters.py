@@ -131,7 +131,8 @@ class Binaries:
         """Least cost of all sets with so many units; the LP relaxation first, which may do."""
         relaxed = self._with_units(units_min, everyone, integer=False)
         bound = run(relaxed.cost_problem, self.spec, 0.0, self.deadline.left_s)
-        if bound.status != Status.OPTIMAL or bound.bound >= known_gbp - gap_gbp:
+        near = not np.isfinite(gap_gbp) or bound.bound >= known_gbp - gap_gbp
+        if near or bound.status != Status.OPTIMAL:
             return bound, None
         model = self._with_units(units_min, everyone, integer=True)
         options = None if self.best is None else self.spec.of_cheaper

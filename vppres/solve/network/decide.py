@@ -25,7 +25,7 @@ from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.network.sets import TOLERANCE
-from vppres.solve.result import Outcome
+from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
 
 SERVICE_SHARE = 0.5
@@ -34,13 +34,6 @@ cost and, where the window is small, the whole problem."""
 
 HUGE_SERVICE_SHARE = 0.45
 """The same in a huge window, whose dispatch takes longer than the search: at 10,000 buses 50 s."""
-
-FLEET_SHARE = 0.03
-"""Share of the time left for the fleet's least cost, a bound that only narrows the certificate."""
-
-LEAST_FLEET_S = 0.3
-"""What it may take of a short limit, as far as there is so much left. Of 39 windows none stayed
-open that a second certified; in six the bound on cost is wider."""
 
 HALF_UNIT = 0.5
 """Units of service by which the network's bound must lie below the fleet's set to say that it
@@ -175,7 +168,8 @@ class InNetwork:
         if self.task.is_large or found.terms.f2 - known.cost_bound_gbp <= gap_gbp:
             return found
         units = float(np.ceil(found.service / self.master.unit - TOLERANCE))
-        deadline = self.task.deadline.part(COST_SHARE)
+        share = COST_SHARE if self._certified(found) else SERVICE_SHARE
+        deadline = self.task.deadline.part(share)
         first = found.dispatch.served
         outcome, served = self.master.cost_level(units, first, found.terms.f2, gap_gbp, deadline)
         known.note("network_cost_level", outcome)
@@ -190,25 +184,22 @@ class InNetwork:
     def _bound_cost(self, found: Candidate) -> None:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
-        In a small window shares of customers in the network say more than the fleet does. In a
-        large one the whole customers of the fleet come first, then the network if it may help.
+        First by the LP relaxation of the fleet, then, if that may close the gap, by that with the
+        rows of the network.
         """
         known = self.task.certificate
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
         enough = (needed - UNITS_TOLERANCE) / unit
         served = (found.service - UNITS_TOLERANCE) / unit
-        names = (
-            ("cost_level", "network_least_cost") if self.task.is_large else ("network_least_cost",)
-        )
         known.cost_bound_gbp = -np.inf  # until now that of sets without the network
-        for name in names:
-            least = self._fleet_cost if name == "cost_level" else self._network_cost
-            cost_gbp = self._bound(name, least(enough, found))
+        bounds = (("least_cost", self._fleet_cost), ("network_least_cost", self._network_cost))
+        for name, least in bounds:
+            cost_gbp = self._bound(name, least(enough))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             if np.ceil(served) > np.ceil(enough):
                 # Sets that serve as much as this one, not only as much as it is worth, cost more.
-                cost_gbp = max(cost_gbp, self._bound(name, least(served, found)))
+                cost_gbp = max(cost_gbp, self._bound(name, least(served)))
             known.cost_bound_gbp = max(known.cost_bound_gbp, cost_gbp)
             done = self._certified(found) or self.task.deadline.passed
             if done or self.task.is_huge or not self._closable(found):
@@ -236,17 +227,15 @@ class InNetwork:
     @cached_property
     def _fleet(self) -> Master | None:
         """The fleet's master; cuts of its first answer serve the second too."""
-        task = self.task
-        share_s = FLEET_SHARE * task.deadline.left_s
-        least_s = min(LEAST_FLEET_S, task.deadline.left_s)
-        return fleet_master(task, task.deadline.within(max(share_s, least_s)))
+        return fleet_master(self.task, self.task.deadline.part(COST_SHARE))
 
-    def _fleet_cost(self, units_min: float, found: Candidate) -> Outcome:
-        """Least cost of all sets with so many units, without the network."""
-        assert self._fleet is not None
-        return self._fleet.cost(units_min, False, found.terms.f2, cost_gap_gbp(found.terms.f2))[0]
+    def _fleet_cost(self, units_min: float) -> Outcome:
+        """Least cost of shares of customers with so many units, without the network."""
+        if self._fleet is None:
+            return Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+        return self._fleet.cost(units_min, False, np.inf, np.inf)[0]
 
-    def _network_cost(self, units_min: float, _: Candidate) -> Outcome:
+    def _network_cost(self, units_min: float) -> Outcome:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
