@@ -226,10 +226,12 @@ def test_findings_name_fallbacks_and_dark_islands() -> None:
         fallback=["none", "previous_plan", "rule", "rule"],
         dark=[0.0, 1.0, 1.0, 0.0],
         dark_reason=["", "no battery", "no battery", ""],
+        shed_kw=[0.0, 0.0, 65.0, 0.0],
         ac_failed=[False, False, False, True],
     )
     found = findings(replace(run, steps=steps))
     assert "The island was blacked out in 2 steps: no battery." in found
+    assert "The plan had promised supply in 1 step of them." in found
     assert "AC power flow had no solution in 1 step." in found
     assert "Fallback decisions: rule (2), previous plan (1)." in found
 

@@ -125,6 +125,9 @@ def _unlit(run: Trajectory) -> Iterator[str]:
         reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
         why = f": {'; '.join(reasons)}" if reasons else ""
         yield f"The island was blacked out in {_steps(len(dark))}{why}."
+        promised = dark[dark["shed_kw"] > 0] if "shed_kw" in dark else dark.iloc[:0]
+        if len(promised):
+            yield f"The plan had promised supply in {_steps(len(promised))} of them."
     failed = steps.get("ac_failed", pd.Series("", steps.index))
     not_found = failed.astype(str).str.startswith(NOBODY)
     estimated = steps.get("estimated", pd.Series("", steps.index))
