@@ -89,10 +89,6 @@ MECHANISMS = (
         ("fleet.recursion", "fleet.counts.Counts._step_by_step"),
     ),
     Mechanism(
-        "smaller batteries in the recursion",
-        {"fleet.counts.SMALLER": 1},
-    ),
-    Mechanism(
         "equivalent battery first",
         {"ladder.fleets_of": every_battery, "fleet.all_terms.fleets_of": every_battery},
         ("fleet.masters.fleets_of",),
@@ -113,7 +109,6 @@ MECHANISMS = (
         {"network.decide.network_master": nothing, "ladder.network_master": nothing},
         ("network.master", "network.sets", "network.cheapest", "network.feeders"),
     ),
-    Mechanism("sets by cuts before binaries", {"network.master.ROUNDS": 0}),
     Mechanism(
         "cuts of feeders",
         {"network.master.NetworkMaster._by_feeders": none_held},
@@ -153,12 +148,6 @@ MECHANISMS = (
         "options by kind of window",
         {"programs.SetOptions.of": one_set, "solvers.SetOptions.of": one_set},
         ("programs.SetOptions",),
-    ),
-    Mechanism("patience", {"network.master.PATIENCE_NODES": 10**9}, ("deadline.Patience",)),
-    Mechanism(
-        "end of a search at its root",
-        {"network.master.COST_ASKED": 10**9},
-        ("programs.ProgramSolution.of_short_search",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),
     Mechanism(

@@ -1,4 +1,4 @@
-"""Time limits hold in every stage: parts of time, patience, and windows that would never end."""
+"""Time limits hold in every stage: parts of time, and windows that would never end."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.deadline import Deadline, Patience, Stopwatch
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.counts import Counts, _Found
 from vppres.solve.fleet.masters import demand_of
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.master import NetworkMaster
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import find_solver, run, run_conic
 from vppres.solve.task import WindowTask
@@ -63,40 +61,7 @@ def test_parts_of_a_deadline(now: list[float]) -> None:
     assert window.later(3.0).left_s == -7.0
 
 
-def test_patience_ends_as_long_after_an_improvement_as_it_took(now: list[float]) -> None:
-    patience = Patience(Deadline(100.0), least=10)
-    patience.saw(best=1.0, bound=9.0, nodes=9)
-    now[0] += 90.0  # however slow the machine is
-    patience.saw(best=1.0, bound=9.0, nodes=19)
-    assert not patience.passed
-    patience.saw(best=1.0, bound=8.0, nodes=19)
-    patience.saw(best=0.5, bound=8.0, nodes=38)  # neither is better than what was seen
-    assert not patience.passed
-    patience.saw(best=0.5, bound=8.0, nodes=39)
-    assert patience.passed
-    assert not patience.end.passed
-
-
-def test_patience_ends_with_the_time(now: list[float]) -> None:
-    patience = Patience(Deadline(15.0), least=10)
-    patience.saw(best=1.0, bound=9.0, nodes=1)
-    now[0] += 16.0
-    assert patience.passed
-
-
 # Stages.
-
-
-def test_search_in_the_network_ends_where_nothing_improves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vppres.solve.network.master.PATIENCE_NODES", 0)
-    site = Site.of(packaged())
-    data = window_data(instance(NEVER_CLOSED))
-    master = NetworkMaster(site, Reactance(site), data, Deadline(600.0))
-    outcome, served = master.service(Deadline(600.0))
-    assert outcome.status == Status.GAP_OPEN
-    assert outcome.solve_s < 300.0
-    assert served is not None
-    assert outcome.value < outcome.bound
 
 
 @pytest.mark.parametrize("method", ["decomposed", "monolithic"])

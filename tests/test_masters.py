@@ -39,7 +39,6 @@ from vppres.solve.network.rules import RuleModel
 from vppres.solve.programs import (
     NO_SETS_OF_THEIR_OWN,
     PROOF,
-    SMALL_PROOF,
     SUMS_KEPT,
     ProgramSolution,
     begin_with,
@@ -78,7 +77,7 @@ def test_search_ends_at_what_is_proven(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_options_of_counts_change_no_optimum(seed: int) -> None:
     plain = ProgramSolution.of(knapsack(seed).loaded(), Deadline(TIME_S))
-    lean = ProgramSolution.of(knapsack(seed).loaded(more=SMALL_PROOF), Deadline(TIME_S))
+    lean = ProgramSolution.of(knapsack(seed).loaded(more=PROOF), Deadline(TIME_S))
     assert lean.status == plain.status == Status.OPTIMAL
     assert (lean.value, lean.bound) == pytest.approx((plain.value, plain.bound), abs=1e-9)
 

@@ -18,7 +18,7 @@ from vppres.core.errors import NumericalError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.compiled import compiled_for
-from vppres.solve.deadline import LEAST_S, Deadline, Patience
+from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.result import Outcome, Status
 
 DIRECT = "highs"
@@ -62,10 +62,6 @@ problem to find one."""
 PROOF = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_allow_restart": False})
 """Options for a search whose time goes into the proof: it does not begin again at the root either.
 341 searches of counts took three times as long with both."""
-
-SMALL_PROOF = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
-"""The same without HiGHS's last problem within the problem, at the root by reduced costs: where all
-whole numbers are few, it is as large as the search itself, and a third of its time."""
 
 SUMS_KEPT = sum(1 << rule for rule in (8, 9, 12))
 """HiGHS's rules of presolve that replace a whole number by the sum that it stands for, and leave
@@ -265,43 +261,6 @@ class ProgramSolution:
             np.asarray(solution.col_value),
             np.asarray(solution.row_dual),
         )
-
-    @classmethod
-    def of_search(cls, solver: highspy.Highs, patience: Patience) -> ProgramSolution:
-        """Run a search for a smallest whole number as long as it improves."""
-        before = patience.nodes
-
-        def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
-            """HiGHS asks between nodes whether to go on."""
-            # Its bound is worth the whole number above it.
-            bound = np.ceil(now.mip_dual_bound - WHOLE_TOLERANCE)
-            nodes = before + max(int(now.mip_node_count), 0)
-            patience.saw(best=-now.mip_primal_bound, bound=-bound, nodes=nodes)
-            answer.user_interrupt = patience.passed
-
-        solver.setCallback(ask, None)
-        solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
-        return cls.of(solver, patience.end)
-
-    @classmethod
-    def of_short_search(
-        cls, solver: highspy.Highs, deadline: Deadline, most_asked: int
-    ) -> ProgramSolution:
-        """Run a search that may be asked so often at its root whether it is to go on.
-
-        Cuts and heuristics of the root may take longer than all nodes; HiGHS asks between them.
-        """
-        asked = 0
-
-        def ask(_kind: object, _text: str, now: Any, answer: Any, _data: object) -> None:
-            """HiGHS asks whether to go on."""
-            nonlocal asked
-            asked += int(now.mip_node_count <= 1)
-            answer.user_interrupt = asked > most_asked
-
-        solver.setCallback(ask, None)
-        solver.startCallback(highspy.cb.HighsCallbackType.kCallbackMipInterrupt)
-        return cls.of(solver, deadline)
 
     def outcome(self, solve_s: float) -> Outcome:
         """The same without values, after so many seconds."""

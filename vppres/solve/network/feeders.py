@@ -16,7 +16,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows
-from vppres.solve.programs import NO_SETS_OF_THEIR_OWN, Program, ProgramSolution
+from vppres.solve.programs import PROOF, Program, ProgramSolution
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -31,7 +31,7 @@ NODES = 50
 GAP = 0.05
 """Units that a feeder's search may leave open."""
 
-SEARCH = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_heuristic_run_root_reduced_cost": False})
+SEARCH = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
 """How HiGHS searches a feeder: for the bound."""
 
 LEAST_CUT = 0.01

@@ -15,7 +15,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.deadline import Deadline, Patience, Stopwatch
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
@@ -41,22 +41,9 @@ many rounds lead to the discs themselves, and a set that misses so little of the
 DISCS = (DISC, VERIFIED_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
 
-ROUNDS = 3
-"""Sets that are tried before it begins: most windows are closed by then, at a tenth of its time."""
-
-PATIENCE_NODES = 500
-"""Nodes without a better set or bound after which the search ends early: some 10 to 20 s on 33
-buses, where the longest wait for an improvement that came was 12 s."""
-
-TRIED_NODES = 100
-"""Nodes of a search for the next set to try where the search with the network follows soon."""
-
 COST_NODES = 100
 """Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
 the proof that there is nothing cheaper never ends where it does not end soon."""
-
-COST_ASKED = 100
-"""How often its root may ask whether to go on: 3 to 4 s where that takes longer than all nodes."""
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
@@ -68,9 +55,6 @@ to five of them proved it in windows of 1,021 buses, and of 72 windows they foun
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
 that are as tight find the same set again."""
-
-ROUND_NODES = 25
-"""Nodes for which a round counts: its search begins anew, and its linear problems take as long."""
 
 FEEDERS_SHARE = 0.5
 """Share of the time of the search for the most service that feeders' own searches may take."""
@@ -199,21 +183,10 @@ class NetworkMaster:
         binding: Flags,
         over: float,
     ) -> Flags:
-        """Try sets within discs that are exceeded so far; returns the limits that have bound.
-
-        Prices know sets that are carried in part, which rules may forbid: there all sets come from
-        the search with binaries.
-        """
-        patience = Patience(deadline, PATIENCE_NODES)
-        rounds = 0
-        while not known.closed() and not patience.passed:
-            rounds = rounds + 1
+        """Try sets within discs that are exceeded so far; returns the limits that have bound."""
+        while not known.closed() and not deadline.passed:
             enough = known.most
-            if self.data.switching is not None or rounds > ROUNDS:
-                found = self._searched(binding, known.bound, known.best, patience)
-            else:
-                found = cuts.most(known.shares, enough + 1.0, patience.end, most_nodes=TRIED_NODES)
-            known.take(found)
+            known.take(self._searched(binding, known.bound, known.best, deadline))
             if known.closed():
                 break
             linear = self._tried(self.root[0], known.tried, over, enough)
@@ -222,8 +195,6 @@ class NetworkMaster:
             self._cut(linear, cuts)
             known.shares = self._shares(linear)
             known.improve(*self._carried(linear))
-            nodes = patience.nodes + ROUND_NODES
-            patience.saw(known.most, known.bound, nodes)
             # These forbid the set that was tried, if it is not carried in full.
             binding = self._also_priced(binding, linear)
         return binding
@@ -431,7 +402,7 @@ class NetworkMaster:
         return columns, np.append(-self.units, np.full(len(off), self.pair))
 
     def _searched(
-        self, binding: Flags, at_most: float, best: Floats | None, patience: Patience
+        self, binding: Flags, at_most: float, best: Floats | None, deadline: Deadline
     ) -> ProgramSolution:
         """Search with binaries and some of the limits in the network, until so many units.
 
@@ -444,7 +415,7 @@ class NetworkMaster:
         solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=self._options)
         if best is not None and self.data.switching is not None:
             begin_with(solver, x, best)
-        found = ProgramSolution.of_search(solver, patience)
+        found = ProgramSolution.of(solver, deadline)
         return replace(found, x=found.x[x.ravel()] if found.status.has_answer else found.x)
 
     @property
@@ -499,7 +470,7 @@ class NetworkMaster:
             counted = self._counted(program, self.network.found)
             solver = counted.loaded(0.5 * gap_gbp, COST_NODES, more=self._options)
             begin_with(solver, x, known if best is None else best)
-            found = ProgramSolution.of_short_search(solver, deadline, COST_ASKED)
+            found = ProgramSolution.of(solver, deadline)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
             if not found.status.has_answer:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -110,23 +110,6 @@ class ServiceCuts:
         searched = raised > 0.0
         self.gains.append(np.where(searched, 0.0, gain))
         self.most_units.append(self.most_units[0] + float(gain[searched].sum()) - total)
-
-    def most(
-        self,
-        shares: Floats,
-        at_least: float,
-        deadline: Deadline,
-        most_nodes: int | None = None,
-    ) -> ProgramSolution:
-        """The set with the most units, at least so many; among equal ones one close to the shares.
-
-        Closeness counts for less than ``NEAR`` of a unit, and the bound is raised by as much. So
-        many nodes end the search.
-        """
-        program = self._program(shares, at_least)
-        solver = program.loaded(1.0 - 2.0 * NEAR, most_nodes, more=FEW_ROWS)
-        found = ProgramSolution.of(solver, deadline)
-        return replace(found, bound=found.bound - NEAR)
 
     def with_units(
         self, units: float, shares: Floats, held: Floats, deadline: Deadline
