@@ -1,4 +1,4 @@
-"""Windows whose steps nothing joins, solved one by one (``docs/method.md``, *Steps apart*).
+"""Windows whose steps nothing joins, solved one by one (``docs/method.md``, *Stages*).
 
 Batteries carry energy, and switching rules carry duties, from one step to another. Where there is
 neither, the objective is a sum over the steps, and so are the best dispatch and its bound. Solved

@@ -1,6 +1,6 @@
 """What is proven about a window while it is being solved: the best dispatch, bounds and gaps.
 
-The proofs are in ``docs/method.md``, section *Why a bound bounds*. They are stated there for
+The proofs are in ``docs/method.md``, section *Why the bounds hold*. They are stated there for
 prices of any sign: ``CostRange.least_gbp`` is zero where no price is negative.
 """
 

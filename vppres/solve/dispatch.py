@@ -1,7 +1,7 @@
 """A served set becomes a dispatch: its cheapest, then the one that the tie-breakers prefer.
 
 One MIP at a usual gap leaves cost and reactive power undecided, so each term is solved to its own
-precision with the terms above it held (``docs/method.md``, *Levels*).
+precision with the terms above it held (``docs/method.md``, *Lexicographic levels*).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """All terms at once, without the network: the relaxation that needs no grid of weights or prices.
 
-``docs/method.md``, *The stages*.
+``docs/method.md``, *Stages*.
 """
 
 from __future__ import annotations

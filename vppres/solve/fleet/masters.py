@@ -1,6 +1,6 @@
 """The masters of service and cost: by binaries, or by counts in long windows.
 
-``docs/method.md``, *Why counts are enough* and *With switching rules*.
+``docs/method.md``, *Service by counts* and *Switching rules*.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Of all ways to lose so many units up to a step, the one that leaves most energy is as good as any
 other for all that follows: dynamic programming, where a search by binaries has many steps that are
-nearly alike. ``docs/method.md``, *One battery, step by step*.
+nearly alike. ``docs/method.md``, *Service by counts*.
 """
 
 from __future__ import annotations

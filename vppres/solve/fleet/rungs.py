@@ -1,6 +1,6 @@
 """The lower rungs of the ladder: relaxations without the network, each with its bound.
 
-The proofs are in ``docs/method.md``, *Why a bound bounds*.
+The proofs are in ``docs/method.md``, *Why the bounds hold*.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A window enters the network: is its dispatch carried, and if not, who is served at what cost.
 
-``docs/method.md``, *Service in the network*.
+``docs/method.md``, *Service with the network*.
 """
 
 from __future__ import annotations

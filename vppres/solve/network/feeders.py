@@ -1,7 +1,7 @@
 """What each feeder proves by itself: cuts from its own search at the prices of what all share.
 
 Feeders that leave the slack bus share balances alone, since no line's voltage drop reaches beyond
-the slack bus. ``docs/method.md``, *Cuts of feeders*.
+the slack bus. ``docs/method.md``, *Service with the network*.
 """
 
 from __future__ import annotations

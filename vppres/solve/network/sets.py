@@ -1,6 +1,6 @@
 """Sets of customers that the network may carry: what is proven of all, and the next one to try.
 
-``docs/method.md``, *Service in the network*, has the inequalities.
+``docs/method.md``, *Service with the network*, has the inequalities.
 """
 
 from __future__ import annotations

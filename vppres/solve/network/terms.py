@@ -2,7 +2,7 @@
 
 Voltage limits and tangents of discs are added where a solution violates them, so that a search has
 a few hundred of them in place of every line, bus and side of a polygon, and meets the true discs.
-``docs/method.md``, *All terms in the network*.
+``docs/method.md``, *Service with the network*.
 """
 
 from __future__ import annotations
