@@ -32,9 +32,6 @@ SERVICE_SHARE = 0.5
 """Share of the time left for the search of a set: the other half is for its dispatch, its bound on
 cost and, where the window is small, the whole problem."""
 
-HUGE_SERVICE_SHARE = 0.45
-"""The same in a huge window, whose dispatch takes longer than the search: at 10,000 buses 50 s."""
-
 HALF_UNIT = 0.5
 """Units of service by which the network's bound must lie below the fleet's set to say that it
 forbids the set."""
@@ -146,8 +143,7 @@ class InNetwork:
         least the bound, and none serves more than the bound on service.
         """
         known = self.task.certificate
-        share = HUGE_SERVICE_SHARE if self.task.is_huge else SERVICE_SHARE
-        search = self.task.deadline.part(share)
+        search = self.task.deadline.part(SERVICE_SHARE)
         outcome, served = self.master.service(search)
         known.note("network_service", outcome)
         if served is None:

@@ -35,22 +35,20 @@ from vppres.solve.programs import (
 from vppres.solve.result import Outcome, Status
 
 VERIFIED_DISC = 1e-4
-"""The same of the best set of a large window's search, which has to have a dispatch: ten times as
-many rounds lead to the discs themselves, and a set that misses so little of them has one."""
+"""Share of its radius by which the best set of a large window may exceed a disc, between that of a
+bound and that of a dispatch: trades rounds for sets that have no dispatch."""
 
 DISCS = (DISC, VERIFIED_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
 
 COST_NODES = 100
-"""Nodes of a search for a cheaper set: on the benchmark's windows what it finds comes early, and
-the proof that there is nothing cheaper never ends where it does not end soon."""
+"""Nodes of a search for a cheaper set: trades a narrower gap of cost for time."""
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
 
 FREE_TRIES = 6
-"""The same of sets that serve with a grid whom they like: where there is none of so many units, two
-to five of them proved it in windows of 1,021 buses, and of 72 windows they found one in none."""
+"""The same of sets that serve anyone they like with a grid: enough for most proofs of none."""
 
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
