@@ -19,6 +19,7 @@ from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
+from vppres.solve.dispatch import eased
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel, demand_model
 from vppres.solve.fleet.relaxation import AggregateModel, whole_price
@@ -97,7 +98,7 @@ class Binaries:
         lumped: bool,
     ) -> None:
         self.cache = cache
-        self.data = data
+        self.data = eased(cache.site, data)
         self.spec = spec
         self.deadline = deadline
         self.lumped = lumped
