@@ -28,7 +28,6 @@ NOT_OF_A_RUN = (
     "opendssdirect",
     "pandapower",
     "resvg_py",
-    "scipy.stats",
     "sqlalchemy",
 )
 """What other commands need, and no run."""
