@@ -21,7 +21,7 @@ templates_path = ["_templates"]
 exclude_patterns = ["_build"]
 if tags.has("pages"):  # type: ignore[name-defined]  # noqa: F821
     # `make pages` leaves out the reference of all modules, which takes most of the time.
-    exclude_patterns.append("api.md")
+    exclude_patterns.append("api.*")
     suppress_warnings = ["toc.excluded"]
 
 html_theme = "furo"
