@@ -283,7 +283,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "[switching]\nmin_served_h = -1\n[controller]",
         [
             "scenario.toml, switching.min_served_h = -1: must be at least 0. "
-            "Give the shortest time served after a restoration in h."
+            "Give the shortest time on supply after a restoration in h."
         ],
     ),
     "cold load below the usual": (

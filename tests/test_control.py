@@ -114,10 +114,10 @@ def test_an_outage_that_is_expected_is_prepared(tiny: Scenario) -> None:
 def test_forecast_is_a_table_by_time(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=2.0))
     ahead = controller.times[2:5]
-    load = pd.DataFrame({"shop": [0.0, 10.0, 20.0], "homes": [1.0, 2.0, 3.0]}, index=ahead)
+    load = pd.DataFrame({"shop": [2.0, 10.0, 20.0], "homes": [1.0, 2.0, 3.0]}, index=ahead)
     decision = controller.step(Measurement(ahead[0], SOC, load_kw=load))
     assert decision.time == ahead[0]
-    assert decision.customers["load_kw"].to_dict() == {"hospital": 64.0, "shop": 0.0, "homes": 1.0}
+    assert decision.customers["load_kw"].to_dict() == {"hospital": 64.0, "shop": 2.0, "homes": 1.0}
 
 
 def test_state_of_charge_beyond_the_limits_counts_as_the_limit(tiny: Scenario) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 import tracemalloc
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.support.bodies import BEGIN, crowd, reading, strangers
 from tests.support.live_service import HERE, NOON, client, decided, site
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
@@ -19,7 +19,6 @@ from vppres.service.clock import SetClock
 from vppres.service.runner import Service
 
 BELIEVING = RunOptions(horizon_h=2.0, isolate=False, outages="belief")
-BEGIN = "2026-11-21T12:00:00Z"
 HUGE = 10**400
 LATE = "2199-12-31T00:00:00Z"
 
@@ -32,12 +31,6 @@ def belief(**fields: Any) -> dict[str, Any]:
 def forecast(values: list[float], resolution: str = "PT1H", start: str = BEGIN) -> dict[str, Any]:
     assets = {"shop": {"p50": values}}
     return {"issued_at": BEGIN, "start": start, "resolution": resolution, "assets": assets}
-
-
-def reading(**fields: Any) -> dict[str, Any]:
-    one = {"source": "scada", "asset": "big", "quantity": "soc", "start": BEGIN,
-           "resolution": "PT1H", "values": [0.5]}  # fmt: skip
-    return {"series": [{**one, **fields}]}
 
 
 def openadr(kind: str, values: list[Any], **period: str) -> dict[str, Any]:
@@ -167,18 +160,6 @@ def test_whatever_is_said_the_step_is_decided(
             assert plan["status"] == "ok", (plan.get("reason"), plan["solve"])
 
     check()
-
-
-def crowd() -> bytes:
-    """8 MB of readings that are none: 2.6 million mistakes."""
-    one = json.dumps(reading(values=[""] * 1280)["series"][0], separators=(",", ":"))
-    return f'{{"series":[{",".join([one] * 2000)}]}}'.encode()
-
-
-def strangers() -> bytes:
-    """8 MB of fields that there are not."""
-    fields = ",".join(f'"{i:x}":0' for i in range(780_000))
-    return f'{{"series":[{{{fields}}}]}}'.encode()
 
 
 @pytest.mark.parametrize("body", [crowd, strangers])

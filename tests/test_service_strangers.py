@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
+from tests.support.bodies import crowd, strangers
 from tests.support.live_service import HERE, NOON, client, site
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
@@ -117,8 +118,6 @@ def test_a_connection_that_is_answered_in_time_stays(own: Started) -> None:
 
 
 def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
-    from tests.test_service_bodies import crowd, strangers
-
     with closing(Client(own.url)) as operator:
         for hour, body in enumerate((crowd(), strangers(), None), start=1):
             now = site(tiny_scenario()).grid.start + pd.Timedelta(hours=hour)
