@@ -352,7 +352,7 @@ def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
         page = file.read_text(encoding="utf-8")
         assert "Decisions and reasons" in page
         assert "19 Jul 12:00 to 19 Jul 18:00: island" in page
-        assert "11 to 20 of 32 customers were served" in page
+        assert "11 to 19 of 32 customers were supplied" in page
 
 
 def test_a_report_without_explanation_has_no_such_section(tmp_path: Path) -> None:

@@ -505,10 +505,6 @@ def test_all_decisions_of_a_window_share_its_time(
             "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
             "of the inverter's rating, for example 0.1.",
         ),
-        (
-            {"passes": -1},
-            "options, passes = -1: must not be negative. Give a whole number from zero.",
-        ),
     ],
 )
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:

@@ -120,7 +120,7 @@ def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
 
 def test_mpc_makes_up_for_the_heating(days: Days) -> None:
     results = days(efficiency.jobs(HEATING))
-    held = ("R19a", "R19c", "R20a", "R24")
+    held = ("R19a", "R19c", "R20a")  # R24 depends on which of equally good plans is met
     rows = [row for row in efficiency.rows(HEATING, results) if row.id in held]
     assert len(rows) == len(held)
     assert misses(rows) == []

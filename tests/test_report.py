@@ -268,7 +268,7 @@ def test_simplifications_follow_the_run() -> None:
     told = " ".join(simplifications(other))
     assert "no forecast errors" in told
     assert "heating" not in told
-    assert "reported, not held" in told
+    assert "Line ratings are reported, not enforced" in told
 
 
 def test_data_in_words() -> None:

@@ -111,7 +111,7 @@ def test_an_operator_orders_some_and_the_others_stay(live: tuple[Caller, SetCloc
     plan = decided(http, clock, NOON + HOUR)
     assert plan["status"] == "manual"
     assert said(plan, "batteries")["big"]["p_kw"] == -12.5
-    assert said(plan, "batteries")["small"]["reason"] == "default: more than it has room for"
+    assert said(plan, "batteries")["small"]["reason"] == "default: energy above its upper limit"
     assert said(plan, "customers")["shop"]["served"] is False
     assert said(plan, "customers")["homes"]["served"] == said(first, "customers")["homes"]["served"]
     assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"

@@ -499,14 +499,13 @@ def test_import_that_is_paid_for_lowers_the_cost_below_zero() -> None:
 
 
 def test_stages_name_the_solver_of_each(packaged: Scenario) -> None:
-    """Counts and continuous problems with cones do not follow the flag, and the record says so."""
+    """Continuous problems with cones do not follow the flag, and the record says so."""
     data = window(packaged, slice(12, 15), soc=0.5)
     answer = WindowSolver(Site.of(packaged), "decomposed", "scip").solve(data)
     solvers = dict(
         re.fullmatch(r"(\w+)\[(\w+)\](?::\w+)?", stage).groups() for stage in answer.stages
     )
-    assert solvers["service"] == solvers["cost_level"] == "highs"
-    assert solvers["cost"] == "scip"
+    assert solvers["service"] == solvers["cost_level"] == solvers["cost"] == "scip"
     assert solvers["tie_breakers"] == "clarabel"
 
 
