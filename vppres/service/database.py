@@ -159,10 +159,10 @@ class OnServer:
             elif not self._taken():
                 raise InputError(_in_use(self.name))
         except InputError:
-            self.engine.dispose()
+            self.close()
             raise
         except sa.exc.SQLAlchemyError as error:
-            self.engine.dispose()
+            self.close()
             words = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
             cure = "Start the server, or give another address with --state."
             raise InputError(Problem(self.name, f"does not answer: {words}", cure)) from error
