@@ -86,7 +86,7 @@ def ranges_of(scenario: Scenario) -> Ranges:
     --------
     >>> import vppres
     >>> ranges_of(vppres.load_scenario("uk-heatwave-2022"))["battery_kw", "b02"].highest
-    450.0
+    67.5
     """
     b = scenario.batteries
     batteries = {
