@@ -35,6 +35,15 @@ def visible(text: str) -> str:
     return "".join(repr(c)[1:-1] if is_hidden(c) else c for c in text)
 
 
+def in_pounds(gbp: float, form: str) -> str:
+    """An amount of money in the form of a number.
+
+    >>> in_pounds(20321.4, ",.2f"), in_pounds(-0.05, ".3f")
+    ('£20,321.40', '-£0.050')
+    """
+    return f"{'-' if gbp < 0.0 else ''}£{abs(gbp):{form}}"
+
+
 def brief(text: str) -> str:
     """A text with its long words cut: names that others wrote may have thousands of characters.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vppres.core.arrays import Floats, Names
+from vppres.core.text import in_pounds
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 
@@ -67,7 +68,7 @@ def money(value: float) -> str:
     >>> money(0.4032), money(-0.05)
     ('£0.403', '-£0.050')
     """
-    return _in_pounds(value, ".3f")
+    return in_pounds(value, ".3f")
 
 
 def pounds(value: float) -> str:
@@ -76,12 +77,7 @@ def pounds(value: float) -> str:
     >>> pounds(41.7), pounds(0.523)
     ('£42', '£0.52')
     """
-    return _in_pounds(value, ".0f" if value >= 10.0 else ".2f")
-
-
-def _in_pounds(value: float, form: str) -> str:
-    sign = "-" if value < 0.0 else ""
-    return f"{sign}£{abs(value):{form}}"
+    return in_pounds(value, ".0f" if value >= 10.0 else ".2f")
 
 
 def one_more(step: Step, binding: Binding) -> str:

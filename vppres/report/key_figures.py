@@ -7,6 +7,8 @@ from typing import Any
 
 import pandas as pd
 
+from vppres.core.text import in_pounds
+
 NOT_DEFINED = "n/a"
 
 # Key of the summary, words, unit, format.
@@ -78,4 +80,4 @@ def amount(gbp: float) -> str:
     >>> amount(20321.4), amount(-3.0)
     ('£20,321.40', '-£3.00')
     """
-    return f"{'-' if gbp < 0.0 else ''}£{abs(gbp):,.2f}"
+    return in_pounds(gbp, ",.2f")

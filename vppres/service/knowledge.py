@@ -45,7 +45,7 @@ INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
 GRID = "grid"
 EARLY_SHARE = 0.1
-"""Share of a step that a reading may be ahead of it: clocks are off."""
+"""Share of a step by which clocks may be off: those of readings, and our own that is set back."""
 
 MOVING = ("soc", "grid_on")
 """Readings that are late by their own period, however long a step is."""

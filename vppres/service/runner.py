@@ -29,7 +29,7 @@ from vppres.service.announced import warnings
 from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.gate import refusals
-from vppres.service.knowledge import Heard, Known, known_at, soc_at
+from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
 from vppres.service.plans import Ordered, defaults_of, made_anew, ordered_plan, plan_of
 from vppres.service.records import DECIDED, After, Asked, Reading, moment, seconds
@@ -55,9 +55,6 @@ MOST_JOBS = 100
 
 LONGEST_GAP = pd.Timedelta(days=7)
 """Since the last step: over a longer time it was the clock that was set, and no step is missed."""
-
-EARLY_SHARE = 0.1
-"""Share of a step by which a clock may be set back without a word."""
 
 KEEP_DAYS = 400.0
 """More than a year, so that the same day of the last one is there."""
