@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,16 @@ import pandapower as pp
 import pandapower.networks as pp_networks
 import pytest
 
+from vppres.cli.tables import content_of
 from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.feeders import import_network
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import write_new_scenario
+from vppres.io.scenario_folder import read_scenario
+from vppres.report.run_folder import write_run
+from vppres.scenario.source import Source
 
 # Some of pandapower's own examples warn while they are built.
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
@@ -183,6 +192,24 @@ def test_single_phases_are_spread_with_a_note() -> None:
         "-12.0, 0.0 and 0.0."
     )
     assert feeder.notes[1].startswith("Voltages are compared with the net so balanced, not with ")
+
+
+def test_phases_that_no_run_knows_are_said_first(tmp_path: Path) -> None:
+    feeder = import_network(by_phase(), balance=True)
+    rules = NewScenarioOptions(add_batteries=True, accept_deviation=True, step_minutes=360.0)
+    write_new_scenario(feeder, rules, tmp_path / "lane")
+    day = read_scenario(tmp_path / "lane")
+    unknown, unchecked = content_of(day)["remarks"][:2]
+    assert unknown.startswith(
+        "Phases are not known here: the source is unbalanced (1 loads by phase beside 1 of three"
+    )
+    assert unchecked.startswith("Not checked: the phases of what forms the island (b1).")
+    run = run_day(day, RunOptions(controller="idle", mode="physical"))
+    summary = write_run(run, tmp_path / "run", kinds=())
+    assert summary["cautions"] == [unknown, unchecked]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert 0 < page.find(unknown) < page.find("Supply</h3>")
+    assert content_of(replace(day, source=Source()))["remarks"][:1] != [unknown]
 
 
 SINGLE_PHASE = """

@@ -566,6 +566,15 @@ def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:
             "new transformer.t3 phases=3 windings=3 buses=(a d e) kvs=(11 0.4 0.4) kvas=(9 9 9)",
             "mill.dss: transformer.t3 has 3 windings. Replace it by a transformer with two windings.",
         ),
+        (  # as the regulators of IEEE 37
+            "new transformer.ra phases=1 windings=2 buses=(b.1.2 f.1.2) conns=(delta delta) "
+            "kvs=(0.4 0.4) kvas=(20 20) xhl=1\n"
+            "new transformer.rc like=ra buses=(b.3.2 f.3.2)\n"
+            "new line.jumper phases=1 bus1=b.2 bus2=f.2 r0=1e-3 r1=1e-3 x0=0 x1=0 c0=0 c1=0",
+            "mill.dss: transformer.ra and transformer.rc are an open delta: two units between phases "
+            "that carry all three. A balanced model has no such bank: replace both by one transformer "
+            "of three phases at the mean of their taps.",
+        ),
     ],
 )
 def test_opendss_refusals(more: str, message: str, tmp_path: Path) -> None:

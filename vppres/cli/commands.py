@@ -166,6 +166,8 @@ def run(
         if as_json:
             _print_json({"folder": str(folder), "summary": summary})
             return
+        for caution in summary["cautions"]:
+            typer.echo(f"- {caution}")
         Console().print(figures_table(summary, day.title))
         if told := remarks_text(day, str(options.mode)):
             typer.echo(told)

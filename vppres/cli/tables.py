@@ -39,7 +39,7 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
-    from vppres.scenario.remarks import export_words, remarks
+    from vppres.scenario.remarks import export_words, remarks, unknown_phases
 
     return {
         "name": day.name,
@@ -55,7 +55,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "export": export_words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
-        "remarks": remarks(day),
+        "remarks": [*unknown_phases(day), *remarks(day)],
     }
 
 

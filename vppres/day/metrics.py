@@ -17,6 +17,7 @@ from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
+from vppres.scenario.remarks import unknown_phases
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
@@ -37,6 +38,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         outage step.
     """
     summary = {
+        "cautions": cautions(trajectory),
         "resilience": resilience(trajectory),
         "served_share": served_share(trajectory, outage=True),
         "served_share_connected": served_share(trajectory, outage=False),
@@ -69,6 +71,11 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         summary["resilience_planned"] = resilience_planned(trajectory)
     safe: dict[str, Any] = json_safe(summary)
     return safe
+
+
+def cautions(trajectory: Trajectory) -> list[str]:
+    """What has to be known before any figure, in sentences: phases that were not checked."""
+    return unknown_phases(trajectory.scenario)
 
 
 def resilience(trajectory: Trajectory) -> float | None:

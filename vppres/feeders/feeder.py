@@ -197,6 +197,8 @@ class ImportedFeeder:
         What the voltages may differ by, the largest first.
     source_flow : SourceFlow, optional
         AC power flow of the source for other powers.
+    unbalanced : str
+        What of the source is not balanced and was spread over three phases; empty if nothing.
     """
 
     name: str
@@ -213,6 +215,7 @@ class ImportedFeeder:
     profiles: tuple[Profile, ...] = ()
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
+    unbalanced: str = ""
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

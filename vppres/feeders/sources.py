@@ -17,7 +17,7 @@ from vppres.core.errors import InputError, Problem, VppresError
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.net.balance import PhasePowers, balanced
+from vppres.feeders.net.balance import PhasePowers, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
@@ -127,10 +127,13 @@ def _of_file(read: Callable[[], _Net], path: Path, changes: Changes) -> Imported
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
     notes = found.notes
-    if found.phases is not None:
-        notes += (balanced(found.phases, name, changes.balance),)
+    phases = found.phases or phase_powers(found.net)
+    if phases is not None:
+        notes += (balanced(phases, name, changes.balance),)
     net, made = changed(found.net, name, changes, found.bus_ids)
     feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    if phases is not None:
+        feeder = replace(feeder, unbalanced=phases.what)
     if found.flow is not None:
         flow = found.flow.of(net, feeder)
         feeder = replace(feeder, source_flow=flow, causes=flow.told(feeder) + feeder.causes)

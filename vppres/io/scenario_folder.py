@@ -347,7 +347,7 @@ def _assemble(
 
 def _source(section: schema.Section) -> Source:
     deviation = SourceDeviation(**section.deviation.model_dump())
-    return Source(section.name, section.kind, tuple(section.notes), deviation)
+    return Source(section.name, section.kind, tuple(section.notes), deviation, section.unbalanced)
 
 
 def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:

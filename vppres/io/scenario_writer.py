@@ -138,6 +138,7 @@ def _source(source: Source) -> dict[str, Any]:
     return {
         "name": source.name,
         "kind": source.kind,
+        **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
         "notes": list(source.notes),
         **({"deviation": deviation} if deviation else {}),
     }

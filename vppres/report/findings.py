@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from vppres.day.metrics import island_figures, line_loading
+from vppres.day.metrics import cautions, island_figures, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 from vppres.report.clock import Clock
@@ -22,6 +22,7 @@ ISLAND_TOLERANCE_KW = 0.5
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each exception; empty if there is none."""
     return [
+        *cautions(run),
         *_unlit(run),
         *_voltages(run),
         *_loadings(run),

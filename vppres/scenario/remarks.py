@@ -38,6 +38,31 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     )
 
 
+def unknown_phases(scenario: Scenario) -> list[str]:
+    """What no run of a scenario can tell, because its source is not balanced; empty if it is.
+
+    Examples
+    --------
+    >>> from vppres.io.find import load_scenario
+    >>> unknown_phases(load_scenario("uk-heatwave-2022"))
+    []
+    """
+    unbalanced = scenario.source.unbalanced
+    if not unbalanced:
+        return []
+    words = [
+        f"Phases are not known here: the source is unbalanced ({unbalanced}) and was spread over "
+        "three phases. A single phase may exceed voltage limits or ratings that these figures keep."
+    ]
+    formers = scenario.batteries.id[scenario.batteries.formers]
+    if scenario.outage.any() and len(formers):
+        words.append(
+            f"Not checked: the phases of what forms the island ({', '.join(map(str, formers))}). "
+            "One phase may be beyond its rating, and the island may trip."
+        )
+    return words
+
+
 def export_words(scenario: Scenario) -> str:
     """What the connection does with a surplus.
 

@@ -67,6 +67,8 @@ class Source:
         What was simplified, left out or drawn, one sentence each.
     deviation : SourceDeviation
         How far its voltages are from the source's.
+    unbalanced : str
+        What of the source is not balanced, and is spread over three phases here; empty if nothing.
 
     Examples
     --------
@@ -78,6 +80,7 @@ class Source:
     kind: str = ""
     notes: tuple[str, ...] = ()
     deviation: SourceDeviation = SourceDeviation()
+    unbalanced: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "notes", tuple(self.notes))
@@ -89,6 +92,7 @@ class Source:
         kind: str = "",
         notes: Iterable[str] = (),
         deviation: SourceDeviation | None = None,
+        unbalanced: str = "",
     ) -> Source:
         """A source whose words come from files of others: made such that a scenario may hold them.
 
@@ -100,6 +104,7 @@ class Source:
             _fitting(kind, MAX_SOURCE_LENGTH),
             tuple(_fitting_notes(notes)),
             deviation or SourceDeviation(),
+            _fitting(unbalanced, MAX_SOURCE_LENGTH),
         )
 
     def __bool__(self) -> bool:

@@ -118,7 +118,8 @@ def build(commands: list[str]) -> Problems:
                 "command": done if done < len(commands) else None,
             }
         ]
-    return [p for name in _elements() if (p := _problem(name))] or _check_levels()
+    unfit = [p for name in _elements() if (p := _problem(name))]
+    return [*unfit, *_open_deltas()] or _check_levels()
 
 
 @cache
@@ -164,6 +165,27 @@ def _problem(element: str) -> dict[str, Any] | None:
                 "Replace it by a transformer with two windings.",
             )
     return None
+
+
+def _open_deltas() -> Iterator[dict[str, Any]]:
+    """Pairs of single units between phases that carry all three: they have no balanced equivalent.
+
+    The two differ in their taps, and turn and unbalance the voltages even of balanced loads.
+    """
+    units: dict[frozenset[str], dict[str, set[int]]] = {}
+    for name in _of("transformer"):
+        ends = frozenset(_buses())
+        nodes = set(_phases_of_active())
+        if dss.CktElement.NumPhases() == 1 and len(nodes) == 2:
+            units.setdefault(ends, {})[name] = nodes
+    for bank in units.values():
+        if len(bank) == 2 and len(set.union(*bank.values())) == THREE_PHASES:
+            names = " and ".join(f"transformer.{name}" for name in bank)
+            yield _wrong(
+                f"{names} are an open delta: two units between phases that carry all three",
+                "A balanced model has no such bank: replace both by one transformer of three "
+                "phases at the mean of their taps.",
+            )
 
 
 def _check_levels() -> Problems:

@@ -73,31 +73,36 @@ def _three(values: pd.Series[float]) -> str:
     return f"{a}, {b} and {c}"
 
 
-def balance_net(net: Any, name: str, wanted: bool) -> Iterator[str]:
-    """Replace loads and generators of single phases in place; notes say what they were.
-
-    Raises
-    ------
-    InputError
-        If there are any and it is not wanted.
-    """
+def phase_powers(net: Any) -> PhasePowers | None:
+    """What the loads and generators of single phases draw; None if a net has none."""
     words = []
     powers = []
     for table, plain, plural in TABLES:
-        if table not in net or in_service(net, table).empty:
+        frame = _by_phase(net, table)
+        if frame.empty:
             continue
-        frame = in_service(net, table)
         words.append(
             f"{len(frame)} {plural} by phase beside {len(in_service(net, plain))} of three"
         )
         sign = 1.0 if plain == "load" else -1.0
         powers.append(sign * _phase_kw(frame))
-        if wanted:
+    return PhasePowers(", ".join(words), pd.concat(powers)) if words else None
+
+
+def balance_net(net: Any) -> Iterator[str]:
+    """Replace loads and generators of single phases in place, and say what that leaves open."""
+    found = [(table, plain, _by_phase(net, table)) for table, plain, _ in TABLES]
+    for table, plain, frame in found:
+        if not frame.empty:
             _replace(net, frame, plain)
             net[table].loc[frame.index, "in_service"] = False
-    if words:
-        yield balanced(PhasePowers(", ".join(words), pd.concat(powers)), name, wanted)
+    if not all(frame.empty for _, _, frame in found):
         yield "Voltages are compared with the net so balanced, not with its flow phase by phase."
+
+
+def _by_phase(net: Any, table: str) -> pd.DataFrame:
+    """Elements of a table of phases that are in service."""
+    return in_service(net, table) if table in net else pd.DataFrame()
 
 
 def _phase_kw(frame: pd.DataFrame) -> pd.DataFrame:

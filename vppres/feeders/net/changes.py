@@ -27,7 +27,7 @@ class Changes:
     slack : str, optional
         The grid connection among several: by table and index, name or bus; ``all`` joins them.
     balance : bool
-        Spread loads of single phases over three.
+        Spread loads of single phases over three; whoever reads the net refuses them without it.
     """
 
     open_branches: Sequence[str] = ()
@@ -48,7 +48,8 @@ def changed(
     """
     net = copy.deepcopy(net)
     notes = [*one_grid(net, name, changes.slack, bus_ids)]
-    notes += balance_net(net, name, changes.balance)
+    if changes.balance:
+        notes += balance_net(net)
     open_named(net, name, changes.open_branches)
     if changes.open_loops:
         notes += open_loops(net, name)

@@ -157,7 +157,8 @@ def write_new_scenario(
     deviation = source_deviation(feeder, scenario)
     check_deviation(feeder, deviation, options.accept_deviation)
     told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
-    scenario = replace(scenario, source=Source.of(feeder.name, notes=told, deviation=deviation))
+    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
+    scenario = replace(scenario, source=source)
     notes = list(dict.fromkeys([*told, told_deviation(feeder, deviation)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
