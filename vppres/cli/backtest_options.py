@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,13 +87,11 @@ def require_both(warnings: Path | None, outages: Path | None) -> None:
     if (warnings is None) == (outages is None):
         return
     missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")
-    raise InputError(
-        Problem(
-            "options",
-            "is missing",
-            f"Give --{missing} FILE beside --{there}: one is scored against the other.",
-            field=missing,
-        )
+    raise InputError.of(
+        "options",
+        "is missing",
+        f"Give --{missing} FILE beside --{there}: one is scored against the other.",
+        field=missing,
     )
 
 
@@ -109,13 +107,11 @@ def moment(text: str | None) -> pd.Timestamp | None:
         return None
     time = pd.to_datetime(text, utc=True, errors="coerce")
     if pd.isna(time):
-        raise InputError(
-            Problem(
-                "options",
-                "is not a time",
-                "Write it like 2017-04-01 or 2017-04-01T12:00Z.",
-                field="from or to",
-                value=text,
-            )
+        raise InputError.of(
+            "options",
+            "is not a time",
+            "Write it like 2017-04-01 or 2017-04-01T12:00Z.",
+            field="from or to",
+            value=text,
         )
     return time

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from vppres.cli.tables import error_panel
-from vppres.core.errors import InputError, Problem, VppresError
+from vppres.core.errors import InputError, VppresError
 
 # The shell's convention: 128 and the number of the signal.
 INTERRUPTED = 130
@@ -28,12 +28,10 @@ def extra(name: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise InputError(
-            Problem(
-                name,
-                f"needs the package {error.name}",
-                f'Install the extra: pip install "vppres[{name}]".',
-            )
+        raise InputError.of(
+            name,
+            f"needs the package {error.name}",
+            f'Install the extra: pip install "vppres[{name}]".',
         ) from error
 
 

@@ -134,14 +134,12 @@ class Forecaster:
 
     def __init__(self, scenario: Scenario, errors: ForecastErrors, seed: int) -> None:
         if seed < 0:
-            raise InputError(
-                Problem(
-                    "options",
-                    "must not be negative",
-                    "Give a whole number from zero.",
-                    field="seed",
-                    value=seed,
-                )
+            raise InputError.of(
+                "options",
+                "must not be negative",
+                "Give a whole number from zero.",
+                field="seed",
+                value=seed,
             )
         self.scenario = scenario
         self.errors = errors
@@ -190,14 +188,12 @@ class Forecaster:
         last = self.scenario.grid.n_steps - 1
         outside = rows[(rows < t0) | (rows > last)]
         if len(outside):
-            raise InputError(
-                Problem(
-                    "forecast",
-                    f"lies outside {t0} .. {last}",
-                    "Ask for steps from the current one to the last of the day.",
-                    field="step",
-                    value=int(outside[0]),
-                )
+            raise InputError.of(
+                "forecast",
+                f"lies outside {t0} .. {last}",
+                "Ask for steps from the current one to the last of the day.",
+                field="step",
+                value=int(outside[0]),
             )
         return rows
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 
 PART = object()
@@ -68,12 +68,10 @@ def put_back(decider: Any, memory: Any, given: Given, where: str) -> None:
     """
     kinds = _remembered(decider)
     if not isinstance(memory, dict) or set(memory) != set(kinds):
-        raise InputError(
-            Problem(
-                where,
-                "is not the memory of such a controller",
-                "Give it as it was written, with the options that it was written with.",
-            )
+        raise InputError.of(
+            where,
+            "is not the memory of such a controller",
+            "Give it as it was written, with the options that it was written with.",
         )
     for name, kind in kinds.items():
         place = f"{where}.{name}"

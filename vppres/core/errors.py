@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from vppres.core.text import brief, visible
 
@@ -80,6 +81,15 @@ class InputError(VppresError):
             problems = [problems]  # type: ignore[list-item]
         self.problems: tuple[Problem | str, ...] = tuple(problems)
         super().__init__("\n".join(str(p) for p in self.problems))
+
+    @classmethod
+    def of(cls, where: str, message: str, cure: str, **place: Any) -> InputError:
+        """The error of one :class:`Problem`; ``place`` is its row, field and value.
+
+        >>> print(InputError.of("pv.csv", "must be positive", "Give a rating in kW.", row=3))
+        pv.csv, row 3: must be positive. Give a rating in kW.
+        """
+        return cls(Problem(where, message, cure, **place))
 
 
 class StorageError(VppresError):

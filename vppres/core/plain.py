@@ -17,7 +17,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 
 Given = Mapping[type, Any]  # values that are known by their type, and so are not written
 
@@ -181,7 +181,7 @@ def _of(kind: Any, plain: Any, where: str) -> Any:
 
 
 def _unreadable(where: str, message: str) -> InputError:
-    return InputError(Problem(where, message, "Give it as it was written, unchanged."))
+    return InputError.of(where, message, "Give it as it was written, unchanged.")
 
 
 def _array_to_plain(array: Any) -> Any:

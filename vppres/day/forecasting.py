@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.options import PERFECT, RunOptions
 from vppres.forecasts.interface import Fitted, Forecaster, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
@@ -63,14 +63,12 @@ def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors
     """
     name = PAPER if options.controller == PERFECT else options.forecaster
     if name != PAPER and options.errors != ForecastErrors():
-        raise InputError(
-            Problem(
-                "options",
-                "makes its own errors, so that none can be given",
-                f"Leave out biases and errors, or take the forecaster {PAPER}.",
-                field="forecaster",
-                value=name,
-            )
+        raise InputError.of(
+            "options",
+            "makes its own errors, so that none can be given",
+            f"Leave out biases and errors, or take the forecaster {PAPER}.",
+            field="forecaster",
+            value=name,
         )
     return named_forecasts(scenario, name, errors, options.seed, options.forecast_file)
 
@@ -96,8 +94,8 @@ def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
     """Forecasts of one's own; of the present step's issue they are the forecast of the next."""
     if file is None:
         cure = "Give the file: --forecast-file FILE."
-        raise InputError(
-            Problem("options", "needs a file of quantiles", cure, field="forecaster", value=FILE)
+        raise InputError.of(
+            "options", "needs a file of quantiles", cure, field="forecaster", value=FILE
         )
     step = pd.Timedelta(minutes=scenario.grid.step_minutes)
     return read_quantiles(file, scenario.customers.id, scenario.pv.id, lag=step)

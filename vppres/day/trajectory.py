@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -129,15 +129,13 @@ class Trajectory:
         except (ValueError, TypeError):
             found = np.empty(0, dtype=int)
         if not len(found):
-            raise InputError(
-                Problem(
-                    "run",
-                    "is not the beginning of a step",
-                    f"Give one of {times[0].isoformat()} to {times[-1].isoformat()}, with its "
-                    "time zone.",
-                    field="time",
-                    value=time,
-                )
+            raise InputError.of(
+                "run",
+                "is not the beginning of a step",
+                f"Give one of {times[0].isoformat()} to {times[-1].isoformat()}, with its "
+                "time zone.",
+                field="time",
+                value=time,
             )
         return int(found[0])
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.core.errors import InputError, Problem, VerificationError
+from vppres.core.errors import InputError, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.feeder import Deviation, ImportedFeeder
 from vppres.feeders.net.elements import NetCase, few, label, supplied
@@ -164,12 +164,10 @@ def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted
     if accepted or largest is None or largest <= EXACT_PU:
         return
     causes = "; ".join(feeder.causes) or "no single element of the source"
-    raise InputError(
-        Problem(
-            feeder.name,
-            f"has voltages up to {largest:.2g} pu away from the source's. Causes: {causes}",
-            "Accept that with --accept-deviation, or change the source.",
-        )
+    raise InputError.of(
+        feeder.name,
+        f"has voltages up to {largest:.2g} pu away from the source's. Causes: {causes}",
+        "Accept that with --accept-deviation, or change the source.",
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Wholes
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
 
@@ -135,14 +135,12 @@ def rows_per_day(step_minutes: float) -> int:
     """
     per_day = round(MINUTES_PER_DAY / step_minutes)
     if per_day * step_minutes != MINUTES_PER_DAY:
-        raise InputError(
-            Problem(
-                "forecaster",
-                "a day is no whole number of these steps",
-                "Take steps such as 15, 30 or 60 minutes, or the forecaster paper.",
-                field="step_minutes",
-                value=step_minutes,
-            )
+        raise InputError.of(
+            "forecaster",
+            "a day is no whole number of these steps",
+            "Take steps such as 15, 30 or 60 minutes, or the forecaster paper.",
+            field="step_minutes",
+            value=step_minutes,
         )
     return per_day
 

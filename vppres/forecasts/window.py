@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Wholes
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.forecasts.clock import ClockTable, on_clock
 from vppres.forecasts.interface import Basis, LoadAndPV
 from vppres.scenario.history import History
@@ -102,14 +102,12 @@ class Known:
             If steps do not fill a day, or ``issued_at`` is not the beginning of one.
         """
         if (issued_at - history.start) % history.step != pd.Timedelta(0):
-            raise InputError(
-                Problem(
-                    "forecast",
-                    "is not the beginning of a step of the history",
-                    f"Steps last {history.step_minutes:g} min from {history.start.isoformat()}.",
-                    field="issued_at",
-                    value=issued_at,
-                )
+            raise InputError.of(
+                "forecast",
+                "is not the beginning of a step of the history",
+                f"Steps last {history.step_minutes:g} min from {history.start.isoformat()}.",
+                field="issued_at",
+                value=issued_at,
             )
         over = history.followed_by(issued_at, history.load_kw[:0], history.pv_kw[:0])
         ahead_days = int(np.ceil(steps * history.dt_h / HOURS_PER_DAY))

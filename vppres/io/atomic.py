@@ -131,24 +131,20 @@ def check_target(target: str | Path) -> Path:
         raise InputError(_unwritable(given, error)) from error
     link = target.is_symlink()
     if link and not target.exists():
-        raise InputError(
-            Problem(
-                given, "is a symbolic link that leads nowhere", "Remove it, or choose another name."
-            )
+        raise InputError.of(
+            given, "is a symbolic link that leads nowhere", "Remove it, or choose another name."
         )
     real = Path(os.path.realpath(target)) if link else target
     if real.is_dir():
         if not (real / RUN_MARK).is_file() and any(real.iterdir()):
             what = f"links to {real}, which is not" if link else "exists and is not"
-            raise InputError(
-                Problem(
-                    given,
-                    f"{what} a run folder (it has no {RUN_MARK})",
-                    "Choose another folder, or remove this one.",
-                )
+            raise InputError.of(
+                given,
+                f"{what} a run folder (it has no {RUN_MARK})",
+                "Choose another folder, or remove this one.",
             )
     elif real.exists():
-        raise InputError(Problem(given, "exists and is not a folder", "Choose another name."))
+        raise InputError.of(given, "exists and is not a folder", "Choose another name.")
     _check_place(given, real)
     return real
 
@@ -164,11 +160,11 @@ def check_file(target: str | Path) -> Path:
     given = str(target)
     target = Path(target).absolute()
     if target.is_symlink():
-        raise InputError(
-            Problem(given, "is a symbolic link", "Name the file itself, or choose another name.")
+        raise InputError.of(
+            given, "is a symbolic link", "Name the file itself, or choose another name."
         )
     if target.exists() and not target.is_file():
-        raise InputError(Problem(given, "exists and is not a file", "Choose another name."))
+        raise InputError.of(given, "exists and is not a file", "Choose another name.")
     _check_place(given, target)
     return target
 

@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
 from vppres.io.settings import SCENARIO_FILE
 
@@ -76,12 +76,10 @@ def find_scenario(name_or_folder: str | Path) -> Path:
     folder = Path(name_or_folder)
     if os.path.isdir(folder):  # False for a name that no file system takes
         return folder
-    raise InputError(
-        Problem(
-            f"scenario {name_or_folder}",
-            "is neither a packaged scenario nor a folder",
-            did_you_mean(str(name_or_folder), names, "Give the path of a scenario folder."),
-        )
+    raise InputError.of(
+        f"scenario {name_or_folder}",
+        "is neither a packaged scenario nor a folder",
+        did_you_mean(str(name_or_folder), names, "Give the path of a scenario folder."),
     )
 
 

@@ -80,21 +80,17 @@ def _files(path: Path) -> tuple[Path, Path | None]:
     if path.is_file():
         return path, None
     if not path.is_dir():
-        raise InputError(
-            Problem(
-                str(path),
-                "there is no such file or folder",
-                "Give a file of measured demand, or a folder with load_kw.csv and pv_kw.csv.",
-            )
+        raise InputError.of(
+            str(path),
+            "there is no such file or folder",
+            "Give a file of measured demand, or a folder with load_kw.csv and pv_kw.csv.",
         )
     load = _first(path, LOAD_NAMES)
     if load is None:
-        raise InputError(
-            Problem(
-                str(path),
-                "has no measured demand",
-                "Add load_kw.csv or load_kw.parquet: time, and a column for each customer.",
-            )
+        raise InputError.of(
+            str(path),
+            "has no measured demand",
+            "Add load_kw.csv or load_kw.parquet: time, and a column for each customer.",
         )
     return load, _first(path, PV_NAMES)
 

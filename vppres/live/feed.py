@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem, VppresError
+from vppres.core.errors import InputError, VppresError
 from vppres.live.door import Door, moment_of, readable
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -114,12 +114,10 @@ def extended(
     except VppresError:
         raise
     except Exception as error:  # tables may be of anybody's making
-        raise InputError(
-            Problem(
-                WHERE,
-                f"cannot be read: {type(error).__name__}, {readable(error)}",
-                "Give plain DataFrames and Series, indexed by time.",
-            )
+        raise InputError.of(
+            WHERE,
+            f"cannot be read: {type(error).__name__}, {readable(error)}",
+            "Give plain DataFrames and Series, indexed by time.",
         ) from error
     kept = round((start - scenario.grid.start) / pd.Timedelta(minutes=scenario.grid.step_minutes))
     rows: dict[str, Any] = {
@@ -134,25 +132,21 @@ def _feed_of(scenario: Scenario, more: Feed | Scenario) -> Feed:
     """The series, of the same site."""
     if isinstance(more, Scenario):
         if Site.of(more).key != Site.of(scenario).key:
-            raise InputError(
-                Problem(
-                    WHERE,
-                    "is the scenario of another site: network, assets or step differ",
-                    "Give a scenario with the same files but for the series.",
-                    field="scenario",
-                    value=more.name,
-                )
+            raise InputError.of(
+                WHERE,
+                "is the scenario of another site: network, assets or step differ",
+                "Give a scenario with the same files but for the series.",
+                field="scenario",
+                value=more.name,
             )
         return Feed.of(more)
     if not isinstance(more, Feed) or not more.of_tables:
-        raise InputError(
-            Problem(
-                WHERE,
-                "is neither a Scenario nor a Feed of DataFrames and Series",
-                "Give a vppres.Scenario or a vppres.Feed.",
-                field="more",
-                value=type(more).__name__,
-            )
+        raise InputError.of(
+            WHERE,
+            "is neither a Scenario nor a Feed of DataFrames and Series",
+            "Give a vppres.Scenario or a vppres.Feed.",
+            field="more",
+            value=type(more).__name__,
         )
     return more
 
@@ -180,7 +174,7 @@ def _start(scenario: Scenario, feed: Feed, earliest: int, replacing: bool) -> pd
         cure = f"Steps last {grid.step_minutes:g} min and begin at {grid.start.isoformat()}."
     else:
         return first
-    raise InputError(Problem(WHERE, message, cure, field="load_kw", value=first))
+    raise InputError.of(WHERE, message, cure, field="load_kw", value=first)
 
 
 def _read(scenario: Scenario, feed: Feed, start: pd.Timestamp) -> dict[str, Floats]:
@@ -223,14 +217,12 @@ def _length(grid: TimeGrid, feed: Feed, start: pd.Timestamp) -> int:
     last = max(m for m in moments if m is not None and m.tzinfo is not None)
     steps = int((last - start) // pd.Timedelta(minutes=grid.step_minutes)) + 1
     if steps > MOST_STEPS:
-        raise InputError(
-            Problem(
-                WHERE,
-                f"has more than {MOST_STEPS} steps",
-                "Give less at once.",
-                field="load_kw",
-                value=last,
-            )
+        raise InputError.of(
+            WHERE,
+            f"has more than {MOST_STEPS} steps",
+            "Give less at once.",
+            field="load_kw",
+            value=last,
         )
     return steps
 

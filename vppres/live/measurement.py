@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
-from vppres.core.errors import InputError, Problem, VppresError
+from vppres.core.errors import InputError, VppresError
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
@@ -200,26 +200,22 @@ def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest:
         With every value that does not fit the scenario.
     """
     if not isinstance(measured, Measurement):
-        raise InputError(
-            Problem(
-                WHERE,
-                "is not a Measurement",
-                "Give a vppres.Measurement.",
-                field="observation",
-                value=readable(measured),
-            )
+        raise InputError.of(
+            WHERE,
+            "is not a Measurement",
+            "Give a vppres.Measurement.",
+            field="observation",
+            value=readable(measured),
         )
     try:
         return _seen(scenario, measured, guard, earliest)
     except VppresError:
         raise
     except Exception as error:  # a mapping may be of anybody's making
-        raise InputError(
-            Problem(
-                WHERE,
-                f"cannot be read: {type(error).__name__}, {readable(error)}",
-                "Give plain dictionaries, numbers, Series and DataFrames.",
-            )
+        raise InputError.of(
+            WHERE,
+            f"cannot be read: {type(error).__name__}, {readable(error)}",
+            "Give plain dictionaries, numbers, Series and DataFrames.",
         ) from error
 
 

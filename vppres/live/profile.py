@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Wholes
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.scenario.scenario import Scenario
 
 DAY_MINUTES = 1440
@@ -61,14 +61,12 @@ class Profile:
         """
         grid = scenario.grid
         if grid.n_steps * grid.step_minutes < DAY_MINUTES:
-            raise InputError(
-                Problem(
-                    "site",
-                    "does not fill a day, which is to be repeated",
-                    "Give a scenario of whole days.",
-                    field="hours",
-                    value=round(grid.n_steps * grid.dt_h, 2),
-                )
+            raise InputError.of(
+                "site",
+                "does not fill a day, which is to be repeated",
+                "Give a scenario of whole days.",
+                field="hours",
+                value=round(grid.n_steps * grid.dt_h, 2),
             )
         weekly = grid.n_steps * grid.step_minutes >= WEEK * DAY_MINUTES
         minutes, place = np.unique(_minutes(grid.times, grid.zone, weekly), return_inverse=True)
@@ -102,15 +100,13 @@ class Profile:
         """Raise an InputError if no step begins at a time."""
         begun = self.step_at(time)
         if begun != time:
-            raise InputError(
-                Problem(
-                    "site",
-                    "is not the beginning of a step",
-                    f"Steps last {self.scenario.grid.step_minutes:g} min; the one then began at "
-                    f"{begun.isoformat()}.",
-                    field="time",
-                    value=time.isoformat(),
-                )
+            raise InputError.of(
+                "site",
+                "is not the beginning of a step",
+                f"Steps last {self.scenario.grid.step_minutes:g} min; the one then began at "
+                f"{begun.isoformat()}.",
+                field="time",
+                value=time.isoformat(),
             )
 
     def step_at(self, time: pd.Timestamp) -> pd.Timestamp:

@@ -18,7 +18,7 @@ import pandas as pd
 from vppres.contract.decision import Decider
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.options import RunOptions
 from vppres.live.memory import Memory
@@ -285,4 +285,4 @@ def _digest(text: str) -> str:
 
 
 def _refused(message: str, cure: str, field: str | None = None, value: object = None) -> InputError:
-    return InputError(Problem(WHERE, message, cure, field=field, value=value))
+    return InputError.of(WHERE, message, cure, field=field, value=value)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Complexes, Floats, freeze_fields
-from vppres.core.errors import InputError, Problem, VerificationError
+from vppres.core.errors import InputError, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.physics.admittances import Admittances, admittances_of
 from vppres.physics.newton import Newton
@@ -233,25 +233,21 @@ class ACPowerFlow:
         """Injections as an array with one finite value per bus."""
         array = np.asarray(values, dtype=float)
         if array.shape != (self.network.n_buses,):
-            raise InputError(
-                Problem(
-                    "power flow",
-                    "has the wrong shape",
-                    f"Give one injection for each of the {self.network.n_buses} buses.",
-                    field=name,
-                    value=array.shape,
-                )
+            raise InputError.of(
+                "power flow",
+                "has the wrong shape",
+                f"Give one injection for each of the {self.network.n_buses} buses.",
+                field=name,
+                value=array.shape,
             )
         wrong = np.flatnonzero(~np.isfinite(array))
         if len(wrong):
-            raise InputError(
-                Problem(
-                    "power flow",
-                    "is not a finite number",
-                    f"Correct the load, PV or battery power at bus {self.network.buses[wrong[0]]}.",
-                    field=name,
-                    value=array[wrong[0]],
-                )
+            raise InputError.of(
+                "power flow",
+                "is not a finite number",
+                f"Correct the load, PV or battery power at bus {self.network.buses[wrong[0]]}.",
+                field=name,
+                value=array[wrong[0]],
             )
         return array
 

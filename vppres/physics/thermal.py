@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.units import W_PER_KW, joule_loss_kw
 from vppres.scenario.assets import Batteries
 
@@ -116,14 +116,12 @@ def advance(
     if scheme == "off":
         return ThermalState(state.t_cell_c, state.eta_charge, state.eta_discharge)
     if scheme not in _SCHEMES:
-        raise InputError(
-            Problem(
-                "options",
-                "is not known",
-                f"Use one of: off, {', '.join(_SCHEMES)}.",
-                field="thermal",
-                value=scheme,
-            )
+        raise InputError.of(
+            "options",
+            "is not known",
+            f"Use one of: off, {', '.join(_SCHEMES)}.",
+            field="thermal",
+            value=scheme,
         )
     step, joule_unit = _SCHEMES[scheme]
     heat = heat_kw(batteries, power, state, joule_unit)

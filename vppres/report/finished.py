@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_figures
 from vppres.day.run_files import read_run
@@ -53,14 +53,12 @@ def read_finished(folder: Path) -> FinishedRun:
         remove_leftovers(folder.absolute().parent)  # a killed run may have been replacing it
     if not folder.is_dir():
         message = "is not a folder" if folder.exists() else "there is no such folder"
-        raise InputError(Problem(str(folder), message, _CURE))
+        raise InputError.of(str(folder), message, _CURE)
     try:
         trajectory = read_run(folder)
     except (ValueError, KeyError) as error:
-        raise InputError(
-            Problem(
-                str(folder), f"cannot be read ({_first_line(error)})", "Run the scenario again."
-            )
+        raise InputError.of(
+            str(folder), f"cannot be read ({_first_line(error)})", "Run the scenario again."
         ) from error
     # What was recorded counts, above all the versions that made the run.
     summary = {**summarise(trajectory), **_read_summary(folder / SUMMARY_FILE)}
@@ -114,17 +112,15 @@ def rewrite_report(
 
 def _read_summary(file: Path) -> dict[str, Any]:
     if not file.is_file():
-        raise InputError(Problem(str(file.parent), f"has no {file.name}", _CURE))
+        raise InputError.of(str(file.parent), f"has no {file.name}", _CURE)
     try:
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError(
-            Problem(
-                str(file), f"is not valid JSON ({_first_line(error)})", "Run the scenario again."
-            )
+        raise InputError.of(
+            str(file), f"is not valid JSON ({_first_line(error)})", "Run the scenario again."
         ) from error
     if not isinstance(summary, dict):
-        raise InputError(Problem(str(file), "is not a table of figures", _CURE))
+        raise InputError.of(str(file), "is not a table of figures", _CURE)
     return summary
 
 

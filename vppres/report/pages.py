@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from vppres.core.errors import InputError, Problem, StorageError
+from vppres.core.errors import InputError, StorageError
 from vppres.io.atomic import atomic_write_bytes, full_disk, is_full
 
 
@@ -46,10 +46,8 @@ def write_page(file: Path, content: str | bytes) -> None:
     except OSError as error:
         if is_full(error):
             raise StorageError(full_disk(str(file), file.exists())) from error
-        raise InputError(
-            Problem(
-                str(file),
-                f"cannot be written ({error.strerror})",
-                "Choose another file, or check its permissions.",
-            )
+        raise InputError.of(
+            str(file),
+            f"cannot be written ({error.strerror})",
+            "Choose another file, or check its permissions.",
         ) from error

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from vppres.core.errors import InputError, Problem, ReportError
+from vppres.core.errors import InputError, ReportError
 from vppres.core.parent import command
 from vppres.io.atomic import scratch_folder
 from vppres.report.pages import write_page
@@ -52,13 +52,11 @@ def find_browser() -> str:
     """
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
-        raise InputError(
-            Problem(
-                "report",
-                "there is no browser that could print the PDF",
-                f"Install Chromium or Chrome ({', '.join(BROWSERS[:3])} on the path), or open "
-                "report.html and print it to a file.",
-            )
+        raise InputError.of(
+            "report",
+            "there is no browser that could print the PDF",
+            f"Install Chromium or Chrome ({', '.join(BROWSERS[:3])} on the path), or open "
+            "report.html and print it to a file.",
         )
     return found
 

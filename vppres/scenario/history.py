@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, freeze_fields
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.units import minutes_to_h
 from vppres.scenario.timegrid import UTC
 
@@ -49,13 +49,11 @@ class History:
     def __post_init__(self) -> None:
         freeze_fields(self, load_kw=float, pv_kw=float)
         if self.load_kw.ndim != 2 or self.pv_kw.ndim != 2 or len(self.load_kw) != len(self.pv_kw):
-            raise InputError(
-                Problem(
-                    HISTORY,
-                    f"has demand of shape {self.load_kw.shape} and PV power of shape "
-                    f"{self.pv_kw.shape}",
-                    "Give one row for each step and one column for each item in both.",
-                )
+            raise InputError.of(
+                HISTORY,
+                f"has demand of shape {self.load_kw.shape} and PV power of shape "
+                f"{self.pv_kw.shape}",
+                "Give one row for each step and one column for each item in both.",
             )
 
     @property

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.service.records import Token
 
 SCOPES = ("read", "telemetry", "events", "operator")
@@ -135,15 +135,13 @@ def new_token(text: str, days: float | None = None) -> tuple[str, Token]:
     scopes = [scope.strip() for scope in wanted.split(",") if scope.strip()]
     unknown = [scope for scope in scopes if scope not in SCOPES]
     if not name.strip() or not scopes or unknown:
-        raise InputError(
-            Problem(
-                "options",
-                "is not a name with scopes",
-                f"Write NAME:SCOPE,SCOPE, for example scada:read,telemetry. Scopes: "
-                f"{', '.join(SCOPES)}.",
-                field="add-token",
-                value=text,
-            )
+        raise InputError.of(
+            "options",
+            "is not a name with scopes",
+            f"Write NAME:SCOPE,SCOPE, for example scada:read,telemetry. Scopes: "
+            f"{', '.join(SCOPES)}.",
+            field="add-token",
+            value=text,
         )
     secret = secrets.token_urlsafe(32)
     expires = None if days is None else int(time.time() + days * DAY_S)
@@ -168,12 +166,10 @@ def check_address(host: str, access: Access, encrypted: bool) -> None:
             "TLS (--certificate and --key), or a proxy in front that does it (--behind-proxy)"
         )
     if missing:
-        raise InputError(
-            Problem(
-                "options",
-                "is an address for other machines",
-                f"It needs {' and '.join(missing)}; 127.0.0.1 needs neither.",
-                field="host",
-                value=host,
-            )
+        raise InputError.of(
+            "options",
+            "is an address for other machines",
+            f"It needs {' and '.join(missing)}; 127.0.0.1 needs neither.",
+            field="host",
+            value=host,
         )

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.outages import BELIEF, LIKELY, LOOKAHEAD_H
 from vppres.outlook.durations import Z90
@@ -113,14 +113,12 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
     elif body["type"] == "outage_belief":
         end = (certain_interval(body) or (now, None))[1]
     if end is not None and end <= now:
-        raise InputError(
-            Problem(
-                "event",
-                "lies wholly in the past",
-                f"It is {now.isoformat()}; give times that are still to come.",
-                field="end",
-                value=end.isoformat(),
-            )
+        raise InputError.of(
+            "event",
+            "lies wholly in the past",
+            f"It is {now.isoformat()}; give times that are still to come.",
+            field="end",
+            value=end.isoformat(),
         )
 
 
@@ -152,26 +150,22 @@ def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
     """
     believes = options.outages in (BELIEF, LIKELY)
     if not believes and certain_interval(body) is None:
-        raise InputError(
-            Problem(
-                "event",
-                f"is uncertain, and the service takes outages for {options.outages}",
-                f"Start it with --outages {BELIEF}, or announce a certain outage.",
-                field="type",
-                value="outage_belief",
-            )
+        raise InputError.of(
+            "event",
+            f"is uncertain, and the service takes outages for {options.outages}",
+            f"Start it with --outages {BELIEF}, or announce a certain outage.",
+            field="type",
+            value="outage_belief",
         )
     lengths_h = list(_quantiles_h(_distribution(body["duration"])).values())
     if not all(np.isfinite(hours) and hours > 0.0 for hours in lengths_h):
         name = SHAPES[body["duration"]["family"]]
-        raise InputError(
-            Problem(
-                "event",
-                "gives lengths that no outage has",
-                "Give one between 0.5 and 2, as outages have it.",
-                field=f"duration.{name}",
-                value=body["duration"][name],
-            )
+        raise InputError.of(
+            "event",
+            "gives lengths that no outage has",
+            "Give one between 0.5 and 2, as outages have it.",
+            field=f"duration.{name}",
+            value=body["duration"][name],
         )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 
 TIMEOUT_S = 120.0
 TOO_MANY = 429
@@ -43,14 +43,12 @@ class Client:
     def __init__(self, url: str, token: str | None = None) -> None:
         parts = urlsplit(url)
         if parts.scheme not in KINDS or parts.hostname is None:
-            raise InputError(
-                Problem(
-                    "options",
-                    "is no address of a service",
-                    "Write it as http://127.0.0.1:8420.",
-                    field="url",
-                    value=url,
-                )
+            raise InputError.of(
+                "options",
+                "is no address of a service",
+                "Write it as http://127.0.0.1:8420.",
+                field="url",
+                value=url,
             )
         kind = (
             http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection

@@ -86,7 +86,7 @@ class InFolder:
         self._lock: int | None = None
         if reading and not (folder / "service.db").exists():
             cure = "Give the place with --state, as for the service."
-            raise InputError(Problem(self.name, "holds no state of a service", cure))
+            raise InputError.of(self.name, "holds no state of a service", cure)
         if not reading:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = _locked(folder)
@@ -165,7 +165,7 @@ class OnServer:
             self.close()
             words = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
             cure = "Start the server, or give another address with --state."
-            raise InputError(Problem(self.name, f"does not answer: {words}", cure)) from error
+            raise InputError.of(self.name, f"does not answer: {words}", cure) from error
 
     @property
     def name(self) -> str:
@@ -212,7 +212,7 @@ def _check_driver() -> None:
     """Say which extra is missing."""
     if importlib.util.find_spec("psycopg") is None:
         cure = 'Install the extra: pip install "vppres[postgres]".'
-        raise InputError(Problem("state", "needs the package psycopg", cure))
+        raise InputError.of("state", "needs the package psycopg", cure)
 
 
 def _in_use(name: str) -> Problem:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.clock import written
 
@@ -239,4 +239,4 @@ def _checked(body: dict[str, Any]) -> Any:
 
 
 def _wrong(field: str, message: str, cure: str, value: str | None = None) -> InputError:
-    return InputError(Problem("OpenADR event", message, cure, field=field, value=value))
+    return InputError.of("OpenADR event", message, cure, field=field, value=value)

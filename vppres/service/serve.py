@@ -10,7 +10,7 @@ from pathlib import Path
 
 import uvicorn
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
 from vppres.model.site import Site
 from vppres.service.access import LOOPBACK, Access, check_address, new_token
@@ -73,23 +73,19 @@ class Address:
         check_address(self.host, access, self.behind_proxy or self.encrypts)
         if (self.certificate is None) != (self.key is None):
             given, missing = ("certificate", "key") if self.encrypts else ("key", "certificate")
-            raise InputError(
-                Problem("options", f"needs --{missing}", "Give both files.", field=given)
-            )
+            raise InputError.of("options", f"needs --{missing}", "Give both files.", field=given)
         if self.certificate is not None and self.key is not None:
             try:
                 ssl.create_default_context().load_cert_chain(
                     self.certificate, self.key, _no_password
                 )
             except (OSError, ValueError) as error:
-                raise InputError(
-                    Problem(
-                        "options",
-                        f"is no certificate with its key: {error}",
-                        "Give PEM files, the key without a password.",
-                        field="certificate",
-                        value=str(self.certificate),
-                    )
+                raise InputError.of(
+                    "options",
+                    f"is no certificate with its key: {error}",
+                    "Give PEM files, the key without a password.",
+                    field="certificate",
+                    value=str(self.certificate),
                 ) from error
 
 
@@ -155,8 +151,8 @@ def remove_token(service: Service, folder: Path | str, name: str) -> None:
         if not store.remove_token(name, SystemClock().now()):
             known = [token.name for token in store.tokens()]
             cure = did_you_mean(name, known, "There is none.")
-            raise InputError(
-                Problem("tokens", "is not the name of a token", cure, None, "name", name)
+            raise InputError.of(
+                "tokens", "is not the name of a token", cure, field="name", value=name
             )
     finally:
         store.close()

@@ -28,7 +28,7 @@ from typing import Any
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
-from vppres.core.errors import InputError, Problem, SolverLostError
+from vppres.core.errors import InputError, SolverLostError
 from vppres.core.parent import command
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -447,14 +447,12 @@ class IsolatedSolver(WindowSolver):
         workers: Workers | None = None,
     ) -> None:
         if not SUPPORTED:
-            raise InputError(
-                Problem(
-                    "options",
-                    "is not available on this system",
-                    "Leave it out, or use Linux or macOS.",
-                    field="isolate",
-                    value=True,
-                )
+            raise InputError.of(
+                "options",
+                "is not available on this system",
+                "Leave it out, or use Linux or macOS.",
+                field="isolate",
+                value=True,
             )
         super().__init__(site, method, solver, limits, polygon_sides)
         self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)

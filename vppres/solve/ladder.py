@@ -13,7 +13,7 @@ from functools import partial
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.apart import falls_apart, solve_apart
@@ -72,14 +72,12 @@ class WindowSolver:
         polygon_sides: int = POLYGON_SIDES,
     ) -> None:
         if method not in METHODS:
-            raise InputError(
-                Problem(
-                    "options",
-                    "is not a known method",
-                    f"Use one of: {', '.join(METHODS)}.",
-                    field="method",
-                    value=method,
-                )
+            raise InputError.of(
+                "options",
+                "is not a known method",
+                f"Use one of: {', '.join(METHODS)}.",
+                field="method",
+                value=method,
             )
         self.method = method
         self.limits = limits or SolveLimits()

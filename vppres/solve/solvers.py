@@ -13,7 +13,7 @@ import cvxpy as cp
 import numpy as np
 from cvxpy.reductions.solvers.solver import Solver
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
@@ -196,24 +196,20 @@ def find_solver(name: str) -> SolverSpec:
     spec = SOLVERS.get(name)
     ready = ", ".join(s.name for s in SOLVERS.values() if s.installed)
     if spec is None:
-        raise InputError(
-            Problem(
-                "options",
-                f"is not a known solver ({', '.join(SOLVERS)})",
-                f"Installed here: {ready}.",
-                field="solver",
-                value=name,
-            )
+        raise InputError.of(
+            "options",
+            f"is not a known solver ({', '.join(SOLVERS)})",
+            f"Installed here: {ready}.",
+            field="solver",
+            value=name,
         )
     if not spec.installed:
-        raise InputError(
-            Problem(
-                "options",
-                "is not installed",
-                f"Install it, or use one of: {ready}.",
-                field="solver",
-                value=name,
-            )
+        raise InputError.of(
+            "options",
+            "is not installed",
+            f"Install it, or use one of: {ready}.",
+            field="solver",
+            value=name,
         )
     return spec
 

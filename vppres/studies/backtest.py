@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
@@ -77,16 +77,14 @@ class Plan:
         every = max(round(self.every_h / history.dt_h), 1)
         rows = range(row, history.row_of(last) + 1, every)
         if not len(rows):
-            raise InputError(
-                Problem(
-                    "backtest",
-                    f"there is no issue of a forecast between {first.isoformat()} and "
-                    f"{last.isoformat()}",
-                    f"Give at least {FEWEST_DAYS} days of history before the first issue and "
-                    f"{self.horizon_h:g} h behind the last.",
-                    field="history",
-                    value=f"{history.start.isoformat()} to {history.end.isoformat()}",
-                )
+            raise InputError.of(
+                "backtest",
+                f"there is no issue of a forecast between {first.isoformat()} and "
+                f"{last.isoformat()}",
+                f"Give at least {FEWEST_DAYS} days of history before the first issue and "
+                f"{self.horizon_h:g} h behind the last.",
+                field="history",
+                value=f"{history.start.isoformat()} to {history.end.isoformat()}",
             )
         return history.times[rows.start : rows.stop : rows.step]
 
@@ -335,14 +333,12 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
         If it is none of these, or with every problem of its files.
     """
     if zone is not None and not is_zone(zone):
-        raise InputError(
-            Problem(
-                "options",
-                "is not the name of a time zone",
-                "Give one such as Europe/London.",
-                field="zone",
-                value=zone,
-            )
+        raise InputError.of(
+            "options",
+            "is not the name of a time zone",
+            "Give one such as Europe/London.",
+            field="zone",
+            value=zone,
         )
     if not is_scenario(name_or_path):
         return read_history(Path(name_or_path), zone=zone or UTC)

@@ -68,14 +68,12 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
         change = changes[name]
         return Parameter(name, float, lambda day, options, value: (change(day, value), options))
     known = [*OPTION_OF, *changes]
-    raise InputError(
-        Problem(
-            "sweep",
-            "is not a parameter",
-            did_you_mean(name, known, f"Use one of: {', '.join(known)}."),
-            field="--param",
-            value=name,
-        )
+    raise InputError.of(
+        "sweep",
+        "is not a parameter",
+        did_you_mean(name, known, f"Use one of: {', '.join(known)}."),
+        field="--param",
+        value=name,
     )
 
 
@@ -110,12 +108,10 @@ def chosen_values(parameter: Parameter, values: str | None, range_: str | None) 
         return read_values(parameter, values)
     if range_ is not None and values is None:
         return read_range(parameter, range_)
-    raise InputError(
-        Problem(
-            "sweep",
-            "needs either --values or --range",
-            "Give one of them, for example --values 1,2,3 or --range 0:5:6.",
-        )
+    raise InputError.of(
+        "sweep",
+        "needs either --values or --range",
+        "Give one of them, for example --values 1,2,3 or --range 0:5:6.",
     )
 
 
@@ -170,24 +166,20 @@ def read_range(parameter: Parameter, text: str) -> list[Value]:
     numbers = [_read(float, part) for part in parts[:2]]
     count = _read(int, parts[2]) if len(parts) == 3 else None
     if count is None or None in numbers or not 2 <= int(count) <= _MAX_POINTS:
-        raise InputError(
-            Problem(
-                "sweep",
-                f"is not start:stop:n with n from 2 to {_MAX_POINTS}",
-                "Write for example 0:5:6 for the values 0, 1, 2, 3, 4, 5.",
-                field="--range",
-                value=text,
-            )
+        raise InputError.of(
+            "sweep",
+            f"is not start:stop:n with n from 2 to {_MAX_POINTS}",
+            "Write for example 0:5:6 for the values 0, 1, 2, 3, 4, 5.",
+            field="--range",
+            value=text,
         )
     if parameter.kind is str:
-        raise InputError(
-            Problem(
-                "sweep",
-                f"{parameter.name} takes words, not numbers",
-                "Use --values.",
-                field="--range",
-                value=text,
-            )
+        raise InputError.of(
+            "sweep",
+            f"{parameter.name} takes words, not numbers",
+            "Use --values.",
+            field="--range",
+            value=text,
         )
     start, stop = (float(number) for number in numbers if number is not None)
     points = np.linspace(start, stop, int(count)).tolist()
@@ -255,23 +247,19 @@ def _with_outage_hours(day: Scenario, hours: float) -> Scenario:
     """The only outage, from its beginning, for another time; 0 is none."""
     steps = np.flatnonzero(day.outage)
     if len(steps) == 0 or np.any(np.diff(steps) != 1):
-        raise InputError(
-            Problem(
-                "scenario",
-                "has not exactly one outage",
-                "Sweep the hours of a scenario with one outage.",
-            )
+        raise InputError.of(
+            "scenario",
+            "has not exactly one outage",
+            "Sweep the hours of a scenario with one outage.",
         )
     n_steps = hours / day.grid.dt_h
     left = day.grid.n_steps - int(steps[0])
     if not (0 <= n_steps <= left and float(n_steps).is_integer()):
-        raise InputError(
-            Problem(
-                "scenario",
-                f"the outage must last from 0 to {left * day.grid.dt_h:g} h in steps of "
-                f"{day.grid.dt_h:g} h",
-                "Give another duration.",
-            )
+        raise InputError.of(
+            "scenario",
+            f"the outage must last from 0 to {left * day.grid.dt_h:g} h in steps of "
+            f"{day.grid.dt_h:g} h",
+            "Give another duration.",
         )
     start = day.grid.times[steps[0]]
     return day.with_outage(start, start + pd.Timedelta(hours=hours))

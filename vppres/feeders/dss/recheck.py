@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
@@ -101,12 +101,10 @@ def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) 
         If the script cannot be read, or has no load where the run has a customer.
     """
     if source.suffix.lower() != ".dss":
-        raise InputError(
-            Problem(
-                source.name,
-                "is not a .dss file",
-                "Recheck reads OpenDSS; into a pandapower net Trajectory.apply_to puts each step.",
-            )
+        raise InputError.of(
+            source.name,
+            "is not a .dss file",
+            "Recheck reads OpenDSS; into a pandapower net Trajectory.apply_to puts each step.",
         )
     script = dss_text.read_script(source)
     group_of = _groups(source)
@@ -190,12 +188,10 @@ def _check_loads(run: Tables, nominal_kw: Mapping[str, float], name: str) -> Non
     """Every customer needs loads to stand for it."""
     missing = sorted({str(bus) for bus in run["customers"]["bus"]} - {*nominal_kw})
     if missing:
-        raise InputError(
-            Problem(
-                name,
-                f"has no load at the buses of {len(missing)} customers: bus {few(missing)}",
-                "Give the file that the run's scenario was made from.",
-            )
+        raise InputError.of(
+            name,
+            f"has no load at the buses of {len(missing)} customers: bus {few(missing)}",
+            "Give the file that the run's scenario was made from.",
         )
 
 

@@ -159,13 +159,11 @@ class _Reader:
             if len(self.problems) == MOST_REFUSED:
                 raise InputError(_folded(self.problems, shown))
             if len(self.commands) > MOST_COMMANDS:
-                raise InputError(
-                    Problem(
-                        shown,
-                        f"has more than {MOST_COMMANDS} commands",
-                        "Give the feeder alone.",
-                        row=row,
-                    )
+                raise InputError.of(
+                    shown,
+                    f"has more than {MOST_COMMANDS} commands",
+                    "Give the feeder alone.",
+                    row=row,
                 )
 
     def _checked(self, line: str, shown: str, library: bool) -> Iterator[str]:

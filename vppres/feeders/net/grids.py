@@ -116,14 +116,12 @@ def _check_alike(net: Any, name: str, grids: list[_Grid]) -> None:
     """Grids that can be one: the same set-point at the same level."""
     if len({(grid.v_pu, float(net.bus.at[grid.bus, "vn_kv"])) for grid in grids}) > 1:
         held = [f"{grid.label} {grid.v_pu:g} pu" for grid in grids]
-        raise InputError(
-            Problem(
-                name,
-                f"has grids that hold different voltages: {few(held)}",
-                "Choose one of them.",
-                field="slack",
-                value=ALL,
-            )
+        raise InputError.of(
+            name,
+            f"has grids that hold different voltages: {few(held)}",
+            "Choose one of them.",
+            field="slack",
+            value=ALL,
         )
 
 

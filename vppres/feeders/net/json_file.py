@@ -90,12 +90,10 @@ def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...], list[dict[str, An
     """
     text = read_text(path, LARGEST_BYTES)
     if text.count("{") + text.count("[") > MOST_BRACKETS:
-        raise InputError(
-            Problem(
-                path.name,
-                f"has more than {MOST_BRACKETS} objects and lists",
-                "Give the feeder alone, without time series.",
-            )
+        raise InputError.of(
+            path.name,
+            f"has more than {MOST_BRACKETS} objects and lists",
+            "Give the feeder alone, without time series.",
         )
     check = _Check(path.name)
     omitted = check.run(text)
@@ -142,12 +140,10 @@ class _Check:
         try:
             return json.loads(text, object_pairs_hook=self._pairs)
         except (ValueError, RecursionError) as error:
-            raise InputError(
-                Problem(
-                    self.name,
-                    f"cannot be read as pandapower JSON ({error})",
-                    "Correct the file, or choose another format with --from.",
-                )
+            raise InputError.of(
+                self.name,
+                f"cannot be read as pandapower JSON ({error})",
+                "Correct the file, or choose another format with --from.",
             ) from None
 
     def _inner(self, text: str) -> Any:

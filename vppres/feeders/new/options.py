@@ -161,8 +161,8 @@ def first_day(start: str | None, date: str | None, zone: str | None) -> pd.Times
     '2025-10-26T00:00:00+01:00'
     """
     if start is not None and date is not None:
-        raise InputError(
-            Problem("options", "is given beside a date", "Keep one.", field="start", value=start)
+        raise InputError.of(
+            "options", "is given beside a date", "Keep one.", field="start", value=start
         )
     if zone is not None and (problems := check_zone(zone)):
         raise InputError(problems)
@@ -182,14 +182,12 @@ def parse_start(text: str, zone: str | None = None) -> pd.Timestamp:
     try:
         return _dated(text, zone)
     except ValueError:
-        raise InputError(
-            Problem(
-                "options",
-                "is not a date with a time zone",
-                "Write it with an offset, for example 2025-07-01T00:00Z, or give --time-zone.",
-                field="start",
-                value=text,
-            )
+        raise InputError.of(
+            "options",
+            "is not a date with a time zone",
+            "Write it with an offset, for example 2025-07-01T00:00Z, or give --time-zone.",
+            field="start",
+            value=text,
         ) from None
 
 
@@ -203,15 +201,13 @@ def parse_outage(text: str, start: pd.Timestamp) -> Outage:
     try:
         first, last = (_moment(part, start) for part in parts)
     except ValueError:
-        raise InputError(
-            Problem(
-                "options",
-                "is not an interval of time",
-                "Write start..end, for example 12:00..18:00 (first day) or "
-                "2025-07-02T06:00Z..2025-07-02T09:00Z.",
-                field="outage",
-                value=text,
-            )
+        raise InputError.of(
+            "options",
+            "is not an interval of time",
+            "Write start..end, for example 12:00..18:00 (first day) or "
+            "2025-07-02T06:00Z..2025-07-02T09:00Z.",
+            field="outage",
+            value=text,
         ) from None
     return first, last
 

@@ -79,14 +79,12 @@ def grid_from(start: pd.Timestamp, days: int, step_minutes: float, zone: str) ->
     hours = (days_later(start, days, zone) - start) / pd.Timedelta(hours=1)
     steps = hours * 60.0 / step_minutes
     if not float(steps).is_integer():
-        raise InputError(
-            Problem(
-                "options",
-                f"does not divide the {hours:g} hours from {start.isoformat()}",
-                "Give a step that divides an hour, for example 60, 30 or 15.",
-                field="step_minutes",
-                value=step_minutes,
-            )
+        raise InputError.of(
+            "options",
+            f"does not divide the {hours:g} hours from {start.isoformat()}",
+            "Give a step that divides an hour, for example 60, 30 or 15.",
+            field="step_minutes",
+            value=step_minutes,
         )
     return TimeGrid(start, step_minutes, round(steps), zone)
 
@@ -105,15 +103,13 @@ def time_of_day(start: pd.Timestamp, hours: int, minutes: int) -> pd.Timestamp:
     early = naive.replace(tzinfo=zone, fold=0)
     late = naive.replace(tzinfo=zone, fold=1)
     if early.utcoffset() != late.utcoffset():
-        raise InputError(
-            Problem(
-                "options",
-                "is a time that the clocks skip or show twice on this day",
-                "Write it with its date and offset, for example "
-                f"{naive.isoformat()}{early.isoformat()[19:]}.",
-                field="outage",
-                value=f"{hours:02d}:{minutes:02d}",
-            )
+        raise InputError.of(
+            "options",
+            "is a time that the clocks skip or show twice on this day",
+            "Write it with its date and offset, for example "
+            f"{naive.isoformat()}{early.isoformat()[19:]}.",
+            field="outage",
+            value=f"{hours:02d}:{minutes:02d}",
         )
     return pd.Timestamp(early)
 

@@ -74,21 +74,17 @@ def _files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise InputError(
-            Problem(
-                f"profiles {path.name}",
-                "there is no such file or folder",
-                "Correct the path, or write 'source' for the network's own series.",
-            )
+        raise InputError.of(
+            f"profiles {path.name}",
+            "there is no such file or folder",
+            "Correct the path, or write 'source' for the network's own series.",
         )
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
     if not files:
-        raise InputError(
-            Problem(
-                f"profiles {path.name}",
-                "has neither a CSV nor a Parquet file",
-                "Give a folder with series, or one file.",
-            )
+        raise InputError.of(
+            f"profiles {path.name}",
+            "has neither a CSV nor a Parquet file",
+            "Give a folder with series, or one file.",
         )
     return files
 

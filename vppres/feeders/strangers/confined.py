@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.parent import me
 from vppres.io.atomic import scratch_folder
 
@@ -46,12 +46,10 @@ def confined(
     """
     child = Path(__file__).with_name("child.py")
     text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s, "parent": me()})
-    too_long = InputError(
-        Problem(
-            name,
-            f"is not read within {time_limit_s:g} s",
-            "Give the feeder alone, with sizes that equipment has.",
-        )
+    too_long = InputError.of(
+        name,
+        f"is not read within {time_limit_s:g} s",
+        "Give the feeder alone, with sizes that equipment has.",
     )
     with scratch_folder() as folder:
         try:
@@ -74,12 +72,10 @@ def confined(
     try:
         answer = json.loads(done.stdout)
     except ValueError:
-        raise InputError(
-            Problem(
-                name,
-                f"ends the process that reads it (status {done.returncode})",
-                "Look for sizes that no equipment has, such as a line of a million phases.",
-            )
+        raise InputError.of(
+            name,
+            f"ends the process that reads it (status {done.returncode})",
+            "Look for sizes that no equipment has, such as a line of a million phases.",
         ) from None
     assert isinstance(answer, dict)
     return answer

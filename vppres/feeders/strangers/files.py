@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 
 LARGEST_BYTES = 50 * 2**20
 """A pandapower net of 10,000 buses has some 10 MB."""
@@ -22,16 +22,14 @@ def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes
     """
     name = shown or path.name
     if not path.is_file():  # of a pipe or a device nobody knows the end
-        raise InputError(Problem(name, "is not a regular file", "Give a file."))
+        raise InputError.of(name, "is not a regular file", "Give a file.")
     with path.open("rb") as file:
         content = file.read(limit + 1)
     if len(content) > limit:
-        raise InputError(
-            Problem(
-                name,
-                f"has more than {limit / 2**20:.3g} MB, or its folder has",
-                "Give the feeder alone, without time series.",
-            )
+        raise InputError.of(
+            name,
+            f"has more than {limit / 2**20:.3g} MB, or its folder has",
+            "Give the feeder alone, without time series.",
         )
     return content
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from starlette.exceptions import HTTPException
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
 from vppres.scenario.scenario import Scenario
 from vppres.service.payloads import read_moment
@@ -22,9 +22,7 @@ def moment_asked(text: str) -> pd.Timestamp:
     try:
         return read_moment(text)
     except ValueError as error:
-        raise InputError(
-            Problem("request", str(error), "Give a time.", field="at", value=text)
-        ) from None
+        raise InputError.of("request", str(error), "Give a time.", field="at", value=text) from None
 
 
 def check_asset(asset: str | None, scenario: Scenario) -> None:
