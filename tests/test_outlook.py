@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -163,6 +164,76 @@ def test_several_announced_outages_come_in_their_order() -> None:
     assert first.out_probability.tolist() == pytest.approx([0, 0.8, 0, 0, 0.5, 0.5, 0, 0])
     in_it = view.at(NOON + HOUR, 6, [SeenOutage(NOON + HOUR)])
     assert in_it.out_probability.tolist() == pytest.approx([1, 0, 0, 0.5, 0.5, 0])
+
+
+STORM = {"onset_earliest": 0, "onset_likely": 3, "onset_latest": 6, "probability": 0.7,
+         "duration_p10_h": 2.0, "duration_p50_h": 7.0, "duration_p90_h": 24.0}  # fmt: skip
+
+
+def test_an_estimate_under_another_name_is_what_it_is_under_the_same() -> None:
+    """Before the onset, in the outage and after it; outages that begin outside the window too."""
+    rng = np.random.default_rng(43)
+    different = []
+    for case in range(40):
+        begins = int(rng.integers(-3, 8))
+        seen = SeenOutage(NOON + begins * HOUR)
+        storm = warned(-6, outage="storm", **STORM)
+        estimates = [
+            warned(
+                issued,
+                outage="INC-1",
+                onset_likely=begins,
+                duration_p50_h=float(rng.integers(1, 9)),
+                duration_p90_h=float(rng.integers(9, 12)),
+            )
+            for issued in sorted(rng.integers(begins, begins + 6, 2))
+        ]
+        for hours in (begins + 1, begins + 5):
+            now = NOON + hours * HOUR
+            said = [
+                outlook(storm, *(replace(one, outage=name) for one in estimates)).at(
+                    now, 30, [seen]
+                )
+                for name in ("storm", "INC-1")
+            ]
+            alike = [
+                np.array_equal(getattr(said[0], name), getattr(said[1], name))
+                for name in ("onset", "duration", "out_probability")
+            ]
+            if not all(alike):
+                different.append((case, hours))
+            told = any(one.issued_at <= now for one in estimates)
+            assert said[1].words == ("INC-1 counts, not storm" if told else "")
+    assert not different
+
+
+def test_messages_of_one_cause_are_one_outage_before_it_begins() -> None:
+    storm = warned(-6, outage="storm", **STORM)
+    sure = warned(-2, outage="DNO", onset_likely=3, probability=1.0, duration_p50_h=2.0)
+    belief = outlook(storm, sure).at(NOON, 8, [])
+    assert belief.out_probability.tolist() == [0, 0, 0, 1, 1, 0, 0, 0]
+    assert belief.words == "DNO counts, not storm"
+    # Of two that are issued at once the narrower one counts, in any order.
+    early = replace(sure, issued_at=storm.issued_at)
+    for both in ((storm, early), (early, storm)):
+        assert outlook(*both).at(NOON, 8, []).words == "DNO counts, not storm"
+    # What was taken back leaves what was said before.
+    clear = warned(-1, outage="DNO", probability=0.0)
+    alone = outlook(storm).at(NOON, 8, []).out_probability
+    assert outlook(storm, sure, clear).at(NOON, 8, []).out_probability.tolist() == alone.tolist()
+
+
+def test_blocks_that_follow_each_other_stay_apart() -> None:
+    """A rota of hours that are announced together, the second one an hour after the first."""
+    blocks = [
+        warned(-9, outage=name, onset_likely=hour, probability=1.0, duration_p50_h=1.0)
+        for name, hour in (("one", 1), ("two", 2.5))
+    ]
+    view = OutageOutlook(blocks, NEVER, 0.5)
+    first = SeenOutage(NOON + HOUR)
+    assert view.at(first.start, 7, [first]).out_probability.tolist() == [1, 1, 0, 1, 1, 0, 0]
+    over = replace(first, end=NOON + 2 * HOUR)
+    assert view.at(NOON + 2 * HOUR, 5, [over]).out_probability.tolist() == [0, 1, 1, 0, 0]
 
 
 def test_probabilities_are_those_of_all_futures_drawn() -> None:

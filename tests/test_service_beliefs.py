@@ -118,6 +118,50 @@ def test_a_certain_outage_is_the_special_case(tiny: Scenario, tmp_path: Path) ->
     assert [available for _, available in found[0]] == [True, False, False, True]
 
 
+BEGUN = {"start": "2026-11-21T14:00:00Z", "resolution": "PT1H", "probabilities": [1.0]}
+
+
+def lasting(hours: float) -> dict[str, Any]:
+    """An estimate of restoration for the outage that began at two."""
+    return {**STORM, "probability": 1.0, "onset": BEGUN,
+            "duration": {"family": "lognormal", "median_h": hours, "sigma": 0.2}}  # fmt: skip
+
+
+def told_of_it(
+    tiny: Scenario, folder: Path, name: str, estimates: dict[int, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Plans from noon on; the storm begins at two, and estimates come at their hours."""
+    vague = {"family": "lognormal", "median_h": 5.0, "sigma": 0.9}
+    with believing(tiny, folder) as (http, clock):
+        http.put("/v1/events/storm", {**STORM, "duration": vague})
+        plans = []
+        for hours in range(1, 6):
+            now = NOON + hours * HOUR
+            clock.set(now)
+            grid_on(http, now, hours < 2)
+            if hours in estimates:
+                assert http.put(f"/v1/events/{name}", estimates[hours]).status in (200, 201)
+            plans.append(decided(http, clock, now, max(0.9 - 0.1 * hours, 0.3)))
+        return plans
+
+
+def test_an_estimate_counts_whatever_its_name(tiny: Scenario, tmp_path: Path) -> None:
+    """A wrong one as the outage begins, and its correction two hours later."""
+    estimates = {2: lasting(2.0), 4: lasting(6.0)}
+    named = {
+        name: told_of_it(tiny, tmp_path / name, name, estimates) for name in ("storm", "INC-1")
+    }
+    same, other = (
+        [(plan["outage_probability"], plan["setpoints"]) for plan in plans]
+        for plans in named.values()
+    )
+    assert same == other
+    words = [plan["solve"]["outage_messages"] for plan in named["INC-1"]]
+    assert words == [None] + ["INC-1 counts, not storm"] * 4
+    wrong, corrected = other[2][0], other[3][0]
+    assert wrong[2] < 0.2 < 0.5 < corrected[1]
+
+
 def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path) -> None:
     with believing(tiny, tmp_path, "known") as (http, _):
         answer = http.put("/v1/events/storm", STORM)

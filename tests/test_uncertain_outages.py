@@ -29,6 +29,7 @@ from vppres.scenario.scenario import ControllerDefaults, Scenario
 HOUR = pd.Timedelta(hours=1)
 NEVER = OutageStatistics(saifi_per_year=0.0)
 OFTEN = OutageStatistics(saifi_per_year=300.0, caidi_h=2.0)
+OF_BELIEFS = ("stored_value_gbp_per_kwh", "outage_messages")
 TIMES = ("solve_s", "solver_s", "compilations")
 
 
@@ -36,7 +37,7 @@ def records(run: Trajectory, steps: int | None = None) -> dict[str, pd.DataFrame
     """All tables of a run, or of its first steps, without times and what only beliefs have."""
     found = {}
     for name, table in run.tables.items():
-        left = [c for c in table if c not in (*TIMES, "stored_value_gbp_per_kwh", "phase")]
+        left = [c for c in table if c not in (*TIMES, *OF_BELIEFS, "phase")]
         rows = len(table) // len(run.steps)
         found[name] = table[left] if steps is None else table[left].iloc[: steps * rows]
     return found

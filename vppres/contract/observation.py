@@ -61,6 +61,9 @@ class Observation:
     stored_value : StoredValue, optional
         What energy is worth behind the present step, where the steps behind it are believed and not
         known. The window is then the present step alone.
+    outage_messages : str
+        Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
+        several speak of one.
     elapsed_h : float
         How much of the step is over, where it is decided anew; states are those of that moment.
     soc_age_h : array, shape (B,), optional
@@ -83,6 +86,7 @@ class Observation:
     served: Flags | None = None
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
+    outage_messages: str = ""
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()

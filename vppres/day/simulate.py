@@ -18,7 +18,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
-from vppres.day.outages import BELIEF, GridSeen, OutageView
+from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.recorder import Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
 from vppres.io.python_door import check_scenario
@@ -100,6 +100,7 @@ class Day:
         self.served: Flags | None = None
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
+        self.outage_messages = ""
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """What the controller may know at step ``t``."""
@@ -124,6 +125,7 @@ class Day:
         now = self.scenario.grid.times[t]
         self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
+        self.outage_messages = seen.outage_messages
         return seen if self.faults is None else self.faults.observe(seen)
 
     def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
@@ -153,7 +155,10 @@ class Day:
         realised = done.realised
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
-        record = replace(record, steps={**record.steps, **basis_of(self.forecaster, t)})
+        steps = {**record.steps, **basis_of(self.forecaster, t)}
+        if self.options.outages in (BELIEF, LIKELY):
+            steps["outage_messages"] = self.outage_messages
+        record = replace(record, steps=steps)
         self.operating_point = (
             None
             if done.dark

@@ -209,7 +209,7 @@ class Controller:
         Parameters
         ----------
         *warnings : OutageWarning
-            Warnings, in any order; for each outage the last issued one counts.
+            Warnings, in any order; for each outage the last issued one counts, whatever its name.
         replacing : bool, optional
             Whether they replace all earlier warnings.
 
@@ -254,6 +254,14 @@ class Controller:
             seen_last = min(decided, row) if self._past.t >= 0 else row - 1
             ahead = range(row - seen_last, row - seen_last + len(times))
             return pd.Series(self._believed(seen_last, row)[ahead], times)
+
+    def replaced(self, time: pd.Timestamp) -> frozenset[str]:
+        """Names of warnings that do not count at a time: a later one speaks of the same outage."""
+        with self._turn:
+            known = self.scenario
+            outlook = OutageOutlook(known.warnings, known.outage_statistics, known.grid.dt_h)
+            found = outlook.expected(time, self._past.grid_seen.outages)
+            return frozenset(name for one in found for name in one.dropped)
 
     def _believed(self, seen_last: int, said_last: int) -> Floats:
         """Probability of an outage in the steps from the one on that was seen last."""

@@ -158,6 +158,7 @@ class Present:
         day = Day(scenario, self.options)
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
+        day.outage_messages = known.outage_messages
         day.switching = self.switching
         day.ac.go_on_from(self.past.voltages)
         day.plant.cold_load = self.cold_load

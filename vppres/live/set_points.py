@@ -54,7 +54,8 @@ class SetPoints:
         How the decision was found: ``status``, ``gap``, ``objective``, ``bound``, ``solve_s``;
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
         none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
-        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later.
+        outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later, and
+        ``outage_messages``, which of several messages about one outage counts.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
     foreseen : Foreseen
@@ -181,8 +182,9 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
 def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
     """How the decision was found."""
     solve = {name: figures[name] for name in SOLVE_FIGURES}
-    if "stored_value_gbp_per_kwh" in figures:
-        solve["stored_value_gbp_per_kwh"] = figures["stored_value_gbp_per_kwh"]
+    for name in ("stored_value_gbp_per_kwh", "outage_messages"):
+        if name in figures:
+            solve[name] = figures[name]
     return {**solve, "reason": figures["correction_reason"]}
 
 

@@ -38,6 +38,8 @@ class OutageBelief:
         Row of ``duration`` that the present outage has.
     elapsed : int
         Steps that it has lasted before the present one.
+    words : str
+        Which messages count, where several speak of one outage.
 
     Examples
     --------
@@ -56,6 +58,7 @@ class OutageBelief:
     out: bool = False
     kind: int = 0
     elapsed: int = 0
+    words: str = ""
 
     def __post_init__(self) -> None:
         freeze_fields(self, onset=float, duration=float)

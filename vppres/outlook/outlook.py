@@ -42,6 +42,8 @@ class Announced:
         When it begins.
     shares : OnsetShares, optional
         The same as a distribution.
+    dropped : tuple of str
+        Names of the messages that this one replaces, where it has another name.
     """
 
     message: OutageWarning
@@ -50,6 +52,30 @@ class Announced:
     likely: pd.Timestamp
     latest: pd.Timestamp
     shares: OnsetShares | None = None
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Which message counts, and which do not for it; empty where there is only one."""
+        if not self.dropped:
+            return ""
+        others = ", ".join(map(_named, self.dropped))
+        return f"{_named(self.message.outage)} counts, not {others}"
+
+    @property
+    def spread_h(self) -> float:
+        """How much is left open of its beginning and its length, in h."""
+        message = self.message
+        onset_h = float((self.latest - self.earliest) / HOUR)
+        if message.duration_p50_h is None:
+            return np.inf
+        shortest_h = message.duration_p10_h or message.duration_p50_h
+        longest_h = message.duration_p90_h or message.duration_p50_h
+        return onset_h + longest_h - shortest_h
+
+    def off(self, seen: SeenOutage) -> pd.Timedelta:
+        """How far an outage that was seen began from the announced time."""
+        return max(self.earliest - seen.start, seen.start - self.latest, pd.Timedelta(0))
 
     def explains(self, seen: SeenOutage, step: pd.Timedelta) -> bool:
         """Whether an outage that was seen is this one.
@@ -57,9 +83,22 @@ class Announced:
         It began in the announced time, or off by its width, an hour at least; and not before
         anybody knew of it.
         """
-        off = max(self.latest - self.earliest, HOUR, step)
-        return self.earliest - off <= seen.start <= self.latest + off and (
-            seen.end is None or seen.end > self.first_issued
+        most = max(self.latest - self.earliest, HOUR, step)
+        known = seen.end is None or seen.end > self.first_issued
+        return known and self.off(seen) <= most
+
+    def is_cause_of(self, other: Announced, seen: Sequence[SeenOutage], step: pd.Timedelta) -> bool:
+        """Whether two messages of different names speak of one outage.
+
+        Their onsets may be the same; or both explain an outage that was seen, and one was first
+        announced when it had begun. What was announced beforehand for different times is two.
+        """
+        if self.earliest < other.latest + step and other.earliest < self.latest + step:
+            return True
+        later = max(self.first_issued, other.first_issued)
+        return any(
+            one.start <= later and self.explains(one, step) and other.explains(one, step)
+            for one in seen
         )
 
 
@@ -67,8 +106,9 @@ class Announced:
 class OutageOutlook:
     """Beliefs of outages at the steps of a time grid.
 
-    Of every announced outage the last message issued by the step counts: the warning is the
-    belief, and no filter stands behind it. What was seen is certain: an outage that came is no
+    Of every announced outage the last message issued by the step counts, whatever its name (of
+    several at the same time the narrowest): the warning is the belief, and no filter stands behind
+    it. What was seen is certain: an outage that came is no
     longer waited for, and its length is longer than it has lasted.
 
     Parameters
@@ -106,20 +146,16 @@ class OutageOutlook:
         seen : sequence of SeenOutage
             Outages so far, in their order; the last one lasts if the present step is one of it.
         """
-        step = pd.Timedelta(hours=self.step_h)
         lasting = seen[-1] if seen and seen[-1].end is None else None
+        step = pd.Timedelta(hours=self.step_h)
         elapsed = 0 if lasting is None else round((now - lasting.start) / step)
-        announced = self._announced(now, lasting)
+        announced = self.expected(now, seen)
         # The present outage may be longer than all that lies ahead.
         length = min(elapsed + n_steps + 1, LONGEST_STEPS)
         unannounced = self._unannounced(length)
-        present = None
-        waited_for = []
-        for one in announced:
-            if lasting is not None and present is None and one.explains(lasting, step):
-                present = one
-            elif not any(one.explains(past, step) for past in seen if past.end is not None):
-                waited_for.append(one)
+        explained = [self._explanation(announced, one) for one in seen]
+        present = None if lasting is None else explained[-1]
+        waited_for = [one for one in announced if not any(one is known for known in explained)]
         onset = [self._onset(one, now, n_steps) for one in waited_for]
         kinds = [self._length(one.message, length) for one in waited_for]
         kind = 0
@@ -140,6 +176,7 @@ class OutageOutlook:
             out=lasting is not None,
             kind=kind,
             elapsed=elapsed,
+            words="; ".join(one.words for one in announced if one.words),
         )
 
     @property
@@ -150,14 +187,61 @@ class OutageOutlook:
         rates = self._rates
         return durations.lognormal(rates.median_h, rates.sigma, self.step_h, length)
 
-    def _announced(self, now: pd.Timestamp, lasting: SeenOutage | None) -> list[Announced]:
-        """Outages that are announced by now, by their likely onset."""
-        messages: dict[str, list[OutageWarning]] = {}
-        for warning in sorted(self.warnings, key=lambda w: w.issued_at):
-            if warning.issued_at <= now:
-                messages.setdefault(warning.outage, []).append(completed(warning))
-        found = [one for group in messages.values() if (one := announced_by(group, lasting))]
+    def expected(self, now: pd.Timestamp, seen: Sequence[SeenOutage]) -> list[Announced]:
+        """Outages that are announced by now, by their likely onset.
+
+        Messages of one cause are one outage; the one that was spoken of last names it.
+
+        Parameters
+        ----------
+        now : pandas.Timestamp
+            Beginning of the present step.
+        seen : sequence of SeenOutage
+            Outages so far, in their order.
+        """
+        lasting = seen[-1] if seen and seen[-1].end is None else None
+        step = pd.Timedelta(hours=self.step_h)
+        messages = self._messages(now)
+        named = {
+            name: one for name, group in messages.items() if (one := announced_by(group, lasting))
+        }
+        last_first = sorted(
+            named,
+            key=lambda name: (-messages[name][-1].issued_at.value, named[name].spread_h),
+        )
+        causes: dict[str, list[str]] = {}
+        for name in last_first:
+            cause = next(
+                (one for one in causes if named[one].is_cause_of(named[name], seen, step)), name
+            )
+            causes.setdefault(cause, []).append(name)
+        found = []
+        for names in causes.values():
+            # Of those issued at one time the one that names the outage is read last.
+            joined = [one for name in reversed(names) for one in messages[name]]
+            joined.sort(key=lambda one: one.issued_at)
+            one = announced_by(joined, lasting)
+            assert one is not None  # no all-clear is among them
+            found.append(replace(one, dropped=tuple(names[1:])))
         return sorted(found, key=lambda one: one.likely)
+
+    def _messages(self, now: pd.Timestamp) -> dict[str, list[OutageWarning]]:
+        """Messages by now that no all-clear took back, by name, in the order of their issue."""
+        found: dict[str, list[OutageWarning]] = {}
+        for warning in sorted(self.warnings, key=lambda one: one.issued_at):
+            if warning.issued_at > now:
+                break
+            if warning.all_clear:
+                found.pop(warning.outage, None)
+            else:
+                found.setdefault(warning.outage, []).append(completed(warning))
+        return found
+
+    def _explanation(self, announced: Sequence[Announced], seen: SeenOutage) -> Announced | None:
+        """The announced outage that one that was seen is: of those that explain it the nearest."""
+        step = pd.Timedelta(hours=self.step_h)
+        able = [one for one in announced if one.explains(seen, step)]
+        return min(able, key=lambda one: one.off(seen), default=None)
 
     def _onset(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""
@@ -294,6 +378,11 @@ def announced_by(
         onset.onset_latest or likely,
         onset.onset,
     )
+
+
+def _named(outage: str) -> str:
+    """The name of an outage, for people."""
+    return outage or "the unnamed outage"
 
 
 def _triangular(hours: Floats, earliest: float, likely: float, latest: float) -> Floats:

@@ -228,6 +228,8 @@ def _noted(record: StepRecord, plan: dict[str, Any] | None) -> StepRecord:
         worth = solve.get("stored_value_gbp_per_kwh")
         if worth is not None:
             found["stored_value_gbp_per_kwh"] = worth
+        if "outage_messages" in record.steps:
+            found["outage_messages"] = solve.get("outage_messages") or ""
         found["corrected"] = solve["correction_reason"] is not None
         found["estimated"] = "; ".join(plan["estimated"])
     return replace(record, steps={**record.steps, **found}, buses=buses, lines=lines)

@@ -256,7 +256,8 @@ def known_at(
     at = time if now is None else now
     readings = _Readings.at(at, scenario, store)
     window = Window.of(controller, time)
-    events = list(store.events().values())
+    replaced = controller.replaced(time)
+    events = [event for name, event in store.events().items() if name not in replaced]
     doubt = _doubt(readings.last.get((GRID, "grid_on")), at, window.length, store)
     grid = _grid(controller, window, readings, events, at, doubt)
     powers = _Powers(window, readings, store)

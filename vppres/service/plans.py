@@ -68,6 +68,7 @@ def plan_of(
             "bound": _number(solve["bound"]),
             "seconds": _number(solve["solve_s"]),
             "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
+            "outage_messages": str(solve.get("outage_messages", "")) or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,

@@ -28,8 +28,22 @@ def outages_section(run: Run) -> Section | None:
             "heading": Clock.of(run.trajectory).heading,
             "messages": [_row(message, Clock.of(run.trajectory)) for message in messages],
             "folded_above": FOLDED_ABOVE,
+            "counting": _counting(run, Clock.of(run.trajectory)),
         },
     )
+
+
+def _counting(run: Run, clock: Clock) -> list[dict[str, str]]:
+    """From when on which of several messages about one outage counted."""
+    steps = run.trajectory.steps
+    if "outage_messages" not in steps:
+        return []  # a run of an earlier version
+    said = steps["outage_messages"]
+    changed = steps[said.ne(said.shift()) & said.ne("")]
+    return [
+        {"time": clock.words(time), "words": words}
+        for time, words in zip(changed["time"], changed["outage_messages"], strict=True)
+    ]
 
 
 def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:

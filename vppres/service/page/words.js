@@ -202,6 +202,7 @@ export function attention(view) {
     for (const [reason, names] of grouped(plan.refused, (one) => one.reason)) {
       say(ALARM, `Set-point for ${list(names.map((one) => one.asset))} rejected: ${reason}. Default sent.`);
     }
+    if (plan.solve.outage_messages) say(NOTE, `Several messages speak of one outage: ${plan.solve.outage_messages}.`);
     if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
     const { v_min_pu: low, v_max_pu: high, import_kw: drawn, grid_limit_kw: limit } = plan.expected;
     if (low !== null && low < view.site.v_min_pu) say(ALARM, `Voltage below its limit: ${low.toFixed(3)} pu${plan.expected.v_min_bus ? ` at bus ${plan.expected.v_min_bus}` : ""}.`);
