@@ -17,9 +17,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--fuzz",
         type=int,
-        default=150,
+        default=40,
         metavar="N",
-        help="random mutations of a valid scenario folder (default: 150)",
+        help="random mutations of a valid scenario folder (default: 40)",
     )
     parser.addoption(
         "--quick",

@@ -121,10 +121,11 @@ def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> No
 
 
 @pytest.mark.monolith
-def test_random_windows_without_batteries_equal_the_monolith() -> None:
+def test_random_windows_without_batteries_equal_the_monolith(nightly: bool) -> None:
     cases = [case for case in (random_window(*key) for key in RANDOM) if not len(case.data.soc)]
+    assert len(cases) >= 10
     wrong = []
-    for case in cases:
+    for case in cases if nightly else cases[:4]:
         site = Site.of(case.scenario)
         apart, whole = (
             WindowSolver(site, method).solve(case.data) for method in ("decomposed", "monolithic")
@@ -137,7 +138,6 @@ def test_random_windows_without_batteries_equal_the_monolith() -> None:
         )
         if not sound:
             wrong.append((case.scenario.name, apart.objective, whole.objective))
-    assert len(cases) >= 10
     assert not wrong
 
 

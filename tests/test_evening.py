@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from experiments.evening import Moment, critical, evening
 from tests.support.live_service import site
@@ -13,6 +14,7 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 
 
+@pytest.mark.nightly
 def test_an_evening_of_outage_refusal_and_restart(tmp_path: Path) -> None:
     day = site(tiny_scenario())
     dear = replace(day, price_gbp_per_kwh=np.full(24, 0.3))  # nothing is sold before the outage

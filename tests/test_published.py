@@ -70,6 +70,7 @@ def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
     assert cost[0] < min(cost[1:])
 
 
+@pytest.mark.nightly
 def test_resilience_rises_with_the_horizon_and_is_flat_from_four_hours(days: Days) -> None:
     jobs = [ideal.mpc(horizon_h) for horizon_h in range(9)]
     results = days(jobs)

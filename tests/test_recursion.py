@@ -70,11 +70,12 @@ def test_no_set_loses_fewer_units(seed: int) -> None:
 
 @pytest.mark.parametrize("stressed", [False, True])
 def test_binaries_counts_and_the_recursion_agree(
-    monkeypatch: pytest.MonkeyPatch, stressed: bool
+    monkeypatch: pytest.MonkeyPatch, nightly: bool, stressed: bool
 ) -> None:
     """Random windows in three ways: no answer exceeds another's bound."""
     closed = 0
-    for seed in range(12):
+    seeds = range(12 if nightly else 4)
+    for seed in seeds:
         case = random_window(seed, stressed)
         solver = WindowSolver(Site.of(case.scenario), limits=SolveLimits(time_s=30.0))
         answers: list[WindowSolution | None] = []
@@ -91,7 +92,7 @@ def test_binaries_counts_and_the_recursion_agree(
         for one, other in permutations(found, 2):
             assert one.objective <= other.bound + 1e-6 * max(1.0, abs(one.objective)), seed
         closed += all(answer.status == Status.OPTIMAL for answer in found)
-    assert closed >= 10
+    assert 6 * closed >= 5 * len(seeds)
 
 
 def nothing(*_: object) -> None:

@@ -148,7 +148,7 @@ def test_whatever_is_said_the_step_is_decided(
 ) -> None:
     """By property: a message is refused, or the next step stands on it."""
 
-    @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.lists(messages, min_size=1, max_size=3))
     def check(said: list[tuple[str, dict[str, Any]]]) -> None:
         clock = SetClock(NOON)

@@ -26,7 +26,7 @@ from vppres.service.runner import Service
 from vppres.service.serve import opened
 
 
-@pytest.mark.parametrize("outages", ["known", "belief"])
+@pytest.mark.parametrize("outages", ["known", pytest.param("belief", marks=pytest.mark.nightly)])
 def test_every_step_is_explained_as_the_run_is(
     tiny: Scenario, tmp_path: Path, outages: Literal["known", "belief"]
 ) -> None:

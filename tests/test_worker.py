@@ -167,14 +167,18 @@ MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
     ("factory", "words"),
     [
         (failing.Sleeping, LATE),
-        (failing.Blocking, LATE),
+        pytest.param(failing.Blocking, LATE, marks=pytest.mark.nightly),
         (
             failing.Crashing,
             r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\.",
         ),
         (failing.Hungry, MEMORY),
-        (failing.HungryInC, MEMORY),
-        (failing.Leaving, r"SolverLostError: The solver's process ended with status 3\."),
+        pytest.param(failing.HungryInC, MEMORY, marks=pytest.mark.nightly),
+        pytest.param(
+            failing.Leaving,
+            r"SolverLostError: The solver's process ended with status 3\.",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_every_end_has_a_named_fallback_soon(

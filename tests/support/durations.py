@@ -27,7 +27,7 @@ QUICK_CASE_S = 0.3
 """CPU time of a case up to which a function is quick."""
 QUICK_CASES = 2
 """Cases of a quick function that run."""
-USUAL_S = 8.0
+USUAL_S = 3.0
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
 START = pytest.StashKey[float]()
