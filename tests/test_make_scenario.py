@@ -101,6 +101,30 @@ def test_rules_of_size(case33: ImportedFeeder) -> None:
     assert day.network is case33.network
 
 
+def test_capacitors_that_the_forming_battery_cannot_hold_are_off_in_islands(
+    case33: ImportedFeeder,
+) -> None:
+    """The smaller bank is within the largest inverter's rating, the larger one is not."""
+    buses = case33.network.buses[[5, 9]]
+    banked = replace(
+        case33.network,
+        drawing_bus=buses,
+        p_shunt_kw=[],
+        q_shunt_kvar=[-50.0, -2000.0],
+        p_fixed_kw=[],
+        q_fixed_kvar=[],
+        island=[],
+    )
+    feeder = replace(case33, network=banked)
+    day = new_scenario(feeder, INVENTED)
+    assert day.network.buses[~day.network.island].tolist() == [buses[1]]
+    assert any(
+        note.startswith(f"The capacitors at bus {buses[1]} are switched off in islands")
+        for note in assumptions(feeder, INVENTED)
+    )
+    assert new_scenario(feeder).network.island.all()  # without a battery there is no island
+
+
 def test_hourly_day_has_the_bundled_shape(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     assert day.load_kw.sum(axis=1) / 3715.0 == pytest.approx(LOAD_SHAPE)

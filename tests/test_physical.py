@@ -43,6 +43,7 @@ from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
+from vppres.scenario.remarks import remarks
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
@@ -364,6 +365,21 @@ def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, shar
     assert steps.loc[steps["dark"] > 0, "shed_kw"].tolist() == [0.0] * int(steps["dark"].sum())
     # The first point knows the capacitor: model and AC agree at once.
     assert (steps["passes"] == 1).all()
+
+
+def test_an_island_without_its_capacitor_is_that_of_a_feeder_without_any(tiny: Scenario) -> None:
+    day = with_capacitor(tiny, 3.0)
+    assert any("bus 4 the value no" in remark for remark in remarks(day))
+    day = replace(day, network=replace(day.network, island=np.arange(4) < 3))
+    assert not any("capacitor" in remark for remark in remarks(day))
+    outage = tiny.outage
+    served = [
+        run_day(each, RunOptions(mode="physical", horizon_h=5.0)).customers["served"].to_numpy()
+        for each in (day, tiny)
+    ]
+    in_outage = np.repeat(outage, len(tiny.customers))
+    assert served[1][in_outage].any()
+    np.testing.assert_array_equal(served[0][in_outage], served[1][in_outage])
 
 
 @pytest.mark.parametrize(("failures", "mark"), [(0, ""), (1, "nudged"), (2, "lossless")])

@@ -248,6 +248,7 @@ def test_a_dark_island_behind_a_tap_needs_no_fallback(tiny: Scenario) -> None:
         q_shunt_kvar=[120.0],
         p_fixed_kw=[0.0],
         q_fixed_kvar=[9000.0],
+        island=[True],
     )
     day = replace(tiny, network=network, batteries=without_devices(tiny).batteries)
     run = run_day(day, RunOptions(mode="physical"))

@@ -44,7 +44,16 @@ def assert_equal(a: Scenario, b: Scenario) -> None:
         for f in fields(getattr(a, table)):
             mine, other = (getattr(getattr(s, table), f.name) for s in (a, b))
             np.testing.assert_array_equal(mine, other)
-    for name in ("buses", "from_bus", "to_bus", "r_ohm", "x_ohm", *LINE_DEFAULTS, *BUS_DRAWS):
+    for name in (
+        "buses",
+        "from_bus",
+        "to_bus",
+        "r_ohm",
+        "x_ohm",
+        *LINE_DEFAULTS,
+        *BUS_DRAWS,
+        "island",
+    ):
         np.testing.assert_array_equal(getattr(a.network, name), getattr(b.network, name))
     for name in schema.NetworkSection.model_fields:
         owners = (a, b) if name == "export_limit_kw" else (a.network, b.network)
@@ -77,6 +86,7 @@ def with_transformer(scenario: Scenario) -> Scenario:
         q_shunt_kvar=[-300.0, 0.0],
         p_fixed_kw=[0.0, 1.5],
         q_fixed_kvar=[],
+        island=[False, True],
     )
     customers = replace(scenario.customers, power_factor=[0.95, -0.9, -1.0])
     return replace(scenario, network=network, customers=customers)
@@ -88,7 +98,7 @@ def test_ratios_charging_and_shunts_come_back(tiny: Scenario, tmp_path: Path) ->
     assert_equal(read, scenario)
     assert scenario_digest(read) == scenario_digest(scenario) != scenario_digest(tiny)
     buses = (tmp_path / "other" / "buses.csv").read_text(encoding="utf-8").splitlines()
-    assert buses == ["bus,q_shunt_kvar,p_fixed_kw", "3,0.0,1.5", "4,-300.0,0.0"]
+    assert buses == ["bus,q_shunt_kvar,p_fixed_kw,island", "3,0.0,1.5,yes", "4,-300.0,0.0,no"]
     assert read.customers.q_per_p[1] == pytest.approx(-np.tan(np.arccos(0.9)))
 
 

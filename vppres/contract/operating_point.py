@@ -22,6 +22,8 @@ class OperatingPoint:
         Sending-end flows, losses included.
     p_injection_kw, q_injection_kvar : array, shape (N,)
         Net injections of all buses but the slack bus's supply.
+    island : bool, optional
+        Whether the feeder was an island: some shunts are switched off there.
     """
 
     v_pu: Floats
@@ -29,3 +31,4 @@ class OperatingPoint:
     q_flow_kvar: Floats
     p_injection_kw: Floats
     q_injection_kvar: Floats
+    island: bool = False

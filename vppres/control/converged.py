@@ -27,7 +27,7 @@ from vppres.model.beyond_paper.losses import (
     lossless,
 )
 from vppres.model.data import Physics, WindowData
-from vppres.model.linearise import Drawn, drawn_by
+from vppres.model.linearise import Drawn, drawn_at
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.scenario.network import Network
@@ -89,7 +89,7 @@ class ConvergedPlanner:
         self.headroom = headroom
         self.passes = passes
         self._known: dict[int, tuple[bool, _Line]] = {}
-        self._sweeps: dict[int, Sweeps] = {}
+        self._sweeps: dict[tuple[int, bool], Sweeps] = {}
 
     def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
         """Solution of the observed window, or of its first steps.
@@ -103,7 +103,7 @@ class ConvergedPlanner:
         t0 = observation.t0
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
-        whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.n_steps))
+        whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.dark))
         physics = physics_of(site, whole, self.headroom)
         dark = dark_steps(site, whole)
         start = self._at_rest(lossless(without_power(whole, dark), physics))
@@ -124,11 +124,16 @@ class ConvergedPlanner:
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
 
-    def _drawn_everywhere(self, observation: Observation, n_steps: int) -> Drawn | None:
+    def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
         """What the network draws, in an island too: nothing but its batteries can supply it."""
+        network = self.solver.site.network
+        if not network.draws:
+            return None
         point = observation.operating_point
-        v_pu = None if point is None or np.isnan(point.v_pu).any() else point.v_pu
-        return drawn_by(self.solver.site.network, v_pu, np.zeros(n_steps, dtype=bool))
+        v_pu = network.v_slack_pu * network.bus_ratio
+        if point is not None and not np.isnan(point.v_pu).any():
+            v_pu = point.v_pu
+        return drawn_at(network, np.tile(v_pu, (len(island), 1)), island)
 
     def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
         """Island steps that have no dispatch whoever is served: for capacitors, for example."""
@@ -225,10 +230,15 @@ class ConvergedPlanner:
         network = self.solver.site.network
         p, q = injections(self.solver.site, data.for_service(dispatch.served), dispatch)
         found = None
-        for bus in np.unique(physics.reference):
-            sweeps = self._sweeps.setdefault(int(bus), Sweeps(network, int(bus)))
-            part = sweeps.solve(p, q)
-            found = part if found is None else found.where(physics.reference == bus, part)
+        for bus, island in sorted(
+            {*zip(physics.reference.tolist(), data.dark.tolist(), strict=True)}
+        ):
+            if (bus, island) not in self._sweeps:
+                now = network.islanded if island else network
+                self._sweeps[bus, island] = Sweeps(now, bus)
+            part = self._sweeps[bus, island].solve(p, q)
+            these = (physics.reference == bus) & (data.dark == island)
+            found = part if found is None else found.where(these, part)
         assert found is not None
         return found
 
@@ -248,8 +258,8 @@ class ConvergedPlanner:
         for step in sorted(self._known):
             if step < t0:
                 last[self._known[step][0]] = self._known[step][1]
-        for row, bus in enumerate(physics.reference):
-            island = bool(bus > 0)
+        for row in range(start.n_steps):
+            island = bool(start.dark[row])
             known = self._known.get(t0 + row)
             if known is not None and known[0] == island:
                 last[island] = known[1]
@@ -299,7 +309,7 @@ class ConvergedPlanner:
                 drawn.kw[row],
                 drawn.kvar[row],
             )
-            self._known[t0 + row] = (bool(physics.reference[row] > 0), line)
+            self._known[t0 + row] = (bool(data.dark[row]), line)
 
     def _forget(self, t0: int) -> None:
         """Drop what is over, but for the last step of each kind: later guesses need no more."""
@@ -326,8 +336,8 @@ def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Netwo
     off_pu = np.abs(dispatch.v_pu - points.v_pu)[lit].max()
     off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw)[lit].max()
     if data.drawn is not None:
-        drawn_kw, drawn_kvar = network.drawn(points.v_pu[lit])
-        off = [drawn_kw - data.drawn.kw[lit], drawn_kvar - data.drawn.kvar[lit]]
+        found = drawn_at(network, points.v_pu[lit], data.dark[lit])
+        off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]
         off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
     return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 

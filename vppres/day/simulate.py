@@ -92,7 +92,9 @@ class Day:
             errors = faults.plan.forecast_errors(errors)
         self.forecaster = forecasts_of(scenario, self.options, errors)
         self.ac = ACPowerFlow(scenario.network)
-        self.island = IslandPlant(self.plant, self.ac)
+        islanded = scenario.network.islanded
+        self.island_ac = self.ac if islanded is scenario.network else ACPowerFlow(islanded)
+        self.island = IslandPlant(self.plant, self.island_ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
@@ -168,6 +170,7 @@ class Day:
                 result.q_from_kvar,
                 realised.p_injection_kw,
                 realised.q_injection_kvar,
+                bool(self.scenario.outage[t]),
             )
         )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
@@ -183,7 +186,8 @@ class Day:
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """What the day makes of a decision; physical mode's islands hold themselves."""
         if not self._held_by_batteries(t):
-            return realise(self.plant, self.ac, t, decision, self.state)
+            flow = self.island_ac if self.scenario.outage[t] else self.ac
+            return realise(self.plant, flow, t, decision, self.state)
         if self.faults is not None:
             self.island.formers = self.faults.online(t) & self.scenario.batteries.formers
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)

@@ -230,6 +230,7 @@ class Recorded:
             self._array(run.lines, "q_ac_kvar")[t],
             p,
             q,
+            bool(self.scenario.outage[t]),
         )
 
     def _array(self, table: pd.DataFrame, column: str) -> Floats:

@@ -104,5 +104,7 @@ def _own_columns(network: Network) -> list[str]:
 def _canonical_buses(network: Network) -> list[list[Any]]:
     """What the buses draw by themselves, sorted."""
     columns = [getattr(network, name).tolist() for name in BUS_DRAWS]
+    if not network.island.all():  # folders without such shunts keep their digest
+        columns.append(network.island.tolist())
     rows = zip(_canonical(network.buses), *columns, strict=True)
-    return sorted((list(row) for row in rows if any(row[1:])), key=str)
+    return sorted((list(row) for row in rows if any(row[1 : 1 + len(BUS_DRAWS)])), key=str)

@@ -363,6 +363,7 @@ def _network(
 ) -> Network:
     columns = _columns(rows, schema.LineRow)
     draws = _columns(buses, schema.BusRow)
+    draws["island"] = [text == "yes" for text in draws["island"]]
     draws["drawing_bus"] = [read_bus(text) for text in draws.pop("bus")]
     for end in ("from_bus", "to_bus"):
         columns[end] = [read_bus(text) for text in columns[end]]

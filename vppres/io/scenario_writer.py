@@ -203,6 +203,8 @@ def _bus_frame(network: Network) -> pd.DataFrame:
     columns = {name: getattr(network, name) for name in BUS_DRAWS}
     frame = pd.DataFrame({"bus": network.buses, **columns})
     draws = (frame[[*BUS_DRAWS]] != 0).any(axis=1)
+    if not network.island.all():
+        frame["island"] = np.where(network.island, "yes", "no")
     return _without(frame[draws], dict.fromkeys(BUS_DRAWS, 0.0))
 
 

@@ -50,7 +50,8 @@ def delta_offset(
         p = point.p_flow_kw
         q = point.q_flow_kvar
     else:
-        drawn_kw, drawn_kvar = network.drawn(point.v_pu)
+        was = network.islanded if point.island else network
+        drawn_kw, drawn_kvar = was.drawn(point.v_pu)
         p = lossless_flows(network, point.p_injection_kw - drawn_kw)
         q = lossless_flows(network, point.q_injection_kvar - drawn_kvar)
     return voltage_offset_pu2(network, network.u_pu2(point.v_pu), p, q)
@@ -103,8 +104,17 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | No
     if not network.draws:
         return None
     at_no_load = network.v_slack_pu * network.bus_ratio
-    power = network.drawn(at_no_load if v_pu is None else v_pu)
-    kw, kvar = (np.tile(values, (len(island), 1)) for values in power)
-    for values in (kw, kvar):
+    found = drawn_at(
+        network, np.tile(at_no_load if v_pu is None else v_pu, (len(island), 1)), island
+    )
+    for values in (found.kw, found.kvar):
         values[island, 0] -= values[island].sum(axis=1)
+    return found
+
+
+def drawn_at(network: Network, v_pu: Floats, island: Flags) -> Drawn:
+    """What a network draws at the voltages of each step, (W, N), with grid and in an island."""
+    kw, kvar = network.drawn(v_pu)
+    if network.islanded is not network:
+        kw[island], kvar[island] = network.islanded.drawn(v_pu[island])
     return Drawn(kw, kvar)

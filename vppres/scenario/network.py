@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from vppres.core.arrays import Floats, Names, Wholes, freeze
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import ohm_to_pu2_per_kw, us_to_kw_at_1_pu
 
@@ -73,6 +73,9 @@ class Network:
         out; a capacitor's is negative.
     p_fixed_kw, q_fixed_kvar : array, shape (D,), optional
         Constant power drawn there.
+    island : array of bool, shape (D,), optional
+        Whether the shunts at these buses stay connected in an island; all do if not given. One row
+        of a bus that says no switches off all shunts of the bus.
     slack_bus : int or str
         Bus of the grid connection.
     base_kv : float
@@ -123,6 +126,7 @@ class Network:
     q_shunt_kvar: Floats = field(default_factory=_none)
     p_fixed_kw: Floats = field(default_factory=_none)
     q_fixed_kvar: Floats = field(default_factory=_none)
+    island: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
     buses: Names = field(init=False)
     parent: Wholes = field(init=False)
 
@@ -176,7 +180,7 @@ class Network:
                 field=name,
                 value=len(getattr(self, name)),
             )
-            for name in BUS_DRAWS
+            for name in (*BUS_DRAWS, "island")
             if len(getattr(self, name)) not in (0, count)
         ]
         return wrong + [
@@ -208,6 +212,9 @@ class Network:
             drawn[name] = np.zeros(len(order))
             if len(values):
                 np.add.at(drawn[name], at, values[rows])
+        drawn["island"] = np.ones(len(order), dtype=bool)
+        if len(self.island):
+            np.logical_and.at(drawn["island"], at, np.asarray(self.island, bool)[rows])
         return drawn
 
     @property
@@ -269,6 +276,26 @@ class Network:
     def draws(self) -> bool:
         """Whether the network itself draws power: charging, shunts or fixed demand."""
         return self.has_charging or self.has_draws
+
+    @cached_property
+    def islanded(self) -> Network:
+        """The network as it is in an island: without the shunts that are switched off there.
+
+        Examples
+        --------
+        >>> net = Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=10.0, drawing_bus=[2],
+        ...               q_shunt_kvar=[-300.0], island=[False])
+        >>> net.islanded.q_shunt_kvar.tolist()
+        [0.0, 0.0]
+        """
+        off = ~self.island
+        if not (self.p_shunt_kw[off].any() or self.q_shunt_kvar[off].any()):
+            return self
+        return replace(
+            self,
+            p_shunt_kw=np.where(off, 0.0, self.p_shunt_kw),
+            q_shunt_kvar=np.where(off, 0.0, self.q_shunt_kvar),
+        )
 
     @cached_property
     def bus_ratio(self) -> Floats:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vppres.scenario.capacitors import too_large
+
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
 
@@ -61,6 +63,23 @@ def unknown_phases(scenario: Scenario) -> list[str]:
             "One phase may be beyond its rating, and the island may trip."
         )
     return words
+
+
+def held_capacitors(scenario: Scenario) -> str:
+    """Which capacitors the batteries of an island cannot hold; empty if they can hold all."""
+    network = scenario.network.islanded
+    batteries = scenario.batteries
+    formers_kva = float(batteries.s_max_kva[batteries.formers].sum())
+    if not scenario.outage.any() or not formers_kva:
+        return ""
+    buses = network.buses[too_large(network, formers_kva)]
+    if not len(buses):
+        return ""
+    return (
+        f"The capacitors that stay connected in an island have more reactive power than the "
+        f"{formers_kva:,.0f} kVA of its grid-forming batteries, and may black it out. Give those "
+        f"of bus {', '.join(map(str, buses[:12]))} the value no in the column island of buses.csv."
+    )
 
 
 def export_words(scenario: Scenario) -> str:
@@ -123,5 +142,10 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     []
     """
     first = [str(scenario.source)] if scenario.source else []
-    said = [darkness(scenario, mode), dear_export(scenario), rising_weights(scenario)]
+    said = [
+        darkness(scenario, mode),
+        held_capacitors(scenario),
+        dear_export(scenario),
+        rising_weights(scenario),
+    ]
     return [*first, *filter(None, said), *scenario.source.notes]

@@ -102,5 +102,6 @@ def _served(commanded: Commanded, seen: Observation) -> Flags:
 def _losses_kw(site: Site, point: OperatingPoint) -> float:
     """Losses, and what the network draws: what left the slack bus and arrived at no device."""
     leaving = point.p_flow_kw[site.network.parent == 0]
-    at_slack_kw = site.network.drawn(point.v_pu)[0][0]
+    network = site.network.islanded if point.island else site.network
+    at_slack_kw = network.drawn(point.v_pu)[0][0]
     return float(leaving.sum() + point.p_injection_kw[1:].sum() + at_slack_kw)

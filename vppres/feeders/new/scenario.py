@@ -31,7 +31,8 @@ from vppres.feeders.series.files import Reading, read_profiles
 from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.scenario_writer import fill_scenario_folder
-from vppres.scenario.assets import PV, PVSystems
+from vppres.scenario.assets import PV, Batteries, PVSystems
+from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.source import Source
@@ -80,12 +81,13 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     grid = options.grid
     assets = new_assets(feeder, options)
     series = _series(feeder, options, assets, grid)
+    network, switched = _for_islands(_network(feeder, options), assets.batteries)
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
         title=f"{feeder.name}: {len(assets.customers)} customers, {_length(options)}",
         grid=grid,
-        network=_network(feeder, options),
+        network=network,
         customers=assets.customers,
         pv=assets.pv,
         batteries=assets.batteries,
@@ -99,7 +101,24 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
     )
-    return scenario, [*assets.notes, *series.notes, *_told_constants(series)]
+    return scenario, [*assets.notes, *switched, *series.notes, *_told_constants(series)]
+
+
+def _for_islands(network: Network, batteries: Batteries) -> tuple[Network, list[str]]:
+    """The network without the capacitors in islands that no battery can hold there, and which."""
+    forming = batteries.formers
+    if not forming.any():
+        return network, []
+    rating_kva = float(batteries.s_max_kva[forming].sum())
+    off = too_large(network, rating_kva)
+    if not off.any():
+        return network, []
+    note = (
+        f"The capacitors at bus {few(network.buses[off])} are switched off in islands: with them "
+        f"there is more reactive power than the {rating_kva:,.0f} kVA of the grid-forming "
+        f"battery {few(batteries.id[forming])}."
+    )
+    return replace(network, island=network.island & ~off), [note]
 
 
 def _series(

@@ -21,7 +21,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, freeze_fields
 from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import bus_injections, voltage_offset_pu2
-from vppres.model.linearise import Drawn
+from vppres.model.linearise import Drawn, drawn_at
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 
@@ -167,8 +167,8 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
         sound = sound & lit_steps(data)[:, None]
     if drawn is not None:
         # Points that are not sound may have no voltage at all.
-        kw, kvar = network.drawn(np.where(sound, points.v_pu, 1.0))
-        drawn = Drawn(np.where(sound, kw, drawn.kw), np.where(sound, kvar, drawn.kvar))
+        new = drawn_at(network, np.where(sound, points.v_pu, 1.0), data.dark)
+        drawn = Drawn(np.where(sound, new.kw, drawn.kw), np.where(sound, new.kvar, drawn.kvar))
     physics = replace(
         old,
         loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
