@@ -132,7 +132,6 @@ def headroom_row(monkeypatch: pytest.MonkeyPatch) -> Option:
     monkeypatch.setattr(cli_options, "OPTIONS", rows)
     monkeypatch.setattr(day_options, "OPTIONS", rows)
     monkeypatch.setitem(sweep_parameters.OPTION_OF, "headroom", row)
-    cli_options._day_parameters.cache_clear()
     return row
 
 
@@ -162,9 +161,6 @@ def test_a_row_is_enough_for_an_option(
     assert cli_options.page_row(headroom_row) == (
         "| `--headroom` | 0.1 | free share of forming inverters |"
     )
-    # The next test finds the command line as it was.
-    monkeypatch.undo()
-    cli_options._day_parameters.cache_clear()
 
 
 def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import json
-import math
 import signal
 import sys
 from collections.abc import Sequence
@@ -30,10 +29,12 @@ from vppres.cli.options import (
     Debug,
     Figures,
     Json,
+    NewCommand,
     Quiet,
     RunFolder,
     ScenarioName,
     figure_kinds,
+    new_options,
     run_options,
 )
 from vppres.cli.progress import progress_bar, run_with_bar
@@ -369,8 +370,11 @@ def sweep(
     _report_failures(parameter.name, outcomes)
 
 
-@app.command(epilog="Example: vppres new case33bw ./my-feeder --outage 12:00..18:00")
+@app.command(
+    cls=NewCommand, epilog="Example: vppres new case33bw ./my-feeder --outage 12:00..18:00"
+)
 def new(
+    context: typer.Context,
     network: cli_new.NetworkName,
     folder: cli_new.NewFolder,
     source: cli_new.From = None,
@@ -381,24 +385,6 @@ def new(
     outage: cli_new.Outages = None,
     start: cli_new.Start = None,
     date: cli_new.Date = None,
-    time_zone: cli_new.TimeZone = None,
-    step_minutes: cli_new.StepMinutes = 60.0,
-    days: cli_new.Days = 1,
-    seed: cli_new.DrawSeed = 0,
-    draw_tiers: cli_new.DrawTiers = False,
-    tier_shares: cli_new.TierShares = None,
-    pv: cli_new.PV = "existing",
-    pv_share_of_peak: cli_new.PVShareOfPeak = None,
-    add_batteries: cli_new.AddBatteries = False,
-    battery_kwh_per_peak_kw: cli_new.BatterySize = None,
-    profiles: cli_new.Profiles = None,
-    profile_unit: cli_new.ProfileUnit = None,
-    profile_step: cli_new.ProfileStep = None,
-    max_gap: cli_new.MaxGap = 120.0,
-    export_limit: cli_new.ExportLimit = math.inf,
-    export_price: cli_new.ExportPrice = 0.0,
-    v_slack: cli_new.SlackVoltage = None,
-    accept_deviation: cli_new.AcceptDeviation = False,
     debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
@@ -409,29 +395,10 @@ def new(
         from vppres.io.atomic import check_target
 
         check_target(folder)  # before the work, not after it
-        begin = first_day(start, date, time_zone)
-        options = NewScenarioOptions(
-            start=begin,
-            step_minutes=step_minutes,
-            days=days,
-            seed=seed,
-            draw_tiers=draw_tiers,
-            tier_shares=tier_shares,
-            outages=tuple(parse_outage(text, begin) for text in outage or ()),
-            pv=pv,
-            pv_share_of_peak=pv_share_of_peak,
-            add_batteries=add_batteries,
-            battery_kwh_per_peak_kw=battery_kwh_per_peak_kw,
-            time_zone=time_zone,
-            profiles=profiles,
-            profile_unit=profile_unit,
-            profile_step_minutes=profile_step,
-            max_gap_minutes=max_gap,
-            export_limit_kw=export_limit,
-            export_price_gbp_per_kwh=export_price,
-            v_slack_pu=v_slack,
-            accept_deviation=accept_deviation,
-        )
+        rules = new_options(context.obj)
+        begin = first_day(start, date, rules["time_zone"])
+        outages = tuple(parse_outage(text, begin) for text in outage or ())
+        options = NewScenarioOptions(start=begin, outages=outages, **rules)
         feeder = import_network(
             network,
             source,

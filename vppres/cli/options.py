@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from vppres.core.errors import InputError
-from vppres.scenario.option_table import OPTIONS, POSITIVE, Option
+from vppres.scenario.option_table import NEW_OPTIONS, OPTIONS, POSITIVE, Option
 
 if TYPE_CHECKING:
     from vppres.day.options import RunOptions
@@ -76,7 +76,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress bar.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
 
-METAVARS = {"h": "HOURS", "s": "SECONDS", "kW": "KW", "share": "SHARE"}
+METAVARS = {
+    "h": "HOURS",
+    "min": "M",
+    "s": "SECONDS",
+    "kW": "KW",
+    "GBP": "GBP",
+    "pu": "PU",
+    "share": "SHARE",
+    "zone": "ZONE",
+    "path": "PATH|source",
+}
 """What stands for the value of an option with a unit."""
 
 
@@ -159,14 +169,14 @@ def day_options() -> tuple[Option, ...]:
 
 
 @cache
-def _day_parameters() -> tuple[Any, ...]:
-    """The options of a day's run as typer makes them for a command of its own."""
+def _parameters(options: tuple[Option, ...]) -> tuple[Any, ...]:
+    """Options of a table as typer makes them for a command of its own."""
 
     def declared() -> None:
         """Have the options of the table as its parameters."""
 
     declared.__signature__ = Signature(  # type: ignore[attr-defined]
-        [_declared(option) for option in day_options()]
+        [_declared(option) for option in options]
     )
     app = typer.Typer(add_completion=False)
     app.command()(declared)
@@ -184,21 +194,46 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-class DayCommand(TyperCommand):
-    """A command with the options of a day's run besides its own.
+class TableCommand(TyperCommand):
+    """A command with the options of a table besides its own.
 
     Its function does not take them: it finds them in ``context.obj``, by name.
     """
 
+    def table(self) -> tuple[Option, ...]:
+        """The options."""
+        raise NotImplementedError
+
     def get_params(self, ctx: Any) -> list[Any]:
         """All arguments and options, those that must be given first."""
-        both = [*_day_parameters(), *super().get_params(ctx)]
+        both = [*_parameters(self.table()), *super().get_params(ctx)]
         return sorted(both, key=lambda parameter: not parameter.required)
 
     def invoke(self, ctx: Any) -> Any:
         """Call the function with its own options."""
-        ctx.obj = {option.name: ctx.params.pop(option.name) for option in _day_parameters()}
+        ctx.obj = {one.name: ctx.params.pop(one.name) for one in _parameters(self.table())}
         return super().invoke(ctx)
+
+
+class DayCommand(TableCommand):
+    """A command with the options of a day's run."""
+
+    def table(self) -> tuple[Option, ...]:
+        """Those of ``run``."""
+        return day_options()
+
+
+class NewCommand(TableCommand):
+    """A command with the options of a new scenario."""
+
+    def table(self) -> tuple[Option, ...]:
+        """Those of ``new``."""
+        return NEW_OPTIONS
+
+
+def new_options(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of ``NewScenarioOptions`` from the options of a :class:`NewCommand`."""
+    return {option.field: given[_key(option)] for option in NEW_OPTIONS}
 
 
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:

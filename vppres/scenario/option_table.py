@@ -1,9 +1,10 @@
-"""The options of a run, one row each.
+"""The options of a run and of a new scenario, one row each.
 
 A row of ``options.csv`` beside this module states an option's name, type, default, bounds, unit and
 meaning once. From it come the checks and defaults of :class:`vppres.day.options.RunOptions`, the
 command line of ``run`` and ``sweep``, the parameters of a sweep, two sections of scenario.toml with
-their JSON Schema, and the table in ``docs/command-line.md``.
+their JSON Schema, and the table in ``docs/command-line.md``. ``new_options.csv`` has those of
+``new``.
 """
 
 from __future__ import annotations
@@ -79,7 +80,13 @@ _RANGES = {
     "error growth": ERROR_GROWTH,
     "headroom": HEADROOM,
 }
-_KINDS: dict[str, type] = {"text": str, "number": float, "whole number": int, "switch": bool}
+_KINDS: dict[str, Any] = {
+    "text": str,
+    "number": float,
+    "whole number": int,
+    "switch": bool,
+    "three numbers": tuple[float, float, float],
+}
 
 
 @dataclass(frozen=True)
@@ -182,25 +189,27 @@ def _default(kind: type, cell: str) -> Value | None:
 
 
 def _option(row: dict[str, str]) -> Option:
-    """The option that a row of the table states."""
+    """The option that a row of a table states; a column that the table has not is empty."""
     kind = _KINDS[row["type"]]
-    flags = row["flags"].split()
+    flags = row.get("flags", "").split()
     texts = ("name", "field", "meaning", "words", "page", "unit", "unset", "group", "scenario_key")
     return Option(
         kind=kind,
         default=_default(kind, row["default"]),
         choices=tuple(row["choices"].split()),
-        hidden=tuple(row["hidden"].split()),
-        range=_RANGES[row["range"]] if row["range"] else None,
+        hidden=tuple(row.get("hidden", "").split()),
+        range=_RANGES.get(row.get("range", "")),
         follows_scenario="follows-scenario" in flags,
-        file_most=int(row["file_most"]) if row["file_most"] else inf,
+        file_most=float(row.get("file_most") or inf),
         command_line="python-only" not in flags,
         sweep="unswept" not in flags,
-        **{name: row[name] for name in texts},
+        **{name: row.get(name, "") for name in texts},
     )
 
 
 OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "options.csv"))
+NEW_OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "new_options.csv"))
+"""Options of a new scenario, fields of ``NewScenarioOptions``."""
 _BY_FIELD = {option.field: option for option in OPTIONS}
 
 

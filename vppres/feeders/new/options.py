@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isclose
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from zoneinfo import ZoneInfo
 
 import pandas as pd
@@ -15,7 +15,7 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.series.clocks import check_zone, grid_from, local_midnight, time_of_day
 from vppres.io import schema
-from vppres.scenario.option_table import Range
+from vppres.scenario.option_table import NEW_OPTIONS, Range
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 PVRule = Literal["existing", "sized", "none"]
@@ -28,7 +28,6 @@ BATTERY_KWH_PER_PEAK_KW = 0.625
 TIER_SHARES = (0.2, 0.3, 0.5)
 PV_SHARE_OF_PEAK = 0.5
 PV_SHARE_OF_BUSES = 0.8
-MAX_GAP_MINUTES = 120.0
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})")
 _RANGES = {
@@ -68,10 +67,12 @@ _RANGES = {
     ),
 }
 
+_DEFAULT: dict[str, Any] = {option.field: option.default for option in NEW_OPTIONS}
+
 
 @dataclass(frozen=True)
 class NewScenarioOptions:
-    """Rules of a new scenario.
+    """Rules of a new scenario; defaults are those of :mod:`vppres.scenario.option_table`.
 
     Parameters
     ----------
@@ -123,25 +124,25 @@ class NewScenarioOptions:
     """
 
     start: pd.Timestamp = FIRST_DAY
-    step_minutes: float = 60.0
-    days: int = 1
+    step_minutes: float = _DEFAULT["step_minutes"]
+    days: int = _DEFAULT["days"]
     outages: tuple[Outage, ...] = ()
-    draw_tiers: bool = False
-    tier_shares: tuple[float, float, float] | None = None
-    pv: PVRule = "existing"
-    pv_share_of_peak: float | None = None
-    add_batteries: bool = False
-    battery_kwh_per_peak_kw: float | None = None
-    v_slack_pu: float | None = None
-    export_limit_kw: float = inf
-    export_price_gbp_per_kwh: float = 0.0
-    accept_deviation: bool = False
-    seed: int = 0
-    time_zone: str | None = None
-    profiles: str | Path | None = None
-    profile_unit: ProfileUnit | None = None
-    profile_step_minutes: float | None = None
-    max_gap_minutes: float = MAX_GAP_MINUTES
+    draw_tiers: bool = _DEFAULT["draw_tiers"]
+    tier_shares: tuple[float, float, float] | None = _DEFAULT["tier_shares"]
+    pv: PVRule = _DEFAULT["pv"]
+    pv_share_of_peak: float | None = _DEFAULT["pv_share_of_peak"]
+    add_batteries: bool = _DEFAULT["add_batteries"]
+    battery_kwh_per_peak_kw: float | None = _DEFAULT["battery_kwh_per_peak_kw"]
+    v_slack_pu: float | None = _DEFAULT["v_slack_pu"]
+    export_limit_kw: float = _DEFAULT["export_limit_kw"]
+    export_price_gbp_per_kwh: float = _DEFAULT["export_price_gbp_per_kwh"]
+    accept_deviation: bool = _DEFAULT["accept_deviation"]
+    seed: int = _DEFAULT["seed"]
+    time_zone: str | None = _DEFAULT["time_zone"]
+    profiles: str | Path | None = _DEFAULT["profiles"]
+    profile_unit: ProfileUnit | None = _DEFAULT["profile_unit"]
+    profile_step_minutes: float | None = _DEFAULT["profile_step_minutes"]
+    max_gap_minutes: float = _DEFAULT["max_gap_minutes"]
 
     @property
     def zone(self) -> str:
