@@ -200,6 +200,28 @@ def test_batteries_are_charged_for_what_may_come(tiny: Scenario) -> None:
     assert stored["likely"] < 0.4
 
 
+def test_a_guess_takes_nobody_off_the_grid(tiny: Scenario) -> None:
+    """An import limit that leaves little to charge with while homes are on."""
+    limit_kw = np.full(6, 160.0)
+    day = replace(tiny, grid_limit_kw=limit_kw, pv_kw=np.zeros((6, 2)), outage_statistics=NEVER)
+    off = {}
+    for probability in (0.7, 1.0):
+        warned = OutageWarning(
+            day.grid.start,
+            onset_likely=day.grid.times[3],
+            probability=probability,
+            duration_p50_h=2.0,
+        )
+        run = run_day(
+            replace(day, warnings=(warned,)).between(0, 5),
+            RunOptions(outages="likely", horizon_h=2.0),
+        )
+        off[probability] = int((~run.customers["served"]).sum())
+        assert (run.steps["fallback"] == "none").all()
+        assert (run.steps["status"] == "optimal").all()
+    assert off[0.7] == 0 < off[1.0]
+
+
 def test_what_is_left_is_worth_what_a_cheap_night_fills_again(tiny: Scenario) -> None:
     """The lowest price of the day with the loss of charging, not that of the evening's hours."""
     day = replace(

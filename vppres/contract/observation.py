@@ -61,6 +61,10 @@ class Observation:
     stored_value : StoredValue, optional
         What energy is worth behind the present step, where the steps behind it are believed and not
         known. The window is then the present step alone.
+    guessed : bool
+        Whether outages ahead in ``forecast`` are the likely ones and not known.
+    kept_on : array of bool, shape (C,), optional
+        Customers that the present step must serve; none if not given.
     outage_messages : str
         Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
         several speak of one.
@@ -86,6 +90,8 @@ class Observation:
     served: Flags | None = None
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
+    guessed: bool = False
+    kept_on: Flags | None = None
     outage_messages: str = ""
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
@@ -107,7 +113,9 @@ class Observation:
 
         Steps that only such rules would join are solved one by one.
         """
-        if self.switching is None:
-            return None
-        rules = self.switching.window(len(self.window.price_gbp_per_kwh))
-        return None if rules.idle else rules
+        n_steps = len(self.window.price_gbp_per_kwh)
+        rules = None if self.switching is None else self.switching.window(n_steps)
+        if self.kept_on is not None:
+            rules = rules or SwitchingData.without_rules(n_steps, len(self.kept_on))
+            rules = rules.keeping(self.kept_on)
+        return None if rules is None or rules.idle else rules

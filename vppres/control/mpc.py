@@ -16,6 +16,7 @@ from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import WindowSolution
 
 
 class MPCController:
@@ -66,7 +67,7 @@ class MPCController:
         before = self._before(observation)
         if self.move_weight > 0:
             observation = replace(observation, moves=before)
-        solution, relaxed = plan_with_rules(self.planner, observation)
+        solution, relaxed = self._planned(observation)
         plan = solution.dispatch
         moved_kw = np.nan
         if before is not None:
@@ -79,6 +80,23 @@ class MPCController:
             held_kwh = float(plan.soc[-1] @ self.solver.site.batteries.energy_kwh)
             worth = observation.stored_value.marginal_gbp_per_kwh(held_kwh)
         return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
+
+    def _planned(self, observation: Observation) -> tuple[WindowSolution, bool]:
+        """The plan of a window; a guess of what comes takes nobody off the grid in its first step.
+
+        For an outage that is only likely no customer is switched off that the present step alone
+        would serve.
+        """
+        found = plan_with_rules(self.planner, observation)
+        served = found[0].dispatch.served[0]
+        connected = observation.forecast.grid_limit_kw[0] > 0.0
+        if served.all() or not (connected and observation.guessed):
+            return found
+        alone, _ = plan_with_rules(self.planner, observation, 1)
+        kept_on = np.asarray(alone.dispatch.served[0])
+        if not (kept_on & ~served).any():
+            return found
+        return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""

@@ -184,7 +184,7 @@ class OutageView:
         )
         belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
         told = _told(seen, scenario, window, belief.likely[: len(window)], grid, beside)
-        told = replace(told, outage_messages=belief.words)
+        told = replace(told, outage_messages=belief.words, guessed=not belief.certain)
         if self.kind == LIKELY or belief.certain or not len(scenario.batteries):
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
