@@ -32,7 +32,7 @@ from vppres.control.converged import (
     without_power,
 )
 from vppres.core.errors import InputError, ModelError, NumericalError
-from vppres.day.metrics import resilience, summarise
+from vppres.day.metrics import cautions, resilience, summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
@@ -363,6 +363,8 @@ def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, shar
     # What no set of customers and batteries can hold is promised to nobody.
     assert (steps["dark"] > 0).any() == (share > 1.0)
     assert steps.loc[steps["dark"] > 0, "shed_kw"].tolist() == [0.0] * int(steps["dark"].sum())
+    assert ((steps["status"] == "blacked_out") == (steps["dark"] > 0)).all()
+    assert any("blacked out in" in words for words in cautions(run)) == (share > 1.0)
     # The first point knows the capacitor: model and AC agree at once.
     assert (steps["passes"] == 1).all()
 

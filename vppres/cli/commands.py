@@ -168,7 +168,7 @@ def run(
             _print_json({"folder": str(folder), "summary": summary})
             return
         for caution in summary["cautions"]:
-            typer.echo(f"- {caution}")
+            typer.secho(f"- {caution}", fg=typer.colors.RED)
         Console().print(figures_table(summary, day.title))
         if told := remarks_text(day, str(options.mode)):
             typer.echo(told)

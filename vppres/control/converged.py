@@ -413,7 +413,8 @@ def in_the_dark(
 ) -> WindowSolution:
     """The solution with nobody served and all PV power curtailed in the dark steps.
 
-    The objective is nearer to zero then, and the same gap a larger share of it.
+    The objective is nearer to zero then, and the same gap a larger share of it. A first step in the
+    dark is never called optimal.
     """
     if not dark.any():
         return solution
@@ -429,12 +430,16 @@ def in_the_dark(
     ).sum() * site.dt_h + site.weights.lambda_curt * curtailed_kwh
     objective = solution.objective - lost
     bound = solution.bound - lost
-    open_now = solution.status == Status.OPTIMAL and not limits.met(bound, objective)
+    status = solution.status
+    if dark[0]:
+        status = Status.BLACKED_OUT
+    elif status == Status.OPTIMAL and not limits.met(bound, objective):
+        status = Status.GAP_OPEN
     return replace(
         solution,
         dispatch=dispatch,
         terms=evaluate(site, whole, dispatch),
         objective=objective,
         bound=bound,
-        status=Status.GAP_OPEN if open_now else solution.status,
+        status=status,
     )

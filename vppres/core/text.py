@@ -1,4 +1,4 @@
-"""Names that others wrote: which characters they may hold, and how a message shows them."""
+"""Names that others wrote, as a message shows them; counts and amounts in words."""
 
 from __future__ import annotations
 
@@ -33,6 +33,15 @@ def visible(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(repr(c)[1:-1] if is_hidden(c) else c for c in text)
+
+
+def counted_steps(count: int) -> str:
+    """A number of steps.
+
+    >>> counted_steps(1), counted_steps(6)
+    ('1 step', '6 steps')
+    """
+    return "1 step" if count == 1 else f"{count} steps"
 
 
 def in_pounds(gbp: float, form: str) -> str:

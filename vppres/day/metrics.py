@@ -11,13 +11,14 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
+from vppres.core.text import counted_steps
 from vppres.core.units import kva_to_a
 from vppres.day.reliability import reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
-from vppres.scenario.remarks import unknown_phases
+from vppres.scenario.remarks import darkness, unknown_phases
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
@@ -74,8 +75,23 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def cautions(trajectory: Trajectory) -> list[str]:
-    """What has to be known before any figure, in sentences: phases that were not checked."""
-    return unknown_phases(trajectory.scenario)
+    """What has to be known before any figure, in sentences: unknown phases and blackouts."""
+    return [*unknown_phases(trajectory.scenario), *_blackouts(trajectory)]
+
+
+def _blackouts(trajectory: Trajectory) -> list[str]:
+    """Islands that were blacked out though a battery could form them."""
+    steps = trajectory.steps
+    if darkness(trajectory.scenario) or "dark" not in steps or not steps["dark"].any():
+        return []
+    dark = steps[steps["dark"] > 0]
+    reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
+    why = f": {'; '.join(reasons)}" if reasons else ""
+    words = [f"The island was blacked out in {counted_steps(len(dark))}{why}."]
+    promised = dark[dark["shed_kw"] > 0] if "shed_kw" in dark else dark.iloc[:0]
+    if len(promised):
+        words.append(f"The plan had promised supply in {counted_steps(len(promised))} of them.")
+    return words
 
 
 def resilience(trajectory: Trajectory) -> float | None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from vppres.core.text import counted_steps
 from vppres.day.metrics import cautions, island_figures, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
@@ -14,7 +15,8 @@ from vppres.report.clock import Clock
 from vppres.scenario.remarks import darkness
 
 LIMIT_TOLERANCE_PU = 1e-6
-PROVEN = "optimal"
+PROVEN = ("optimal", "blacked_out")
+"""Statuses of decisions that a closed gap proves, or that had nothing to decide."""
 RULES = ("idle", "reserve")  # controllers that prove nothing
 ISLAND_TOLERANCE_KW = 0.5
 
@@ -47,7 +49,7 @@ def _voltages(run: Trajectory) -> Iterator[str]:
             n_buses = wrong["bus"].nunique()
             yield (
                 f"Voltage {words} the AC limit of {limit:g} pu in "
-                f"{_steps(wrong['time'].nunique())} at {n_buses} "
+                f"{counted_steps(wrong['time'].nunique())} at {n_buses} "
                 f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
                 f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(run, row['time'])}."
             )
@@ -60,8 +62,8 @@ def _loadings(run: Trajectory) -> Iterator[str]:
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
         net = run.scenario.network
         yield (
-            f"Lines above their rating in {_steps(int((loading > 1).any(axis=1).sum()))}: at "
-            f"most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
+            f"Lines above their rating in {counted_steps(int((loading > 1).any(axis=1).sum()))}: "
+            f"at most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
             f"{_time(run, run.steps['time'].iloc[int(t)])}."
         )
 
@@ -89,7 +91,7 @@ def _decisions(run: Trajectory) -> Iterator[str]:
     if len(corrected):
         reasons = sorted({str(reason) for reason in corrected["correction_reason"] if reason})
         why = f" ({'; '.join(reasons)})" if reasons else ""
-        yield f"The plan was corrected in {_steps(len(corrected))}{why}."
+        yield f"The plan was corrected in {counted_steps(len(corrected))}{why}."
     if "fallback" in steps:
         kinds = steps.loc[steps["fallback"] != "none", "fallback"]
         if len(kinds):
@@ -98,7 +100,7 @@ def _decisions(run: Trajectory) -> Iterator[str]:
     if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
         yield (
             "Set-points clipped to device limits in "
-            f"{_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}, by up to "
+            f"{counted_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}, by up to "
             f"{steps['clipped_kw'].max():,.2f} kW."
         )
 
@@ -108,27 +110,19 @@ def _answers(run: Trajectory) -> Iterator[str]:
     if run.options["controller"] in RULES:
         return
     status = run.steps["status"].astype(str)
-    others = status[status != PROVEN]
+    others = status[~status.isin(PROVEN)]
     if len(others):
         kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
-        yield f"Gap above the tolerance in {_steps(len(others))}, status {kinds}."
+        yield f"Gap above the tolerance in {counted_steps(len(others))}, status {kinds}."
 
 
 def _unlit(run: Trajectory) -> Iterator[str]:
-    """Blacked-out islands, AC power flows without a solution, and estimated measurements."""
+    """Islands that nothing can form, AC power flows without a solution, estimated measurements."""
     steps = run.steps
     mode = run.options.get("mode", "paper")
     told = darkness(run.scenario, mode)
     if told:
         yield told
-    if not (told and mode == "physical") and "dark" in steps and steps["dark"].any():
-        dark = steps[steps["dark"] > 0]
-        reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
-        why = f": {'; '.join(reasons)}" if reasons else ""
-        yield f"The island was blacked out in {_steps(len(dark))}{why}."
-        promised = dark[dark["shed_kw"] > 0] if "shed_kw" in dark else dark.iloc[:0]
-        if len(promised):
-            yield f"The plan had promised supply in {_steps(len(promised))} of them."
     failed = steps.get("ac_failed", pd.Series("", steps.index))
     not_found = failed.astype(str).str.startswith(NOBODY)
     estimated = steps.get("estimated", pd.Series("", steps.index))
@@ -138,15 +132,11 @@ def _unlit(run: Trajectory) -> Iterator[str]:
         (estimated.astype(bool), "Measurements were estimated"),
     ):
         if where.any():
-            yield f"{words} in {_steps(int(where.sum()))}."
+            yield f"{words} in {counted_steps(int(where.sum()))}."
 
 
 def _plain(name: object) -> str:
     return str(name).replace("_", " ")
-
-
-def _steps(count: int) -> str:
-    return "1 step" if count == 1 else f"{count} steps"
 
 
 def _time(run: Trajectory, time: object) -> str:

@@ -32,6 +32,8 @@ class Status(enum.StrEnum):
     """The best answer when time ran out, with a bound."""
     GAP_OPEN = "gap_open"
     """The best answer of all stages, with a bound, but a gap above what was asked for."""
+    BLACKED_OUT = "blacked_out"
+    """No answer serves the window's first step: nothing can form or hold its island."""
     INACCURATE = "inaccurate"
     """An answer whose accuracy the solver does not vouch for."""
     INFEASIBLE = "infeasible"
@@ -44,7 +46,7 @@ class Status(enum.StrEnum):
     @property
     def has_answer(self) -> bool:
         """Whether values came with it that the solver vouches for."""
-        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.GAP_OPEN)
+        return self in (Status.OPTIMAL, Status.TIME_LIMIT, Status.GAP_OPEN, Status.BLACKED_OUT)
 
 
 _GAVE_UP = (
