@@ -45,6 +45,7 @@ class SolveInfo:
     stages: str = ""
     passes: int = 1
     switching_relaxed: bool = False
+    levels: str = ""
     moved_kw: float = np.nan
     stored_value_gbp_per_kwh: float = np.nan
 

@@ -106,7 +106,7 @@ class FullHorizonController:
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw
             self.first = observation.t0
-            info = solve_info(solution, self.solver.compilations)
+            info = solve_info(self.solver.site, solution, self.solver.compilations)
         f = observation.forecast
         row = observation.t0 - self.first
         now = window.first(1).for_service(self.plan.served[row : row + 1])
@@ -129,7 +129,7 @@ class FullHorizonController:
     def _correct(self, observation: Observation, reason: str) -> Decision:
         """Optimise the step alone (H = 0) with actual values."""
         solution, relaxed = plan_with_rules(self.planner, observation, 1)
-        info = solve_info(solution, self.solver.compilations, relaxed)
+        info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         return Decision(solution.dispatch, 0, info, True, reason)
 
     def violations(self, actual: _Actual) -> list[str]:

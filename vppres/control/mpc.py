@@ -74,7 +74,7 @@ class MPCController:
             now_kw = plan.charge_kw[0] - plan.discharge_kw[0]
             moved_kw = float(np.abs(now_kw - before.planned_kw[0]).sum())
         self._last = observation.t0, plan
-        info = solve_info(solution, self.solver.compilations, relaxed)
+        info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         worth = np.nan
         if observation.stored_value is not None:
             held_kwh = float(plan.soc[-1] @ self.solver.site.batteries.energy_kwh)

@@ -8,11 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from vppres.contract.decision import SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.errors import InfeasibleError
 from vppres.model.data import WindowData
+from vppres.model.site import LESS_THAN_A_UNIT, Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
@@ -85,7 +88,7 @@ class OnePass:
 
 
 def solve_info(
-    solution: WindowSolution, compilations: int, switching_relaxed: bool = False
+    site: Site, solution: WindowSolution, compilations: int, switching_relaxed: bool = False
 ) -> SolveInfo:
     """How a window's solution was found, for the record of its decision."""
     return SolveInfo(
@@ -102,4 +105,24 @@ def solve_info(
         stages=" ".join(solution.stages),
         passes=solution.passes,
         switching_relaxed=switching_relaxed,
+        levels=levels_of(site, solution),
     )
+
+
+def levels_of(site: Site, solution: WindowSolution) -> str:
+    """Units of each tier that a window supplies, and how many it could at most: ``critical 29/30``.
+
+    A unit is a customer in a step. Empty where tiers are weighed against each other, or later
+    service against that of the window.
+    """
+    terms = solution.terms
+    if site.ranks is None or terms.f7 or not np.isfinite(solution.service_gap):
+        return ""
+    service = terms.f1 - site.weights.lambda_curt * terms.f3 - terms.f6 + solution.service_gap
+    # What curtailment and actions take from the service of other schedules is not known.
+    bound = service / site.dt_h + LESS_THAN_A_UNIT + site.ranks.actions
+    served = solution.dispatch.served
+    supplied = site.ranks.supplied(served)
+    most = site.ranks.most(served, bound)
+    rows = zip(site.ranks.tiers, supplied, most, strict=True)
+    return ", ".join(f"{tier} {units}/{possible}" for tier, units, possible in rows)

@@ -17,6 +17,7 @@ from vppres.control.mpc import MPCController
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
+from vppres.day.priority import site_of
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -54,7 +55,7 @@ def make_controller(
     grid = grid or scenario.grid
     options = options.on(scenario)
     check_outages(str(options.outages), options.controller)
-    site = Site.of(scenario)
+    site = site_of(scenario, options.as_record())
     make = make_solver or _solver_maker(options)
 
     def solver_of(part: Site) -> WindowSolver:

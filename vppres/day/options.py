@@ -45,6 +45,8 @@ class RunOptions:
         File of quantiles for the forecaster ``file``.
     errors : ForecastErrors
         Forecast errors of the paper's forecaster.
+    priority : {"weights", "strict"} or None
+        Order of the tiers; None uses the scenario's.
     thermal : ThermalScheme
         Battery heating.
     seed : int
@@ -90,6 +92,7 @@ class RunOptions:
     forecaster: str = default_of("forecaster")
     forecast_file: str | None = default_of("forecast_file")
     errors: ForecastErrors = field(default_factory=ForecastErrors)
+    priority: str | None = None
     thermal: ThermalScheme = default_of("thermal")
     seed: int = default_of("seed")
     limits: SolveLimits = field(default_factory=SolveLimits)
@@ -149,6 +152,7 @@ class RunOptions:
         return replace(
             self,
             mode=own.mode if self.mode is None else self.mode,
+            priority=scenario.priority if self.priority is None else self.priority,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
             outages=own.outages if self.outages is None else self.outages,
         )

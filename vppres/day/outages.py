@@ -22,10 +22,13 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.day.forecasting import Forecasts
 from vppres.day.options import PERFECT
+from vppres.day.priority import site_of
+from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
 from vppres.outlook.presets import Statistics
 from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 KNOWN = "known"
@@ -123,6 +126,8 @@ class OutageView:
     headroom : float, optional
         Share of a grid-forming battery's inverter that an outage leaves free, 0 in the paper's
         mode.
+    ranked : Site, optional
+        The site with its tiers in strict order; None where they are weighed.
     """
 
     kind: str
@@ -130,6 +135,7 @@ class OutageView:
     gbp_per_kwh_lost: float
     soc_end: float | None = None
     headroom: float = 0.0
+    ranked: Site | None = None
 
     @classmethod
     def create(cls, scenario: Scenario, options: Mapping[str, Any]) -> OutageView:
@@ -143,6 +149,7 @@ class OutageView:
             headroom=float(options.get("headroom", 0.0))
             if options.get("mode") == PHYSICAL
             else 0.0,
+            ranked=site_of(scenario, options) if options.get("priority") == STRICT else None,
         )
 
     def told(
@@ -189,22 +196,31 @@ class OutageView:
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
         import_kw = beside.import_kw(n_ahead, grid.import_kw)
-        expected = self._ahead(scenario, slice(row, row + n_ahead), ahead, import_kw)
+        expected = self._ahead(scenario, slice(row, row + n_ahead), ahead, import_kw, belief.out)
         value = self._value(told, belief, scenario, expected, ahead, beside)
         # A value that is no number says nothing: the likely future is left.
         return replace(told, stored_value=value) if np.isfinite(value.service).all() else told
 
-    def _ahead(self, scenario: Scenario, rows: slice, ahead: Forecast, import_kw: Floats) -> Ahead:
-        """What is expected of the steps."""
+    def _ahead(
+        self, scenario: Scenario, rows: slice, ahead: Forecast, import_kw: Floats, out: bool
+    ) -> Ahead:
+        """What is expected of the steps.
+
+        With grid stored energy is weighed against money, and customers by what they lose. Without
+        it is weighed against customers, and strict order holds.
+        """
         steps = len(ahead.price_gbp_per_kwh)
+        strict = self.ranked if out else None
+        weight = scenario.customers.weight if strict is None else strict.customers.weight
+        objective = scenario.objective if strict is None else strict.weights
         return Ahead(
             load_kw=ahead.load_kw,
             pv_kw=ahead.pv_kw.sum(axis=1),
             price_gbp_per_kwh=ahead.price_gbp_per_kwh,
             import_kw=import_kw,
             export=Export.believed(scenario, rows, np.full(steps, np.inf)),
-            weight=scenario.customers.weight,
-            lambda_curt=scenario.objective.lambda_curt,
+            weight=weight,
+            lambda_curt=objective.lambda_curt,
             dt_h=scenario.grid.dt_h,
         )
 

@@ -27,6 +27,7 @@ from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
 from vppres.scenario.parts import parts_record, split_sheddable
+from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 Progress = Callable[[int, int], None]
@@ -262,6 +263,8 @@ def _record(
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
     }
+    if options.priority == STRICT:
+        steps["levels"] = decision.info.levels
     if options.outages == BELIEF:
         steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
     return StepRecord(t, steps, customers, pv, batteries, buses, lines)

@@ -18,9 +18,9 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.outages import BELIEF, GridSeen, OutageView
+from vppres.day.priority import site_of
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
-from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.shadow_price_model import Held
 
@@ -48,7 +48,7 @@ class Recorded:
         self.trajectory = trajectory
         self.scenario = trajectory.scenario
         self.options = trajectory.options
-        self.site = Site.of(trajectory.scenario)
+        self.site = site_of(trajectory.scenario, trajectory.options)
         self.n_steps = len(trajectory.steps)
         self.served = self._array(trajectory.customers, "served") > 0.5
         self.shed = self._array(trajectory.customers, "shed") > 0.5

@@ -12,6 +12,7 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
+from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 
@@ -65,10 +66,11 @@ def _canonical(value: Any) -> Any:
 
 
 def _unsaid(scenario: Scenario) -> set[str]:
-    """Warnings and statistics of outages where there are none."""
+    """Warnings and statistics of outages where there are none, and the usual order of tiers."""
     said = {
         "warnings": bool(scenario.warnings),
         "outage_statistics": scenario.outage_statistics != OutageStatistics(),
+        "priority": scenario.priority != default_of("priority"),
     }
     return {name for name, told in said.items() if not told}
 

@@ -335,6 +335,7 @@ def _assemble(
         tiers=tuple(file.tiers),
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
+        priority=file.priority.rule,
         switching=SwitchingRules(**file.switching.model_dump()),
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,

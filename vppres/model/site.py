@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,12 +11,20 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
+from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
+
+LESS_THAN_A_UNIT = 0.5
+"""What all curtailment of a window counts at most in strict order: rounded to whole units, a bound
+on service and curtailment is one on service."""
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What stays the same from step to step: network, assets, weights and step length."""
+    """What stays the same from step to step: network, assets, weights and step length.
+
+    ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
+    """
 
     network: Network
     customers: Customers
@@ -24,6 +32,7 @@ class Site:
     batteries: Batteries
     weights: ObjectiveWeights
     dt_h: float
+    ranks: Ranks | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -37,11 +46,28 @@ class Site:
             scenario.grid.dt_h,
         )
 
+    def ranked(self, ranks: Ranks, n_steps: int) -> Site:
+        """The site with tiers in strict order, for windows of so many steps at most.
+
+        Whatever ranks below service is scaled down, so that all PV power of a window curtailed
+        counts less than half a unit of the last tier.
+        """
+        w = self.weights
+        curtailed = w.lambda_curt * float(self.pv.p_max_kw.sum()) * n_steps
+        scale = min(1.0, LESS_THAN_A_UNIT / max(curtailed, LESS_THAN_A_UNIT))
+        return replace(
+            self,
+            customers=replace(self.customers, weight=ranks.weight),
+            weights=ObjectiveWeights(*(scale * getattr(w, f.name) for f in fields(w))),
+            ranks=ranks,
+        )
+
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
+        ranks = () if self.ranks is None else (self.ranks,)
         return f"{self.dt_h} " + content_key(
-            self.weights, self.network, self.customers, self.pv, self.batteries
+            self.weights, self.network, self.customers, self.pv, self.batteries, *ranks
         )
 
     @cached_property

@@ -88,6 +88,8 @@ class Scenario:
         Ambient temperature.
     grid_limit_kw : array, shape (T,)
         Largest import; 0 in an outage, infinite without limit.
+    priority : {"weights", "strict"}
+        Order of the tiers in runs whose options say nothing.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
     export_limit_kw : array, shape (T,) or ()
@@ -122,6 +124,7 @@ class Scenario:
     tiers: tuple[str, ...] = ("critical", "high", "low")
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
+    priority: str = default_of("priority")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)

@@ -196,7 +196,7 @@ class GuardedController:
             decision = Decision(
                 dispatch,
                 0,
-                solve_info(solution, 0),
+                solve_info(site, solution, 0),
                 fallback=name,
                 fallback_reason=f"{reason}; {words}",
             )
@@ -302,7 +302,7 @@ class GuardedController:
             decision = Decision(
                 whole_fleet(solution.dispatch, known.online, known.observation.soc),
                 0,
-                solve_info(solution, 0),
+                solve_info(solver.site, solution, 0),
             )
             wrong = violations(decision, state, self.options.within)
             return self._rule(state, "; ".join(wrong)) if wrong else decision

@@ -403,19 +403,26 @@ def whole_price(data: WindowData, grid: float) -> bool:
     return pair == 0.0 or (grid > 0 and abs(pair / grid - round(pair / grid)) < 1e-9)
 
 
-def weight_grid(weights: Floats, most: int = 10_000) -> float:
-    """Largest number of which all weights are multiples, 0 if it needs more than ``most`` units.
+MOST_PARTS = 10_000
+"""Parts of one that weights may have in common."""
+
+MOST_UNITS = 1e6
+"""Units of the largest weight, as in strict priority: with more a search's tolerance reaches one."""
+
+
+def weight_grid(weights: Floats) -> float:
+    """Largest number of which all weights are multiples, 0 if the largest needs too many.
 
     >>> weight_grid(np.array([1.0, 0.1, 0.02]))
     0.02
     """
-    parts = [Fraction(float(w)).limit_denominator(most) for w in np.unique(weights) if w > 0]
+    parts = [Fraction(float(w)).limit_denominator(MOST_PARTS) for w in np.unique(weights) if w > 0]
     if not parts:
         return 0.0
     common = math.lcm(*(part.denominator for part in parts))
     unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
     exact = all(
-        abs(float(part) - w) <= 1e-12
+        math.isclose(float(part), w, rel_tol=1e-12, abs_tol=1e-12)
         for part, w in zip(parts, [w for w in np.unique(weights) if w > 0], strict=True)
     )
-    return float(unit) if exact and max(parts) / unit <= most else 0.0
+    return float(unit) if exact and max(parts) / unit <= MOST_UNITS else 0.0

@@ -1,0 +1,121 @@
+"""Strict priority: tier by tier as much as can be supplied, with a bound for each tier."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.random_feeders import WEIGHT, Window, random_window
+from tests.support.small_windows import DARK, battery, two_buses
+from tests.support.tiny_day import tiny_scenario
+from vppres import RunOptions, run_day
+from vppres.control.planner import levels_of
+from vppres.core.arrays import Wholes
+from vppres.io import read_scenario, write_scenario
+from vppres.model.site import Site
+from vppres.scenario.assets import Customers
+from vppres.scenario.priority import MOST_WORTH, Ranks
+from vppres.scenario.scenario import ObjectiveWeights, Scenario
+from vppres.solve.ladder import WindowSolver
+
+TIERS = tuple(WEIGHT)
+
+
+def customers(tiers: list[str], weight: list[float]) -> Customers:
+    count = len(tiers)
+    return Customers([*range(count)], [2] * count, tiers, weight, [1.0] * count)
+
+
+def hospital_and_homes() -> Scenario:
+    """Two dark hours; the battery carries a hospital, or three homes that weigh more per kW."""
+    day = two_buses([[60.0, 20.0, 20.0, 20.0]] * 2, [1.0, 0.4, 0.4, 0.4], [DARK, DARK])
+    ranked = replace(day.customers, tier=["critical", "low", "low", "low"])
+    full = battery(energy_kwh=200.0, p_max_kw=70.0, soc=0.85)
+    return replace(day, tiers=("critical", "low"), customers=ranked, batteries=full)
+
+
+@pytest.mark.parametrize(("rule", "critical", "low"), [("weights", 0, 6), ("strict", 2, 0)])
+@pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
+def test_rule_decides_who_is_supplied(rule: str, critical: int, low: int, controller: str) -> None:
+    run = run_day(hospital_and_homes(), RunOptions(priority=rule, controller=controller))
+    supplied = run.customers.groupby("tier")["served"].sum()
+    assert (supplied["critical"], supplied["low"]) == (critical, low)
+    assert run.steps["fallback"].eq("none").all()
+
+
+def test_levels_of_a_run_are_recorded() -> None:
+    run = run_day(hospital_and_homes(), RunOptions(priority="strict"))
+    assert run.steps["levels"].tolist() == ["critical 2/2, low 0/0", "critical 1/1, low 0/0"]
+
+
+def by_levels(case: Window) -> Wholes:
+    """Most units of each tier, one search of the whole problem for each."""
+    scenario = case.scenario
+    site = Site.of(scenario)
+    rank = np.array([TIERS.index(tier) for tier in scenario.customers.tier])
+    found = []
+    for k in range(len(TIERS)):
+        weight = np.where(rank > k, 0.0, 100.0 ** (k - rank))
+        alone = replace(
+            site,
+            customers=replace(site.customers, weight=weight),
+            weights=ObjectiveWeights(1e-9, 1e-9, 0.0, 0.0),
+        )
+        plan = WindowSolver(alone, "monolithic").solve(case.data).dispatch
+        found.append(int(plan.served[:, rank == k].sum()))
+    return np.array(found)
+
+
+def test_strict_windows_are_those_of_one_search_a_tier(nightly: bool) -> None:
+    wrong = []
+    for seed in range(120 if nightly else 3):
+        case = random_window(seed, stressed=bool(seed % 2))
+        plain = replace(case.scenario.customers, weight=np.ones(len(case.scenario.customers)))
+        ranks = Ranks.of(plain, TIERS, case.data.n_steps)
+        site = replace(Site.of(case.scenario), customers=plain).ranked(ranks, case.data.n_steps)
+        answer = WindowSolver(site).solve(case.data)
+        supplied = ranks.supplied(answer.dispatch.served)
+        told = ", ".join(f"{tier} {n}/{n}" for tier, n in zip(TIERS, supplied, strict=True))
+        if (supplied != by_levels(case)).any() or levels_of(site, answer) != told:
+            wrong.append((seed, supplied, by_levels(case), levels_of(site, answer)))
+    assert not wrong
+
+
+def test_weights_within_a_tier_count_in_proportion() -> None:
+    ranks = Ranks.of(customers(["a", "a", "b"], [0.5, 1.25, 7.0]), ("a", "b"), 3)
+    assert ranks.units.tolist() == [2, 5, 1]
+    assert ranks.worth.tolist() == [4.0, 1.0]
+
+
+def test_weights_stay_within_what_solvers_tell_apart() -> None:
+    many = customers(["a"] * 50 + ["b"] * 500 + ["c"] * 5000, [1.0] * 5550)
+    ranks = Ranks.of(many, ("a", "b", "c"), 24)
+    assert ranks.worth.tolist() == [MOST_WORTH, 1000.0, 1.0]
+
+
+def test_bounds_of_the_levels_follow_from_that_of_the_weights() -> None:
+    ranks = Ranks.of(customers(["a", "a", "b", "b"], [1.0] * 4), ("a", "b"), 2)
+    assert ranks.worth.tolist() == [5.0, 1.0]
+    served = np.array([[True, False, True, False], [True, True, False, False]])
+    assert ranks.supplied(served).tolist() == [3, 1]
+    assert ranks.most(served, 16.9).tolist() == [3, 1]
+    assert ranks.most(served, 18.2).tolist() == [3, 3]
+    assert ranks.most(served, 23.0).tolist() == [4, 4]
+
+
+def test_price_of_actions_never_outweighs_a_higher_tier() -> None:
+    free, priced = (
+        Ranks.of(customers(["a", "b"], [1.0, 1.0]), ("a", "b"), 4, price) for price in (0.0, 2.5)
+    )
+    assert (free.worth[0], priced.worth[0]) == (5.0, 25.0)
+
+
+def test_rule_is_written_and_read(tmp_path: Path) -> None:
+    write_scenario(replace(tiny_scenario(), priority="strict"), tmp_path / "day")
+    assert '[priority]\nrule = "strict"' in (tmp_path / "day" / "scenario.toml").read_text()
+    day = read_scenario(tmp_path / "day")
+    assert RunOptions().on(day).priority == "strict"
+    assert RunOptions(priority="weights").on(day).priority == "weights"

@@ -1,0 +1,41 @@
+"""The order of the tiers in a run: the site that its controllers plan for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from vppres.model.site import Site
+from vppres.scenario.priority import STRICT, Ranks
+from vppres.scenario.scenario import Scenario
+
+
+def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
+    """The site of a scenario as the controllers of a run weigh it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its site and tiers.
+    options : mapping
+        Of the run, as they are recorded.
+    """
+    site = Site.of(scenario)
+    ranks = ranks_of(scenario, options)
+    return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))
+
+
+def ranks_of(scenario: Scenario, options: Mapping[str, Any]) -> Ranks | None:
+    """Ranks of the customers in a run; None where tiers are weighed against each other."""
+    if options.get("priority") != STRICT:
+        return None
+    price = float(options["switching"]["price_per_action"])
+    steps = longest_window(scenario, options)
+    return Ranks.of(scenario.customers, scenario.tiers, steps, price / scenario.grid.dt_h)
+
+
+def longest_window(scenario: Scenario, options: Mapping[str, Any]) -> int:
+    """Steps of the longest window that a run solves."""
+    if options["controller"] == "mpc":
+        return scenario.grid.steps_in_horizon(float(options["horizon_h"]))
+    return scenario.grid.n_steps

@@ -1,0 +1,131 @@
+"""Strict priority: weights by which nothing that lower tiers gain pays for a loss of a higher one.
+
+In a window of W steps all lower tiers together gain at most the service of everyone in them. A
+unit of a tier that is worth more than that is never given up for them, so the optimum of the
+weighted objective serves as much of the first tier as can be served, then of the second, and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.scenario.assets import Customers
+
+WEIGHTS = "weights"
+STRICT = "strict"
+
+MOST_WORTH = 1e6
+"""Largest weight of a unit, in units of the last tier: beyond it the solvers' tolerances reach a
+unit. In windows so large a unit of three tiers counts as much as 1,000 of the next one."""
+
+PARTS = 100
+"""Weights of one tier are told apart to a hundredth of the smallest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ranks:
+    """Tiers in strict order, and what each customer counts in its own.
+
+    Parameters
+    ----------
+    tiers : tuple of str
+        Names, the most important first.
+    tier : array of int, shape (C,)
+        Position of each customer's tier.
+    units : array of int, shape (C,)
+        What a customer counts in its tier: 1, or its share where weights of a tier differ.
+    worth : array, shape (K,)
+        Weight of a unit of each tier; 1 for the last.
+    actions : float
+        What all actions of a window cost at most, in units of the last tier.
+    """
+
+    tiers: tuple[str, ...]
+    tier: Wholes
+    units: Wholes
+    worth: Floats
+    actions: float = 0.0
+
+    @classmethod
+    def of(
+        cls, customers: Customers, tiers: Sequence[str], n_steps: int, action_price: float = 0.0
+    ) -> Ranks:
+        """Ranks of the customers for windows of so many steps.
+
+        Parameters
+        ----------
+        customers : Customers
+            With their tiers; their weights count within a tier alone.
+        tiers : sequence of str
+            Names, the most important first.
+        n_steps : int
+            Steps of the longest window.
+        action_price : float, optional
+            Price of disconnecting or restoring a customer, in customer hours of the last tier.
+
+        Examples
+        --------
+        >>> def made(tier, weight):
+        ...     n = len(tier)
+        ...     return Customers([*range(n)], [1] * n, tier, weight, [0.95] * n)
+        >>> ranks = Ranks.of(made(["a", "b", "b"], [1.0, 0.1, 0.1]), ("a", "b"), n_steps=6)
+        >>> ranks.weight
+        array([13.,  1.,  1.])
+        """
+        rank = {name: k for k, name in enumerate(tiers)}
+        tier = np.array([rank[name] for name in customers.tier], dtype=int)
+        units = np.zeros(len(customers), dtype=int)
+        for k in np.unique(tier):
+            units[tier == k] = _whole_units(customers.weight[tier == k])
+        worth = np.ones(len(tiers))
+        most = MOST_WORTH ** (1.0 / max(len(tiers) - 1, 1))
+        # An action may be needed for every customer in every step.
+        actions = action_price * len(customers) * n_steps
+        below = ceil(actions)
+        for k in range(len(tiers) - 1, 0, -1):
+            below += int(worth[k] * units[tier == k].sum()) * n_steps
+            worth[k - 1] = min(1.0 + below, np.floor(most * worth[k]))
+        return cls(tuple(tiers), tier, units, worth, actions)
+
+    @property
+    def weight(self) -> Floats:
+        """Weight of each customer, (C,)."""
+        return np.asarray(self.worth[self.tier] * self.units)
+
+    def supplied(self, served: Flags) -> Wholes:
+        """Units of each tier that are supplied, summed over the steps, (K,) of (W, C)."""
+        units = np.asarray(served, dtype=int).sum(axis=0) * self.units
+        return np.bincount(self.tier, units, len(self.tiers)).round().astype(int)
+
+    def most(self, served: Flags, bound: float) -> Wholes:
+        """Most units of each tier that any schedule supplies, (K,).
+
+        That of a tier holds for all schedules which supply the tiers above it as this one does.
+
+        Parameters
+        ----------
+        served : Flags
+            The schedule, (W, C).
+        bound : float
+            What no schedule's weights exceed, in units of the last tier.
+        """
+        found = self.supplied(np.ones_like(served))
+        for k, supplied in enumerate(self.supplied(served)):
+            found[k] = min(found[k], max(int(np.floor(bound / self.worth[k])), supplied))
+            bound -= self.worth[k] * supplied
+        return found
+
+
+def _whole_units(weight: Floats) -> Wholes:
+    """Weights as whole numbers in their proportions.
+
+    >>> _whole_units(np.array([0.1, 0.1, 0.25]))
+    array([2, 2, 5])
+    """
+    parts = np.round(PARTS * weight / weight.min()).astype(int)
+    return np.asarray(parts // np.gcd.reduce(parts))
