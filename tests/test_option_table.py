@@ -21,7 +21,7 @@ from vppres.day.options import RunOptions
 from vppres.io import read_scenario, schema, write_scenario
 from vppres.scenario.option_table import OPTIONS, Option, section_options
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import ControllerDefaults
+from vppres.scenario.scenario import ControllerDefaults, Priority
 from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.studies import sweep_parameters
 
@@ -54,7 +54,8 @@ def test_constants_of_other_rooms_are_those_of_the_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("section", "frozen"), [("controller", ControllerDefaults), ("switching", SwitchingRules)]
+    ("section", "frozen"),
+    [("controller", ControllerDefaults), ("switching", SwitchingRules), ("priority", Priority)],
 )
 def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> None:
     assert list(section_options(section)) == [f.name for f in fields(frozen)]

@@ -18,7 +18,7 @@ from vppres.io import read_scenario, write_scenario
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers
 from vppres.scenario.priority import MOST_WORTH, Ranks
-from vppres.scenario.scenario import ObjectiveWeights, Scenario
+from vppres.scenario.scenario import ObjectiveWeights, Priority, Scenario
 from vppres.solve.ladder import WindowSolver
 
 TIERS = tuple(WEIGHT)
@@ -114,7 +114,7 @@ def test_price_of_actions_never_outweighs_a_higher_tier() -> None:
 
 
 def test_rule_is_written_and_read(tmp_path: Path) -> None:
-    write_scenario(replace(tiny_scenario(), priority="strict"), tmp_path / "day")
+    write_scenario(replace(tiny_scenario(), priority=Priority("strict")), tmp_path / "day")
     assert '[priority]\nrule = "strict"' in (tmp_path / "day" / "scenario.toml").read_text()
     day = read_scenario(tmp_path / "day")
     assert RunOptions().on(day).priority == "strict"

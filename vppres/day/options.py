@@ -152,7 +152,7 @@ class RunOptions:
         return replace(
             self,
             mode=own.mode if self.mode is None else self.mode,
-            priority=scenario.priority if self.priority is None else self.priority,
+            priority=scenario.priority.rule if self.priority is None else self.priority,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
             outages=own.outages if self.outages is None else self.outages,
         )

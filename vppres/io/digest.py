@@ -12,9 +12,8 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
-from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
@@ -70,7 +69,7 @@ def _unsaid(scenario: Scenario) -> set[str]:
     said = {
         "warnings": bool(scenario.warnings),
         "outage_statistics": scenario.outage_statistics != OutageStatistics(),
-        "priority": scenario.priority != default_of("priority"),
+        "priority": scenario.priority != Priority(),
     }
     return {name for name, told in said.items() if not told}
 

@@ -26,7 +26,7 @@ from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 
 # Tables that a folder may lack, with the model of their rows.
@@ -335,7 +335,7 @@ def _assemble(
         tiers=tuple(file.tiers),
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
-        priority=file.priority.rule,
+        priority=Priority(**file.priority.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,

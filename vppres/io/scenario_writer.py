@@ -83,7 +83,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             **{name: float(getattr(network, name)) for name in limits},
         },
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
-        "priority": {"rule": scenario.priority},
+        "priority": asdict(scenario.priority),
         "objective": {
             f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
         },

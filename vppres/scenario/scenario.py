@@ -59,6 +59,19 @@ class ControllerDefaults:
     outages: str = default_of("outages")
 
 
+@dataclass(frozen=True)
+class Priority:
+    """How tiers are ranked.
+
+    Parameters
+    ----------
+    rule : {"weights", "strict"}
+        Customers weighed against each other, or tier by tier.
+    """
+
+    rule: str = default_of("priority")
+
+
 def _zero() -> Floats:
     """A number without dimension: the same in all steps."""
     return np.zeros(())
@@ -88,8 +101,8 @@ class Scenario:
         Ambient temperature.
     grid_limit_kw : array, shape (T,)
         Largest import; 0 in an outage, infinite without limit.
-    priority : {"weights", "strict"}
-        Order of the tiers in runs whose options say nothing.
+    priority : Priority
+        How tiers are ranked in runs whose options say nothing.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
     export_limit_kw : array, shape (T,) or ()
@@ -124,7 +137,7 @@ class Scenario:
     tiers: tuple[str, ...] = ("critical", "high", "low")
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
-    priority: str = default_of("priority")
+    priority: Priority = Priority()
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)

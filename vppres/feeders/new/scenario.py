@@ -35,7 +35,7 @@ from vppres.scenario.assets import PV, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
-from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
@@ -101,7 +101,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_limit_kw=np.array(options.export_limit_kw),
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
-        priority=STRICT,
+        priority=Priority(STRICT),
     )
     return scenario, [*assets.notes, *switched, *series.notes, *_told_constants(series)]
 

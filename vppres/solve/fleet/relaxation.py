@@ -407,7 +407,7 @@ MOST_PARTS = 10_000
 """Parts of one that weights may have in common."""
 
 MOST_UNITS = 1e6
-"""Units of the largest weight, as in strict priority: with more a search's tolerance reaches one."""
+"""Units of the largest weight, as in strict priority: beyond it a tolerance reaches a unit."""
 
 
 def weight_grid(weights: Floats) -> float:
