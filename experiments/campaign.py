@@ -15,6 +15,7 @@ import numpy as np
 import typer
 
 from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
+from experiments.faults import drawn_faults
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
 from experiments.seeds import (
@@ -106,7 +107,7 @@ class DayOutcome:
 def run_one(seed: int) -> DayOutcome:
     """Run the day of a seed with its faults, then judge it."""
     drawn = random_day(seed)
-    faults = FaultPlan.draw(drawn.scenario, seed)
+    faults = drawn_faults(drawn.scenario, seed)
     options = RunOptions(
         horizon_h=HORIZONS_H[seed % len(HORIZONS_H)],
         errors=drawn.errors,

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.faults import drawn_faults
 from experiments.random_feeders import random_scenario
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision
@@ -40,8 +41,8 @@ def faulty(scenario: Scenario, plan: FaultPlan, options: RunOptions = OPTIONS) -
 
 
 def test_plan_is_drawn_from_its_seed(tiny: Scenario) -> None:
-    plans = [FaultPlan.draw(tiny, seed) for seed in range(40)]
-    assert plans[3] == FaultPlan.draw(tiny, 3)
+    plans = [drawn_faults(tiny, seed) for seed in range(40)]
+    assert plans[3] == drawn_faults(tiny, 3)
     kinds = {outage.kind for plan in plans for outage in plan.solver.values()}
     assert kinds == set(SOLVER_FAULTS)
     assert {m.quantity for plan in plans for m in plan.measurements} == set(QUANTITIES)
@@ -150,7 +151,7 @@ def test_plant_and_record_keep_the_truth(tiny: Scenario) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_day_of_drawn_faults_finishes(seed: int) -> None:
     day = random_scenario(seed, stressed=seed % 2 == 1, n_steps=5)
-    run = faulty(day, FaultPlan.draw(day, seed), replace(OPTIONS, horizon_h=1.0))
+    run = faulty(day, drawn_faults(day, seed), replace(OPTIONS, horizon_h=1.0))
     assert len(run.steps) == 5
     b = day.batteries
     soc = run.batteries["soc_end"].to_numpy().reshape(5, len(b))

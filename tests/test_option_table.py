@@ -10,6 +10,7 @@ from typing import Any, get_args
 import pytest
 
 from tests.support.command_line import call
+from tests.support.pages import page_row
 from tests.support.tiny_day import tiny_scenario
 from vppres.cli import options as cli_options
 from vppres.contract.operating_point import Centre
@@ -64,7 +65,7 @@ def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> No
 def test_page_has_the_rows_of_the_table() -> None:
     page = PAGE.read_text(encoding="utf-8").splitlines()
     first = page.index("## Options of `run`") + 4
-    rows = [cli_options.page_row(option) for option in cli_options.day_options()]
+    rows = [page_row(option) for option in cli_options.day_options()]
     assert page[first : first + len(rows)] == rows
 
 
@@ -159,9 +160,7 @@ def test_a_row_is_enough_for_an_option(
     day = tiny_scenario()
     parameter = sweep_parameters.find_parameter("headroom", day)
     assert sweep_parameters.changed(parameter, 0.3, day, RunOptions())[1].headroom == 0.3
-    assert cli_options.page_row(headroom_row) == (
-        "| `--headroom` | 0.1 | free share of forming inverters |"
-    )
+    assert page_row(headroom_row) == ("| `--headroom` | 0.1 | free share of forming inverters |")
 
 
 def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:

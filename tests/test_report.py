@@ -24,7 +24,7 @@ from vppres.day.options import RunOptions
 from vppres.day.run_files import read_run
 from vppres.day.trajectory import Trajectory
 from vppres.report.assumptions import data_words, option_words, simplifications
-from vppres.report.events import events_of, sentences_of
+from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
 from vppres.report.one_line import drawing, step_states, voltage_edges, worst_step
@@ -173,22 +173,16 @@ def test_a_day_without_outage_has_no_events() -> None:
     day = small_run(small_scenario(outage=False))
     quiet = replace(day, customers=day.customers.assign(served=True))
     assert events_of(quiet) == []
-    assert "No grid outage." in sentences_of(quiet, summarise(quiet))
-    assert "All 3 customers were supplied at all times." in sentences_of(quiet, summarise(quiet))
+    assert "No grid outage." in opening_of(quiet, summarise(quiet))
 
 
 def test_sentences_by_hand() -> None:
     run = small_run()
-    sentences = sentences_of(run, summarise(run))
+    sentences = opening_of(run, summarise(run))
     assert sentences[0] == "4 steps of 30 min from 19 Jul 00:00 to 19 Jul 02:00 UTC."
     assert sentences[1] == "Grid outage from 19 Jul 00:30 to 19 Jul 01:30, 1 h in total."
     assert sentences[2].startswith(
         "Supplied in the outage, of all customer-steps: critical 50%, low 25%"
-    )
-    # a and b for half an hour each, c for an hour: 5 + 10 + 40 kWh.
-    assert sentences[3] == ("3 of 3 customers lost supply; energy not supplied 55 kWh.")
-    assert sentences[5] == (
-        "The lowest voltage was 0.9500 pu at bus 2, 19 Jul 01:30; the limit is 0.94 pu."
     )
 
 

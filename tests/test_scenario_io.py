@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.pages import attribute_table_markdown
 from vppres.core.errors import InputError
 from vppres.io import (
     atomic_folder,
@@ -24,9 +25,9 @@ from vppres.io import (
     read_scenario,
     scenario_digest,
     schema,
-    schema_tables,
     write_scenario,
 )
+from vppres.io.editor import json_schema
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
@@ -475,7 +476,7 @@ def test_atomic_write_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_page_holds_the_table_of_attributes() -> None:
     page = (ROOT / "docs" / "scenario_format.md").read_text(encoding="utf-8")
-    assert page.endswith("\n" + schema_tables.attribute_table_markdown())
+    assert page.endswith("\n" + attribute_table_markdown())
 
 
 def test_the_example_of_the_page_is_read(tiny: Scenario, tiny_folder: Path) -> None:
@@ -528,7 +529,7 @@ def test_every_attribute_is_described_and_physical_ones_have_the_unit_of_their_n
 
 
 def test_json_schema_states_units_bounds_and_required_keys() -> None:
-    definitions = json.loads(json.dumps(schema_tables.json_schema(), allow_nan=False))["$defs"]
+    definitions = json.loads(json.dumps(json_schema(), allow_nan=False))["$defs"]
     assert definitions["PVRow"]["properties"]["p_max_kw"] == {
         "description": "largest active power",
         "minimum": 0.001,

@@ -12,12 +12,12 @@ import pytest
 from experiments import campaign
 from experiments.baselines import CONTROLLERS, Run, column, figure, write_report
 from experiments.campaign import StepToJudge, judge, run_one
+from experiments.faults import drawn_faults
 from experiments.mutations import refuted
 from experiments.paired import Estimate
 from experiments.random_days import RandomDay, random_day, small_day
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller
-from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
 from vppres.io.digest import scenario_digest
@@ -30,9 +30,9 @@ def small(seed: int) -> RandomDay:
 def test_a_seed_makes_the_same_day_again() -> None:
     one, same, other = random_day(1), random_day(1), random_day(2)
     assert scenario_digest(one.scenario) == scenario_digest(same.scenario)
-    assert (one.errors, FaultPlan.draw(one.scenario, 1)) == (
+    assert (one.errors, drawn_faults(one.scenario, 1)) == (
         same.errors,
-        FaultPlan.draw(same.scenario, 1),
+        drawn_faults(same.scenario, 1),
     )
     assert scenario_digest(one.scenario) != scenario_digest(other.scenario)
     sizes = {random_day(seed).scenario.network.n_buses for seed in range(12)}

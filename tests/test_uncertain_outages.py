@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.faults import drawn_faults
 from vppres.contract.export import Export
 from vppres.core.errors import InputError
-from vppres.day.faults import FaultPlan
 from vppres.day.options import RunOptions
 from vppres.day.outages import believed_outages
 from vppres.day.run_files import read_run
@@ -148,7 +148,7 @@ def test_guard_and_fallbacks_see_no_more(tiny: Scenario, kind: str) -> None:
     fallbacks = set()
     for seed in range(2):
         day = random_day(tiny, seed)
-        faults = FaultPlan.draw(tiny, seed)
+        faults = drawn_faults(tiny, seed)
         options = RunOptions(outages=kind, horizon_h=3.0, protect_critical=True)
         run = run_day(day, options, faults=faults)
         fallbacks |= set(run.steps["fallback"])

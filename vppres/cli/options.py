@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from functools import cache
 from inspect import Parameter, Signature
@@ -103,33 +102,6 @@ def help_text(option: Option) -> str:
         text += f": {option.words}"
     unset = "the scenario's" if option.scenario_key else option.unset
     return f"{text}; {unset} if not given." if unset else f"{text}."
-
-
-def page_row(option: Option) -> str:
-    """An option of the table as a row of ``docs/command-line.md``.
-
-    >>> page_row(next(option for option in OPTIONS if option.name == "notice"))
-    '| `--notice` | 6 | notice of an outage for the controller reserve (h) |'
-    """
-    unit = f" ({option.unit})" if option.unit not in ("", "share") else ""
-    words = option.words
-    for choice in option.choices:
-        words = re.sub(rf"(?<!`)\b{choice}\b", f"`{choice}`", words, count=1)
-    text = option.meaning + unit
-    text += f": {words}" if words else ""
-    text += f"; {option.page}" if option.page else ""
-    return f"| `--{option.name}` | {_page_default(option)} | {text} |"
-
-
-def _page_default(option: Option) -> str:
-    """Default of an option as the documentation writes it."""
-    if option.scenario_key:
-        return "the scenario's"
-    if option.default is None:
-        return option.unset
-    if isinstance(option.default, bool):
-        return "on" if option.default else "off"
-    return f"`{option.default}`" if option.kind is str else f"{option.default:g}"
 
 
 def _declared(option: Option) -> Parameter:

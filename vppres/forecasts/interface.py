@@ -49,11 +49,6 @@ class LoadAndPV:
         freeze_fields(self, load_kw=float, pv_kw=float)
 
     @property
-    def n_paths(self) -> int:
-        """Number of paths."""
-        return len(self.load_kw)
-
-    @property
     def times(self) -> pd.DatetimeIndex:
         """Beginning of every step."""
         return pd.date_range(

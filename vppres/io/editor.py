@@ -6,8 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pydantic.json_schema import JsonSchemaValue, models_json_schema
+
 from vppres.io.atomic import atomic_write_text
-from vppres.io.schema import ScenarioFile
+from vppres.io.schema import TABLES, ScenarioFile
 from vppres.io.settings import SCENARIO_FILE
 
 SCHEMA_FILE = "scenario.schema.json"
@@ -27,6 +29,13 @@ def editor_schema() -> dict[str, Any]:
             if "unit" in field:
                 field["description"] += f" ({field['unit']})"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def json_schema() -> JsonSchemaValue:
+    """JSON Schema of scenario.toml (`ScenarioFile`) and of one row of each table."""
+    return models_json_schema(
+        [(model, "validation") for model in TABLES.values()], title="vppres scenario"
+    )[1]
 
 
 def schema_text() -> str:

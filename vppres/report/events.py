@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from vppres.day.metrics import service_by_customer
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
-from vppres.report.key_figures import amount, number
+from vppres.report.key_figures import number
 
 NAMES_SHOWN = 6
 EMPTY_SHARE = 0.01  # of the usable energy
@@ -46,11 +44,6 @@ def events_of(run: Trajectory) -> list[Event]:
     )
     clock = Clock.of(run)
     return [Event(t, clock.at(t), words) for t, words in found]
-
-
-def sentences_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
-    """The day in a few sentences: its length, the outage, supply, energy, voltages."""
-    return [*opening_of(run, summary), *_service(run), _import(summary), _voltage(run)]
 
 
 def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
@@ -133,43 +126,6 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
         f"Supplied in the outage, of all customer-steps: {shares}; weighted by priority "
         f"{number(summary['resilience'], '.1%')}.",
     ]
-
-
-def _service(run: Trajectory) -> list[str]:
-    table = service_by_customer(run)
-    lost = table[table["unserved_h"] > 0]
-    if lost.empty:
-        return [f"All {len(table)} customers were supplied at all times."]
-    return [
-        f"{len(lost)} of {len(table)} customers lost supply; energy not supplied "
-        f"{lost['unserved_kwh'].sum():,.0f} kWh."
-    ]
-
-
-def _import(summary: Mapping[str, Any]) -> str:
-    imported = (
-        f"The feeder imported {summary['import_kwh']:,.0f} kWh for {amount(summary['cost_gbp'])}"
-    )
-    if not summary.get("export_kwh"):
-        return f"{imported}."
-    return (
-        f"{imported} and exported {summary['export_kwh']:,.0f} kWh for "
-        f"{amount(summary['export_revenue_gbp'])}."
-    )
-
-
-def _voltage(run: Trajectory) -> str:
-    """The lowest voltage, and where and when."""
-    net = run.scenario.network
-    live = run.buses[run.buses["v_ac_pu"] > 0]
-    if live.empty:
-        return "No bus had voltage at any time."
-    row = live.iloc[int(live["v_ac_pu"].to_numpy().argmin())]
-    time = Clock.of(run).words(pd.Timestamp(row["time"]))
-    return (
-        f"The lowest voltage was {row['v_ac_pu']:.4f} pu at bus {row['bus']}, "
-        f"{time}; the limit is {net.v_min_ac_pu:g} pu."
-    )
 
 
 def _customers(count: int) -> str:

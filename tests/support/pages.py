@@ -1,7 +1,8 @@
-"""The table of attributes as Markdown for the documentation, and as JSON Schema."""
+"""Tables of the documentation, as the tables of options and of attributes have them."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -9,9 +10,36 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AwareDatetime, BaseModel
 from pydantic.fields import FieldInfo
-from pydantic.json_schema import JsonSchemaValue, models_json_schema
 
 from vppres.io.schema import TABLES, unit
+from vppres.scenario.option_table import Option
+
+
+def page_row(option: Option) -> str:
+    """An option of the table as a row of ``docs/command-line.md``.
+
+    >>> page_row(next(option for option in OPTIONS if option.name == "notice"))
+    '| `--notice` | 6 | notice of an outage for the controller reserve (h) |'
+    """
+    unit = f" ({option.unit})" if option.unit not in ("", "share") else ""
+    words = option.words
+    for choice in option.choices:
+        words = re.sub(rf"(?<!`)\b{choice}\b", f"`{choice}`", words, count=1)
+    text = option.meaning + unit
+    text += f": {words}" if words else ""
+    text += f"; {option.page}" if option.page else ""
+    return f"| `--{option.name}` | {_page_default(option)} | {text} |"
+
+
+def _page_default(option: Option) -> str:
+    """Default of an option as the documentation writes it."""
+    if option.scenario_key:
+        return "the scenario's"
+    if option.default is None:
+        return option.unset
+    if isinstance(option.default, bool):
+        return "on" if option.default else "off"
+    return f"`{option.default}`" if option.kind is str else f"{option.default:g}"
 
 
 @dataclass(frozen=True)
@@ -42,13 +70,6 @@ def attributes(model: type[BaseModel]) -> Iterator[Attribute]:
 def attribute_table_markdown() -> str:
     """All tables of attributes as Markdown, one section per file or section of scenario.toml."""
     return "\n\n".join(_table_markdown(title, model) for title, model in TABLES.items()) + "\n"
-
-
-def json_schema() -> JsonSchemaValue:
-    """JSON Schema of scenario.toml (`ScenarioFile`) and of one row of each table."""
-    return models_json_schema(
-        [(model, "validation") for model in TABLES.values()], title="vppres scenario"
-    )[1]
 
 
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
