@@ -126,8 +126,14 @@ def test_what_the_gate_refused_is_named(runner: Runner, monkeypatch: pytest.Monk
     )
     decide(runner, NOON)
     found = Overview(runner)._now()
-    refused = [{"asset": "big", "reason": "no number"}]
-    assert found["plan"]["refused"] == refused and found["past"][0]["refused"] == refused
+    assert found["past"][0]["refused"] == [{"asset": "big", "reason": "no number"}]
+    assert [(one["kind"], one["subject"], one["text"]) for one in found["alarms"]] == [
+        (
+            "setpoint_rejected",
+            "big",
+            "The last check rejected the set-point of big: no number. The default was sent.",
+        )
+    ]
 
 
 def test_it_is_made_once_for_all_who_ask(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:

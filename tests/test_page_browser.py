@@ -314,8 +314,8 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
             row.wait_for(timeout=100_000)
         assert words and "planned:" not in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
-        assert "Battery big is nearly empty: 17%, lower limit 15%." in attention
-        assert "1 step missed in recent hours." in attention
+        assert "Less than 10% of the usable energy is left, and there is no grid." in attention
+        assert "missed" in watcher.text("#steps-list")
         assert page.locator("#chart .bad").count() == 1
         assert page.locator("#chart .outage").count() >= 2
         assert page.evaluate(CONTRAST) == []

@@ -334,12 +334,20 @@ def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
     http.post("/v1/telemetry", spoken(NOON - 2 * HOUR, 0.16))
     plan = http.post("/v1/steps").json()
     assert not said(plan, "customers")["hospital"]["served"]
-    words = "hospital is off, and the state of charge of big, small is not known of now"
-    assert plan["alarms"] == [words]
-    assert http.get("/v1/overview").json()["plan"]["alarms"] == [words]
-    assert http.get("/v1/status").json()["alarms"] == [words]
+    off = "hospital of the first tier off supply"
+
+    def told(path: str) -> str:
+        every = http.get(path).json()["alarms"]
+        (found,) = (one for one in every if one["kind"] == "critical_off")
+        assert (found["priority"], found["state"]) == ("high", "raised")
+        words: str = found["text"]
+        return words
+
+    for path in ("/v1/alarms", "/v1/overview", "/v1/status"):
+        assert told(path) == f"{off}, and the state of charge of big, small is not known of now."
     fresh = decided(http, clock, NOON + HOUR, soc=0.16)
-    assert not said(fresh, "customers")["hospital"]["served"] and fresh["alarms"] == []
+    assert not said(fresh, "customers")["hospital"]["served"]
+    assert told("/v1/alarms") == f"{off}."
 
 
 # A reading that others contradict.

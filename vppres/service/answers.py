@@ -14,11 +14,11 @@ from starlette.exceptions import HTTPException
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.core.text import visible
 from vppres.service.access import Denied
-from vppres.service.records import ChangedError
+from vppres.service.records import ChangedError, UnknownError
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50
-STATUSES = {StorageError: 503, ChangedError: 412}
+STATUSES = {StorageError: 503, ChangedError: 412, UnknownError: 404}
 
 TITLES = {
     400: "The request cannot be read",

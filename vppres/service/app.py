@@ -12,6 +12,7 @@ from vppres.service.answers import answer_errors
 from vppres.service.limits import Limits, Rate
 from vppres.service.perimeter import Perimeter
 from vppres.service.routes import (
+    alarms,
     events,
     forecasts,
     health,
@@ -24,7 +25,7 @@ from vppres.service.routes import (
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
-GUARDED = (telemetry, forecasts, events, plans, setpoints, operation, page)
+GUARDED = (telemetry, forecasts, events, plans, setpoints, alarms, operation, page)
 
 
 def make_app(

@@ -254,7 +254,7 @@ def known_at(
     """
     scenario = controller.scenario
     at = time if now is None else now
-    readings = _Readings.at(at, scenario, store)
+    readings = Latest.at(at, scenario, store)
     window = Window.of(controller, time)
     replaced = controller.replaced(time)
     events = [event for name, event in store.events().items() if name not in replaced]
@@ -266,7 +266,7 @@ def known_at(
     batteries = [str(name) for name in scenario.batteries.id]
     moved = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
     soc = readings.newest("soc")
-    out = _refusing(soc, store)
+    out = refusing(soc, store)
     off = {name for name, value in readings.now("online").items() if value == 0.0}
     lost = lost_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
@@ -295,7 +295,7 @@ def known_at(
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
     """States of charge that were read last."""
-    return soc_of(_Readings.at(time, scenario, store).newest("soc"))
+    return soc_of(Latest.at(time, scenario, store).newest("soc"))
 
 
 def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
@@ -304,8 +304,8 @@ def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Readings:
-    """Last readings of a step.
+class Latest:
+    """Last readings at a time.
 
     Parameters
     ----------
@@ -325,7 +325,8 @@ class _Readings:
     last: dict[tuple[str, str], Reading]
 
     @classmethod
-    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> _Readings:
+    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
+        """Those of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
         now_s = seconds(time)
@@ -364,7 +365,7 @@ class _Powers:
     ----------
     window : Window
         The window.
-    readings : _Readings
+    readings : Latest
         Of its first step.
     store : Store
         With the forecasts that were sent.
@@ -375,7 +376,7 @@ class _Powers:
     """
 
     window: Window
-    readings: _Readings
+    readings: Latest
     store: Store
     estimated: list[str] = field(default_factory=list)
     foretold: dict[str, list[str]] = field(default_factory=dict)
@@ -458,7 +459,7 @@ def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, d
     ]
 
 
-def _refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
+def refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
     """Batteries that did not do what they were told, until they say how they are."""
     return {
         name
@@ -470,7 +471,7 @@ def _refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
 def _grid(
     controller: Controller,
     window: Window,
-    readings: _Readings,
+    readings: Latest,
     events: list[Event],
     now: pd.Timestamp,
     doubt: str,

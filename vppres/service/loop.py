@@ -19,7 +19,7 @@ SETTLE_S = 0.5
 """What else changes within this time is decided in one go, and a second source may speak."""
 
 LONGEST_WAIT_S = 30.0
-"""After which the clock is read again: somebody may have set it."""
+"""After which the clock is read again, which may have been set, and alarms are looked at."""
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +42,7 @@ class Loop(threading.Thread):
         """Go on until the end."""
         self._guarded(self.runner.look)
         while not self._end.is_set():
+            self._guarded(self.runner.check_alarms)
             changed = self.runner.changes.new.wait(min(self._once(), LONGEST_WAIT_S))
             if changed and not self._end.wait(SETTLE_S) and not self._guarded(self.runner.anew):
                 self._end.wait(RETRY_S)

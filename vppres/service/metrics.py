@@ -12,6 +12,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 import vppres
+from vppres.service.alarms import KINDS
 from vppres.service.plans import DEFAULT
 from vppres.service.runner import Runner
 
@@ -55,6 +56,7 @@ class Figures(Collector):
             steps.add_metric([outcome], count)
         yield steps
         yield self._mode()
+        yield self._alarms()
         yield self._ages()
         yield from self._plan()
         build = GaugeMetricFamily("vppres_build_info", "Version.", labels=["version"])
@@ -66,6 +68,14 @@ class Figures(Collector):
         mode = GaugeMetricFamily("vppres_mode_info", "What the service does.", labels=["mode"])
         mode.add_metric([self.runner.mode["mode"]], 1.0)
         return mode
+
+    def _alarms(self) -> Metric:
+        """How many alarms stand."""
+        alarms = GaugeMetricFamily("vppres_alarms", "Alarms that stand.", labels=["kind"])
+        standing = [row.kind for row in self.runner.store.standing_alarms()]
+        for kind in KINDS:
+            alarms.add_metric([kind], standing.count(kind))
+        return alarms
 
     def _ages(self) -> Metric:
         """Since when each source has been silent."""

@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.service.clock import written
-from vppres.service.knowledge import GRID, INSTANT, LOST_AFTER, MEAN, last_heard
+from vppres.service.knowledge import GRID, MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
-from vppres.service.plans import DEFAULT, points_at
-from vppres.service.records import Reading, moment, seconds
+from vppres.service.plans import points_at, refused_of
+from vppres.service.records import Reading, moment
 from vppres.service.runner import Runner
 
 PAST_H = 12.0
@@ -102,15 +102,16 @@ class Overview:
         runner = self.runner
         now = runner.clock.now()
         plan = runner.last
-        readings = runner.store.latest(now, INSTANT)
+        latest = Latest.at(now, runner.scenario, runner.store)
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,
             "ahead_s": None if plan is None else runner.ahead_s,
             "steps": runner.outcomes,
+            "alarms": runner.alarms.listed(now),
             "events": {name: event.body for name, event in runner.store.events().items()},
-            "sources": self._sources(readings, now),
-            "measured": self._measured(readings, now),
+            "sources": self._sources(latest.heard),
+            "measured": self._measured(latest.found, now),
             "plan": None if plan is None else self._told(plan, now),
             "past": self._recent(now),
         }
@@ -130,7 +131,6 @@ class Overview:
                 if one["kind"] == "batteries"
             },
             "off": self._off(points, ahead),
-            "refused": refused_of(points),
             "ahead": None if ahead is None else {**ahead, "served": self._shares(ahead)},
         }
 
@@ -167,22 +167,18 @@ class Overview:
             tiers.setdefault(tier, []).append(name)
         return tiers
 
-    def _sources(self, readings: Iterable[Reading], now: pd.Timestamp) -> list[dict[str, Any]]:
+    def _sources(self, heard: Iterable[Heard]) -> list[dict[str, Any]]:
         """Each source: when it was last heard from, and what of what it tells is late."""
-        step_s = self.runner.length.total_seconds()
         found: dict[str, dict[str, Any]] = {
             source: {"source": source, "last_contact": contact, "stale": [], "lost": [], "ok": 0}
             for source, contact in last_heard(self.runner.store).items()
         }
-        for one in readings:
-            holds_s = max(one.resolution_s, step_s)
-            age_s = seconds(now) - one.time
+        for one in heard:
             source = found[one.source]
-            if age_s <= holds_s:
+            if one.state == "ok":
                 source["ok"] += 1
             else:
-                state = "stale" if age_s <= LOST_AFTER * holds_s else "lost"
-                source[state].append(f"{one.quantity} of {one.asset}")
+                source[one.state].append(f"{one.quantity} of {one.asset}")
         return list(found.values())
 
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:
@@ -231,19 +227,10 @@ class Overview:
             "status": plan["status"],
             "reason": plan.get("reason") or solve.get("fallback_reason"),
             "fallback": solve.get("fallback"),
-            "refused": refused_of(plan["setpoints"]) if plan["solve"] else [],
+            "refused": refused_of(plan),
             "served": {
                 tier: sum(on[name] for name in names) / len(names)
                 for tier, names in self._by_tier().items()
             },
             "expected": expected,
         }
-
-
-def refused_of(points: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """Set-points that the gate did not let pass, and why."""
-    return [
-        {"asset": one["asset"], "reason": one["reason"].removeprefix(DEFAULT)}
-        for one in points
-        if one["reason"].startswith(DEFAULT)
-    ]

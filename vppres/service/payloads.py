@@ -373,6 +373,18 @@ class ModeRequest(Body):
         return self
 
 
+class Remark(Body):
+    """Why something is done, for the audit."""
+
+    reason: str = Field("", max_length=200)
+
+
+class Shelf(Remark):
+    """Until when an alarm notifies nobody, and why."""
+
+    until: Moment
+
+
 class SetpointStatus(Body):
     """What became of a set-point, in the words of S2."""
 

@@ -17,7 +17,7 @@ from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known
-from vppres.service.records import versions
+from vppres.service.records import DECIDED, versions
 
 SCHEMA_VERSION = "1.0.0"
 """Of the plan. A sign that changes is a new first number."""
@@ -33,6 +33,9 @@ MOST_AHEAD = 48
 
 DEFAULT = "default: "
 """How the reason of a set-point begins that was not let pass."""
+
+CHECKED = (*DECIDED, "hold", "manual")
+"""Outcomes of steps whose set-points pass the last check."""
 
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that nobody can switch on."""
@@ -80,7 +83,6 @@ def plan_of(
         ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
-        "alarms": _alarms(decision, scenario, known),
         "setpoints": _set_points(decision, scenario, known, refused, reason),
         "expected": {
             "import_kw": _number(decision.import_kw),
@@ -93,21 +95,6 @@ def plan_of(
         },
         "ahead": _ahead(decision, known),
     }
-
-
-def _alarms(decision: SetPoints, scenario: Scenario, known: Known) -> list[str]:
-    """What somebody has to look at: a first tier that is off on readings that are old."""
-    on = decision.customers
-    off = on.index[~on["served"] & (on["tier"] == scenario.tiers[0])]
-    names = [str(name) for name in off if str(name) not in known.lost]
-    heard = {one.asset: one.state for one in known.heard if one.quantity == "soc"}
-    old = [str(b) for b in scenario.batteries.id if heard.get(str(b)) != "ok"]
-    if not names or not old:
-        return []
-    return [
-        f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} off, and the state of charge of "
-        f"{', '.join(old)} is not known of now"
-    ]
 
 
 def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
@@ -123,7 +110,6 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
         "estimated": [],
         "late": [],
         "lost": [],
-        "alarms": [],
         "setpoints": [
             speaker.point(kind, name, {}, "default")
             for kind, names in defaults.items()
@@ -240,6 +226,17 @@ def points_at(plan: Mapping[str, Any], time: pd.Timestamp) -> list[dict[str, Any
     said = versions(plan)
     begun = [one for one in said if pd.Timestamp(one.get("valid_from", plan["start"])) <= time]
     return [at(one, time) for one in (begun or said[:1])[-1]["setpoints"]]
+
+
+def refused_of(plan: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Set-points of a plan that the last check did not let pass, and why."""
+    if plan["status"] not in CHECKED:
+        return []
+    return [
+        {"asset": one["asset"], "reason": one["reason"].removeprefix(DEFAULT)}
+        for one in plan["setpoints"]
+        if one["reason"].startswith(DEFAULT)
+    ]
 
 
 def etag(plan: Mapping[str, Any]) -> str:

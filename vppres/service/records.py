@@ -96,6 +96,30 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class AlarmRow:
+    """An alarm as it is kept; its number is 0 before."""
+
+    number: int
+    kind: str
+    subject: str
+    priority: str
+    text: str
+    items: tuple[str, ...]
+    due_at: int | None
+    raised_at: int
+    acknowledged_at: int | None = None
+    acknowledged_by: str = ""
+    cleared_at: int | None = None
+    shelved_until: int | None = None
+    shelved_by: str = ""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes two of them the same alarm."""
+        return self.kind, self.subject
+
+
+@dataclass(frozen=True)
 class After:
     """What a controller is at after a step.
 
@@ -131,3 +155,7 @@ class Token:
 
 class ChangedError(VppresError):
     """It is no longer as whoever wants to change it believes."""
+
+
+class UnknownError(VppresError):
+    """There is no such thing."""

@@ -25,9 +25,11 @@ from vppres.live.past import REMEMBERED_DAYS
 from vppres.live.profile import Profile
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
+from vppres.service.alarms import Alarms
 from vppres.service.announced import warnings
 from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
+from vppres.service.conditions import Standing, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
@@ -140,6 +142,7 @@ class Runner:
         self.on_step: Callable[[float], None] = lambda _: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
+        self.alarms = Alarms(store)
         self._within: Within | None = None
         if isinstance(clock, SetClock) and self.last is not None:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
@@ -200,6 +203,14 @@ class Runner:
             if event.made_at > since:
                 self.changes.note(f"event {name}")
 
+    def check_alarms(self) -> None:
+        """Raise, change and clear alarms by what is wrong now."""
+        now = self.clock.now()
+        with suppress(StorageError):  # /readyz says so, and the next look comes soon
+            standing = Standing(self.last, self.ahead_s, self.changes.reasons)
+            found = situation(now, self.scenario, self.store, standing)
+            self.alarms.look(conditions(found), now)
+
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
         """Let a step be decided, and do not wait; the name of the job, that of its step."""
         time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
@@ -247,6 +258,7 @@ class Runner:
         self.clock.set(time)
         if self._state is None:  # nothing was decided yet: it begins here
             self._controller = self._restored()
+        self.check_alarms()
 
     def begun(self, time: pd.Timestamp) -> pd.Timestamp:
         """Beginning of the step that covers a time."""
@@ -322,6 +334,7 @@ class Runner:
         self._forget(time)
         self.last = plan
         self.changes.known(known)
+        self.check_alarms()
         return plan
 
     def _said(self, plan: dict[str, Any]) -> dict[str, Any]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
-from vppres.service.records import ChangedError, Event, Measured, seconds
+from vppres.service.records import AlarmRow, ChangedError, Event, Measured, seconds
 from vppres.service.tables import (
     ACKS,
+    ALARMS,
     AUDIT,
     EVENTS,
     FORECASTS,
@@ -131,6 +133,23 @@ def note_lost(db: sa.Connection, asset: str, said: Mapping[str, Any], at: int) -
         return
     reason = f"{said['status']}: {said['reason']}" if said["reason"] else said["status"]
     put(db, LOST, asset=asset, at=at, reason=reason)
+
+
+def put_alarm(db: sa.Connection, row: AlarmRow) -> AlarmRow:
+    """Add an alarm, or change one that has a number; as it is kept."""
+    values = {**vars(row), "items": json.dumps(row.items)}
+    number = values.pop("number")
+    if number:
+        db.execute(ALARMS.update().where(ALARMS.c.number == number).values(**values))
+        return row
+    key = db.execute(ALARMS.insert().values(**values)).inserted_primary_key
+    return replace(row, number=int(key[0]))
+
+
+def alarm_of(row: Any) -> AlarmRow:
+    """An alarm from its row."""
+    values = row._asdict()
+    return AlarmRow(**{**values, "items": tuple(json.loads(values["items"]))})
 
 
 def tag_of(text: str | None) -> str:

@@ -19,6 +19,7 @@ from vppres.service.clock import written
 from vppres.service.database import opened_database
 from vppres.service.records import (
     After,
+    AlarmRow,
     Asked,
     ChangedError,
     Event,
@@ -26,6 +27,7 @@ from vppres.service.records import (
     Measured,
     Reading,
     Token,
+    UnknownError,
     Written,
     moment,
     seconds,
@@ -35,11 +37,13 @@ from vppres.service.statements import (
     FORECAST,
     LATEST,
     REFUSING,
+    alarm_of,
     as_text,
     count_steps,
     note,
     note_lost,
     put,
+    put_alarm,
     put_event,
     put_measured,
     tag_of,
@@ -47,6 +51,7 @@ from vppres.service.statements import (
 )
 from vppres.service.tables import (
     ACKS,
+    ALARMS,
     AUDIT,
     CONTACTS,
     EVENTS,
@@ -423,7 +428,7 @@ class Store:
         return time if found is None else moment(found)
 
     def forget(self, before: pd.Timestamp, learned_before: pd.Timestamp) -> None:
-        """Drop what is older: readings, steps, forecasts, acknowledgements, events that are over.
+        """Drop what is older: readings, steps, forecasts, acknowledgements, events and alarms.
 
         What holds stays, however old it is, and so does the audit; what a forecaster learns from
         has a time of its own.
@@ -441,6 +446,7 @@ class Store:
             db.execute(KEYS.delete().where(KEYS.c.time < at))
             db.execute(ACKS.delete().where(ACKS.c.at < at))
             db.execute(FORECASTS.delete().where(f.issued_at < at, f.issued_at.not_in(newest)))
+            db.execute(ALARMS.delete().where(ALARMS.c.cleared_at < at))
             db.execute(EVENTS.delete().where(e.made_at < at, sa.or_(replaced, e.body.is_(None))))
         self._event_changes += 1
 
@@ -485,6 +491,59 @@ class Store:
         """Devices of a kind that did not do what they were told last, and since when."""
         with self._reads() as db:
             return {row.asset: row.at for row in db.execute(REFUSING, {"kind": kind})}
+
+    # Alarms
+
+    def write_alarms(self, rows: Iterable[AlarmRow]) -> list[AlarmRow]:
+        """Keep alarms, new ones and changed ones; as they are kept, with their numbers."""
+        with self._changes() as db:
+            return [put_alarm(db, row) for row in rows]
+
+    def change_alarm(
+        self,
+        number: int,
+        values: Mapping[str, Any],
+        now: pd.Timestamp,
+        actor: str,
+        action: str,
+        reason: str,
+    ) -> AlarmRow:
+        """Change what an operator may of an alarm, and note it.
+
+        Raises
+        ------
+        UnknownError
+            If there is no such alarm.
+        """
+        a = ALARMS.c
+        with self._changes() as db:
+            db.execute(ALARMS.update().where(a.number == number).values(**values))
+            row = db.execute(sa.select(ALARMS).where(a.number == number)).first()
+            if row is None:
+                raise UnknownError("There is no such alarm.")
+            note(db, now, actor, action, f"{number} {row.kind} {row.subject} {reason}".strip())
+        return alarm_of(row)
+
+    def alarms(self, since: pd.Timestamp) -> list[AlarmRow]:
+        """Alarms that stand, and those that were cleared since a time."""
+        cleared_at = ALARMS.c.cleared_at
+        shown = sa.or_(cleared_at.is_(None), cleared_at >= seconds(since))
+        return self._alarms(sa.select(ALARMS).where(shown))
+
+    def standing_alarms(self) -> list[AlarmRow]:
+        """Alarms that stand."""
+        return self._alarms(sa.select(ALARMS).where(ALARMS.c.cleared_at.is_(None)))
+
+    def last_alarm(self, kind: str, subject: str) -> AlarmRow | None:
+        """The last one of a kind about something."""
+        a = ALARMS.c
+        chosen = sa.select(ALARMS).where(a.kind == kind, a.subject == subject)
+        found = self._alarms(chosen.order_by(a.number.desc()).limit(1))
+        return found[0] if found else None
+
+    def _alarms(self, chosen: Any) -> list[AlarmRow]:
+        with self._reads() as db:
+            return [alarm_of(row) for row in db.execute(chosen)]
 
     # Settings, people
 

@@ -95,6 +95,23 @@ LOST = sa.Table(
     sa.Column("at", sa.BigInteger, nullable=False),
     sa.Column("reason", sa.String, nullable=False),
 )
+ALARMS = sa.Table(
+    "alarms",
+    TABLES,
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("kind", sa.String, nullable=False),
+    sa.Column("subject", sa.String, nullable=False),
+    sa.Column("priority", sa.String, nullable=False),
+    sa.Column("text", sa.Text, nullable=False),
+    sa.Column("items", sa.Text, nullable=False),
+    sa.Column("due_at", sa.BigInteger),
+    sa.Column("raised_at", sa.BigInteger, nullable=False),
+    sa.Column("acknowledged_at", sa.BigInteger),
+    sa.Column("acknowledged_by", sa.String, nullable=False),
+    sa.Column("cleared_at", sa.BigInteger, index=True),
+    sa.Column("shelved_until", sa.BigInteger),
+    sa.Column("shelved_by", sa.String, nullable=False),
+)
 KEYS = sa.Table(
     "idempotency_keys",
     TABLES,

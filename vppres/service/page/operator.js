@@ -5,13 +5,21 @@ import { HOUR, MINUTE, MODE_WORDS } from "./words.js";
 const $ = (id) => document.getElementById(id);
 
 export class Operator {
-  constructor(ask, now) {
+  constructor(ask, look, now) {
     this.ask = ask; // sends a request, with the token if there is one
+    this.look = look; // shows the state anew
     this.now = now; // the time at the service
     this.present = null;
     $("mode-form").addEventListener("submit", (event) => { event.preventDefault(); this.confirm(); });
     $("mode").addEventListener("click", (event) => { event.preventDefault(); this.chosen()?.focus(); $("operator").scrollIntoView(); });
     $("confirm").addEventListener("close", () => this.confirmed());
+  }
+
+  // Something that needs no confirmation, on an alarm.
+  async act(path, method, body) {
+    const said = await this.ask(path, { method, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
+    $("attention-said").textContent = said;
+    await this.look();
   }
 
   offer(modes) {

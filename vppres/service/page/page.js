@@ -3,11 +3,12 @@
 import { chart, meter, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  MARKS, SiteClock, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
 const WHY_PATIENCE_MS = 125000;
+const SHELF_H = 4; // of a shift; over HTTP an alarm is shelved for as long as you ask
 const LOST_MS = 10000; // without an answer, after which the page shows that it is out of date
 
 const KNOWN_BY = { reading: ", measured", "last reading": ", last measured", event: ", announced", belief: ", most likely", profile: ", by profile" };
@@ -136,10 +137,26 @@ function renew(id, content, build) {
 }
 
 function showAttention() {
-  const items = attention(view);
-  renew("attention-list", items, () => items.length
-    ? items.map(([level, text]) => node("li", { class: level }, node("span", { "aria-hidden": "true" }, MARKS[level]), node("span", {}, text)))
-    : [node("li", { class: "fine" }, node("span", { "aria-hidden": "true" }, MARKS.fine), node("span", {}, "No action needed."))]);
+  const raised = alarms(view), notes = attention(view);
+  const items = [...raised.map(([level, text, known, alarm]) => alarmItem(level, text, known, alarm)), ...notes.map(([level, text]) => item(level, text))];
+  renew("attention-list", [raised, notes], () => (items.length ? items : [item("fine", "No action needed.")]));
+}
+
+function item(level, text, ...more) {
+  return node("li", { class: level }, node("span", { "aria-hidden": "true" }, MARKS[level]), node("div", {}, text, ...more));
+}
+
+function alarmItem(level, text, known, alarm) {
+  const buttons = [];
+  const button = (words, method, path, body) => {
+    const made = node("button", { type: "button", class: "quiet", "aria-label": `${words}: ${text}` }, words);
+    made.addEventListener("click", () => operator.act(`v1/alarms/${alarm.id}/${path}`, method, body));
+    buttons.push(made);
+  };
+  if (!alarm.acknowledged_at) button("Acknowledge", "POST", "acknowledge", () => ({}));
+  if (alarm.state === "shelved") button("Unshelve", "DELETE", "shelf");
+  else if (!alarm.cleared_at) button(`Shelve for ${SHELF_H} h`, "PUT", "shelf", () => ({ until: operator.after(SHELF_H).toISOString() }));
+  return item(level, node("b", {}, text), node("p", { class: "known" }, known), node("span", { class: "row" }, ...buttons));
 }
 
 function figure(title, value, unit, bar, ...notes) {
@@ -285,7 +302,7 @@ function showSteps() {
   write("steps-counts", `Since the start: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
 }
 
-const operator = new Operator(ask, () => view.now);
+const operator = new Operator(ask, look, () => view.now);
 new ResizeObserver(() => view.overview && showChart()).observe($("chart"));
 setInterval(show, 1000);
 (async function watch() {

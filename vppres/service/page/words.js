@@ -182,49 +182,42 @@ export function lowest(view) {
   return { share: least, time: new Date(new Date(ahead.times[t]).getTime() + view.site.step_s * 1000) };
 }
 
-// Everything that needs attention, the worst first: [level, sentence].
+// The alarms of the service, those to be seen first first: [level, sentence, what is known of it, alarm].
+export function alarms(view) {
+  return view.overview.alarms.map((alarm) => [alarmLevel(alarm), alarm.text, alarmNotes(alarm, view), alarm]);
+}
+
+function alarmLevel({ state, priority }) {
+  if (state !== "raised") return NOTE;
+  return priority === "high" ? ALARM : WARNING;
+}
+
+function alarmNotes(alarm, view) {
+  const at = (time) => view.clock.at(time, view.now);
+  const said = [`raised ${at(alarm.raised_at)}`];
+  if (alarm.due) said.push(`expected at ${at(alarm.due)}`);
+  if (alarm.acknowledged_at) said.push(`acknowledged ${at(alarm.acknowledged_at)} by ${alarm.acknowledged_by}`);
+  if (alarm.state === "shelved") said.push(`shelved until ${at(alarm.shelved_until)} by ${alarm.shelved_by}`);
+  if (alarm.cleared_at) said.push(`cleared ${at(alarm.cleared_at)}`);
+  return `${capital(said.join(", "))}.${alarm.state === "raised" ? ` ${alarm.advice}` : ""}`;
+}
+
+// What is worth knowing beside the alarms, the worst first: [level, sentence].
 export function attention(view) {
-  const { plan, mode, sources, events, past } = view.overview;
+  const { plan, mode, events } = view.overview;
   const at = (time) => view.clock.at(time, view.now);
   const found = [];
   const say = (level, text) => found.push([level, text]);
-  for (const one of sources) {
-    const silent = lasting(view.now - new Date(one.last_contact));
-    if (one.lost.length) say(ALARM, `No data from ${one.source}: ${list(one.lost)}. Last contact ${silent} ago.`);
-    if (one.stale.length) say(WARNING, `Late data from ${one.source}: ${list(one.stale)}. Last contact ${silent} ago.`);
-  }
-  if (!sources.length) say(WARNING, "No data source has connected.");
   if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of)}.`);
-  for (const words of plan?.alarms ?? []) say(ALARM, `${words}.`);
   if (plan?.solve) {
-    if (plan.status === "fallback") say(WARNING, `Fallback ${plan.solve.fallback}: ${plan.solve.fallback_reason ?? "no reason given"}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
-    for (const [reason, names] of grouped(plan.refused, (one) => one.reason)) {
-      say(ALARM, `Set-point for ${list(names.map((one) => one.asset))} rejected: ${reason}. Default sent.`);
-    }
     if (plan.solve.outage_messages) say(NOTE, `Several messages speak of one outage: ${plan.solve.outage_messages}.`);
     if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
     const { v_min_pu: low, v_max_pu: high, import_kw: drawn, grid_limit_kw: limit } = plan.expected;
-    if (low !== null && low < view.site.v_min_pu) say(ALARM, `Voltage below its limit: ${low.toFixed(3)} pu${plan.expected.v_min_bus ? ` at bus ${plan.expected.v_min_bus}` : ""}.`);
-    if (high !== null && high > view.site.v_max_pu) say(ALARM, `Voltage above its limit: ${high.toFixed(3)} pu.`);
+    if (low !== null && low < view.site.v_min_pu) say(WARNING, `Voltage below its limit: ${low.toFixed(3)} pu${plan.expected.v_min_bus ? ` at bus ${plan.expected.v_min_bus}` : ""}.`);
+    if (high !== null && high > view.site.v_max_pu) say(WARNING, `Voltage above its limit: ${high.toFixed(3)} pu.`);
     if (limit > 0 && drawn > 0.98 * limit) say(WARNING, `Import is at its limit: ${kilo(drawn)} of ${kilo(limit)} kW.`);
   }
-  for (const [reason, ones] of grouped(plan?.lost ?? [], (one) => one.reason)) {
-    say(ALARM, `${list(ones.map((one) => one.asset))} cannot be supplied: ${reason}.`);
-  }
-  if (outage(view)) {
-    for (const [name, b] of Object.entries(view.site.batteries)) {
-      const soc = socNow(view, name);
-      if (soc !== null && soc - b.soc_min < 0.05) say(WARNING, `Battery ${name} is nearly empty: ${percent(soc)}, lower limit ${percent(b.soc_min)}.`);
-    }
-  }
-  const [first] = view.site.tiers, row = plan?.ahead?.served[first] ?? [];
-  const short = row.findIndex((share) => share < 1);
-  if (short >= 0) say(WARNING, `Plan: ${percent(1 - row[short])} of ${first} customers off supply from ${at(plan.ahead.times[short])}.`);
-  const missed = past.filter((step) => step.status === "missed").length;
-  const failed = past.filter((step) => step.status === "failed").length;
-  if (missed) say(WARNING, `${capital(counted(missed, "step"))} missed in recent hours.`);
-  if (failed) say(WARNING, `${capital(counted(failed, "step"))} without a decision in recent hours.`);
   if (mode.mode !== "auto") say(WARNING, `Mode ${mode.mode}${mode.until ? ` until ${at(mode.until)}` : ", until further notice"}${mode.reason ? `: ${mode.reason}` : ""}.`);
   for (const event of Object.values(events)) {
     if (event.type === "alert" && covers(event, view.now)) say(WARNING, `${event.source}: ${event.text}`);

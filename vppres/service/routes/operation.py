@@ -29,7 +29,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "step": None if last is None else {"start": last["start"], "status": last["status"]},
             "steps": runner.outcomes,
             "sources": last_heard(runner.store),
-            "alarms": [] if last is None else last.get("alarms", []),
+            "alarms": runner.alarms.listed(runner.clock.now()),
             "heard": [vars(one) for one in runner.heard],
         }
 

@@ -1,0 +1,301 @@
+"""Alarms: raised, acknowledged, shelved and cleared, and what people are told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, decided, readings, site
+from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access, new_token
+from vppres.service.alarms import KINDS, Alarms, Notice
+from vppres.service.app import make_app
+from vppres.service.clock import SetClock, written
+from vppres.service.conditions import Condition, Situation, Standing, conditions, situation
+from vppres.service.knowledge import Heard
+from vppres.service.records import Reading, seconds
+from vppres.service.runner import Runner, Service
+from vppres.service.serve import opened
+from vppres.service.store import Store
+
+HOUR = pd.Timedelta("1h")
+MINUTE = pd.Timedelta("1min")
+DARK = {"type": "outage", "start": written(NOON)}
+
+
+@pytest.fixture
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock, Runner]]:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
+        yield Caller(make_app(runner, Access())), clock, runner
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    found = Store(tmp_path, "site")
+    yield found
+    found.close()
+
+
+def listed(http: Caller, path: str = "/v1/alarms") -> list[tuple[str, str, str]]:
+    """Kind, priority and state of each alarm."""
+    return [(a["kind"], a["priority"], a["state"]) for a in http.get(path).json()["alarms"]]
+
+
+def later(runner: Runner, minutes: float) -> None:
+    """Let time go by, of which nobody is told anything."""
+    assert isinstance(runner.clock, SetClock)
+    runner.set_clock(runner.clock.now() + minutes * MINUTE)
+
+
+# The life of an alarm, with conditions of any kind.
+
+
+class Book:
+    """Alarms with a clock, and the notices that came of them."""
+
+    def __init__(self, store: Store) -> None:
+        self.alarms = Alarms(store)
+        self.notices: list[tuple[str, list[str]]] = []
+        self.alarms.on_notice = self._hear
+        self.now = NOON
+
+    def _hear(self, notice: Notice) -> None:
+        self.notices.append((notice.what, [one["text"] for one in notice.alarms]))
+
+    def look(self, minutes: float, *conditions: Condition) -> list[str]:
+        """The states of all alarms after some minutes with these conditions."""
+        self.now += minutes * MINUTE
+        self.alarms.look(conditions, self.now)
+        return [one["state"] for one in self.alarms.listed(self.now)]
+
+
+def off(*names: str, priority: str = "high", text: str = "off") -> Condition:
+    return Condition("critical_off", "", priority, text, names)
+
+
+def test_an_alarm_from_its_rise_to_its_end(store: Store) -> None:
+    book = Book(store)
+    silent = Condition("source_lost", "scada", "medium", "No data from scada.")
+    assert book.look(0, silent) == book.look(4, silent) == []
+    assert book.look(1, silent) == ["raised"]  # five minutes after it was seen first
+    (one,) = book.alarms.listed(book.now)
+    assert one["raised_at"] == written(NOON + 5 * MINUTE)
+    assert one["advice"] == KINDS["source_lost"].advice
+    book.alarms.acknowledge(one["id"], "ann", "on my way", book.now)
+    assert book.look(1, silent) == ["acknowledged"]
+    assert book.look(4) == book.look(4.9) == ["acknowledged"]  # not gone for long enough
+    assert book.look(1) == []
+    (past,) = book.alarms.listed(book.now, since=NOON)
+    assert (past["state"], past["acknowledged_by"]) == ("closed", "ann")
+    assert book.notices == [
+        ("raised", ["No data from scada."]),
+        ("cleared", ["No data from scada."]),
+    ]
+    assert (
+        "ann",
+        "alarm acknowledged",
+        "1 source_lost scada on my way",
+    ) in book.alarms.store.audit()
+
+
+def test_what_nobody_acknowledged_stays_and_is_told_again(store: Store) -> None:
+    book = Book(store)
+    assert book.look(0, off("a")) == ["raised"]
+    for _ in range(3):
+        book.look(59, off("a"))
+    assert [what for what, _ in book.notices] == ["raised", "reminder"]
+    book.look(0)
+    assert book.look(10) == ["cleared"]
+    book.alarms.acknowledge(1, "ann", "", book.now)
+    assert book.look(0) == []
+
+
+def test_an_acknowledgement_lapses_when_it_gets_worse(store: Store) -> None:
+    book = Book(store)
+
+    def acknowledged(*conditions: Condition) -> list[str]:
+        book.alarms.acknowledge(1, "ann", "", book.now)
+        return book.look(1, *conditions)
+
+    book.look(0, off("a", priority="medium"))
+    assert acknowledged(off("a", priority="medium", text="other words")) == ["acknowledged"]
+    assert acknowledged(off("a")) == ["raised"]
+    assert acknowledged(off("a", "b")) == ["raised"]
+    assert acknowledged(off("b")) == ["acknowledged"]  # fewer, and of both it was known
+    assert [what for what, _ in book.notices] == ["raised"] * 3
+
+
+def test_a_shelved_alarm_is_silent_up_to_its_end(store: Store) -> None:
+    book = Book(store)
+    book.look(0, off("a"))
+    book.alarms.shelve(1, book.now + 3 * HOUR, "ann", "known", book.now)
+    assert book.look(1, off("a")) == ["shelved"]
+    book.look(1)
+    book.look(20)
+    book.look(1, off("a", "b"))
+    assert [one["state"] for one in book.alarms.listed(book.now)] == ["shelved", "cleared"]
+    assert [what for what, _ in book.notices] == ["raised"]
+    assert "shelved" not in book.look(180, off("a", "b"))
+    assert book.notices[-1][0] == "reminder"
+
+
+def test_alarms_last_over_a_restart(store: Store) -> None:
+    book = Book(store)
+    book.look(0, off("a"))
+    again = Alarms(store)
+    again.look([off("a")], NOON + HOUR)
+    assert [one["raised_at"] for one in again.listed(NOON + HOUR)] == [written(NOON)]
+    again.look([], NOON + HOUR)
+    again.look([], NOON + 2 * HOUR)
+    assert [one["state"] for one in again.listed(NOON + 2 * HOUR)] == ["cleared"]
+
+
+# What raises them in a service.
+
+
+def test_a_calm_service_has_none(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    for hour in range(3):
+        decided(http, clock, NOON + hour * HOUR)
+        later(runner, 59)
+    assert listed(http) == []
+
+
+def test_nobody_decides(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    decided(http, clock, NOON)
+    http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+    runner.check_alarms()
+    assert listed(http) == []
+    later(runner, 2)  # it should have been decided anew by now
+    (found,) = http.get("/v1/alarms").json()["alarms"]
+    assert found["text"].startswith("The plan does not know yet: grid lost at")
+    runner.anew()
+    assert ("no_decision", "high", "cleared") in listed(http)
+    later(runner, 70)
+    later(runner, 2)
+    assert ("no_decision", "high", "raised") in listed(http)
+    assert 'vppres_alarms{kind="no_decision"} 1.0' in http.get("/metrics").content.decode()
+
+
+@pytest.mark.parametrize(
+    ("hours", "priority"), [(1, "high"), (2, "medium"), (6, "medium"), (7, "")]
+)
+def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priority: str) -> None:
+    times = [written(NOON + hour * HOUR) for hour in range(1, 9)]
+    served = {"hospital": [hour != hours for hour in range(1, 9)], "shop": [False] * 8}
+    plan = {"status": "ok", "start": written(NOON), "setpoints": []}
+    plan["ahead"] = {"times": times, "served": served}
+    standing = Standing(plan, 3600.0)
+    now = Situation(NOON, tiny, standing, [Heard("big", "soc", "scada", 0, "ok")], {}, False, {})
+    found = [(one.kind, one.priority, one.text, one.due) for one in conditions(now)]
+    words = "Planned: hospital of the first tier off supply."
+    expected = [("critical_off", priority, words, NOON + hours * HOUR)] if priority else []
+    assert found == expected
+    lost = replace(now, failing={"hospital": "rejected"})
+    assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
+
+
+def test_an_island_with_little_left(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    http.put("/v1/events/storm", DARK)
+    decided(http, clock, NOON, soc=0.2)
+    later(runner, 2)
+    assert ("island_margin", "medium", "raised") in listed(http)
+
+
+def test_fallbacks_that_last(
+    live: tuple[Caller, SetClock, Runner], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    http, clock, runner = live
+    decided(http, clock, NOON)
+    assert runner.last is not None
+    runner.last = {**runner.last, "status": "fallback"}
+    runner.last["solve"] = {"fallback": "previous_plan", "fallback_reason": "time limit"}
+    runner.check_alarms()
+    later(runner, 29)
+    assert listed(http) == []
+    later(runner, 1)
+    (found,) = http.get("/v1/alarms").json()["alarms"]
+    assert found["text"] == "Steps are decided by a fallback (previous plan): time limit."
+
+
+def test_sources_that_are_silent(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    later(runner, 0)
+    later(runner, 6)
+    texts = [one["text"] for one in http.get("/v1/alarms").json()["alarms"]]
+    assert "No source has sent a reading." in texts
+    decided(http, clock, NOON + HOUR)
+    for _ in range(5):
+        later(runner, 60)
+    (found,) = (a for a in http.get("/v1/alarms").json()["alarms"] if a["subject"] == "scada")
+    assert found["text"] == "No data from scada: soc of big, soc of small."
+
+
+def test_devices_that_reject(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    plan = decided(http, clock, NOON)
+    clock.set(NOON + MINUTE)
+    for asset in ("big", "hospital"):
+        (point,) = (one for one in plan["setpoints"] if one["asset"] == asset)
+        http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected", "reason": "fuse"})
+    runner.check_alarms()
+    found = http.get("/v1/alarms").json()["alarms"]
+    assert {(a["subject"], a["priority"], a["text"]) for a in found} == {
+        ("big", "medium", "big did not follow its set-point: its device rejected it."),
+        ("hospital", "high", "hospital did not follow its set-point: rejected: fuse."),
+    }
+    clock.set(NOON + 2 * MINUTE)
+    http.post("/v1/telemetry", {"series": readings(clock.now(), "soc", {"big": 0.5})})
+    runner.check_alarms()
+    states = {a["subject"]: a["state"] for a in http.get("/v1/alarms").json()["alarms"]}
+    assert (states["hospital"], states["big"]) == ("raised", "cleared")
+
+
+# Over HTTP.
+
+
+def test_operators_acknowledge_and_shelve(live: tuple[Caller, SetClock, Runner]) -> None:
+    http, clock, runner = live
+    http.put("/v1/events/storm", DARK)
+    decided(http, clock, NOON, soc=0.151)
+    number = http.get("/v1/alarms").json()["alarms"][0]["id"]
+    seen = http.post(f"/v1/alarms/{number}/acknowledge").json()
+    assert (seen["state"], seen["acknowledged_by"]) == ("acknowledged", "anybody here")
+    until = written(NOON + 4 * HOUR)
+    shelf = http.put(f"/v1/alarms/{number}/shelf", {"until": until, "reason": "generator comes"})
+    assert (shelf.json()["state"], shelf.json()["shelved_until"]) == ("shelved", until)
+    assert http.delete(f"/v1/alarms/{number}/shelf").json()["state"] == "acknowledged"
+    assert http.put(f"/v1/alarms/{number}/shelf", {"until": written(NOON)}).status == 422
+    assert http.post("/v1/alarms/99/acknowledge").status == 404
+    secret, token = new_token("panel:read")
+    tight = Caller(make_app(runner, Access([token])))
+    asked = {"authorization": f"Bearer {secret}"}
+    assert tight.get("/v1/alarms", **asked).status == 200
+    assert tight.post(f"/v1/alarms/{number}/acknowledge", **asked).status == 403
+
+
+def test_a_day_of_lost_readings_is_told_in_a_few_notices(store: Store, tiny: Scenario) -> None:
+    """Of 30% of the readings, a new one each hour: less than ten notices."""
+    book = Book(store)
+    random = np.random.default_rng(1)
+    plan = {"status": "ok", "start": written(NOON), "setpoints": []}
+    standing = Standing(plan, 3600.0)
+    items = [("soc", "big"), ("soc", "small"), *(("load_kw", str(c)) for c in tiny.customers.id)]
+    for quarter in range(96):
+        now = NOON + quarter * 15 * MINUTE
+        if quarter % 4 == 0:
+            kept = [one for one in items if random.random() > 0.3]
+            store.write_readings(
+                [Reading(name, kind, seconds(now), "scada", 3600, 0.6) for kind, name in kept], now
+            )
+        book.alarms.look(conditions(situation(now, tiny, store, standing)), now)
+    assert 0 < len(book.notices) < 10

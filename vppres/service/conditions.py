@@ -1,0 +1,251 @@
+"""What is wrong now and needs an operator: six kinds of conditions, each a function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from vppres.scenario.scenario import Scenario
+from vppres.service.knowledge import GRID, Heard, Latest, refusing, soc_of
+from vppres.service.lost import lost_customers
+from vppres.service.plans import points_at, refused_of
+from vppres.service.store import Store
+
+HIGH, MEDIUM = "high", "medium"
+PRIORITIES = (HIGH, MEDIUM)
+"""The first needs an operator at once, the second within the hour."""
+
+AHEAD = pd.Timedelta(hours=6)
+"""How far ahead of a planned loss of supply an operator is told: time to bring a generator."""
+
+SOON = pd.Timedelta(hours=1)
+"""Before which there is no time for that any more."""
+
+LEAST_MARGIN = 0.1
+"""Share of the usable energy below which an island is about to end."""
+
+NAMES_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Something that is wrong.
+
+    Parameters
+    ----------
+    kind : str
+        What kind of alarm it is.
+    subject : str
+        The asset or source that it is about; empty if it is the site.
+    priority : {"high", "medium"}
+        From what it does to supply, and how soon.
+    text : str
+        What is wrong, in a sentence.
+    items : tuple of str, optional
+        What an acknowledgement is about, for example the customers that are off.
+    due : pandas.Timestamp, optional
+        When it takes effect, if that is later.
+    """
+
+    kind: str
+    subject: str
+    priority: str
+    text: str
+    items: tuple[str, ...] = ()
+    due: pd.Timestamp | None = None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes two of them the same alarm."""
+        return self.kind, self.subject
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """How the service stands.
+
+    Parameters
+    ----------
+    plan : mapping or None
+        The last plan.
+    ahead_s : float
+        How long it still holds, in s.
+    unaware_of : tuple of str
+        Changes that it does not know.
+    """
+
+    plan: Mapping[str, Any] | None
+    ahead_s: float
+    unaware_of: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """How a site is.
+
+    Parameters
+    ----------
+    now : pandas.Timestamp
+        What time it is.
+    scenario : Scenario
+        The site.
+    standing : Standing
+        How the service stands.
+    heard : sequence of Heard
+        How old every reading is.
+    soc : mapping of str to float
+        The newest states of charge.
+    is_dark : bool
+        Whether there is no grid.
+    failing : mapping of str to str
+        Devices that do not do what they are told, and why.
+    """
+
+    now: pd.Timestamp
+    scenario: Scenario
+    standing: Standing
+    heard: Sequence[Heard]
+    soc: Mapping[str, float]
+    is_dark: bool
+    failing: Mapping[str, str]
+
+    @property
+    def critical(self) -> set[str]:
+        """Customers of the first tier."""
+        c = self.scenario.customers
+        first = self.scenario.tiers[0]
+        return {str(name) for name, tier in zip(c.id, c.tier, strict=True) if tier == first}
+
+
+def situation(now: pd.Timestamp, scenario: Scenario, store: Store, standing: Standing) -> Situation:
+    """How a site is by what is stored."""
+    latest = Latest.at(now, scenario, store)
+    newest = latest.newest("soc")
+    batteries = dict.fromkeys(refusing(newest, store), "its device rejected it")
+    failing = {**batteries, **lost_customers(scenario, latest.found, store)}
+    grid = (standing.plan or {}).get("grid")
+    read = latest.newest("grid_on").get(GRID)
+    is_dark = not grid["available"] if grid else read is not None and read.value == 0.0
+    return Situation(now, scenario, standing, latest.heard, soc_of(newest), is_dark, failing)
+
+
+def conditions(now: Situation) -> Iterator[Condition]:
+    """All that is wrong."""
+    yield from _no_decision(now)
+    yield from _critical_off(now)
+    yield from _island_margin(now)
+    yield from _fallback(now)
+    yield from _source_lost(now)
+    yield from _setpoint_rejected(now)
+
+
+def _no_decision(now: Situation) -> Iterator[Condition]:
+    """There is no plan for now, or none that knows what has changed."""
+    plan = now.standing.plan
+    text = ""
+    if plan is None or now.standing.ahead_s <= 0.0:
+        text = "There is no plan for the present step: devices use default set-points."
+    elif plan["status"] == "failed":
+        text = f"The present step could not be planned: {plan['reason']}."
+    elif plan["status"] == "missed":
+        text = f"The present step was missed: {plan['reason']}. Devices use default set-points."
+    elif now.standing.unaware_of:
+        text = f"The plan does not know yet: {'; '.join(now.standing.unaware_of)}."
+    if text:
+        yield Condition("no_decision", "", HIGH, text)
+
+
+def _critical_off(now: Situation) -> Iterator[Condition]:
+    """Customers of the first tier are off, or will be; and whether that rests on old readings."""
+    if now.standing.plan is None:
+        return
+    able = now.critical - set(now.failing)
+    off = [p["asset"] for p in points_at(now.standing.plan, now.now) if p.get("served") is False]
+    off = [name for name in off if name in able]
+    late = _late_batteries(now)
+    if off:
+        words = f"{_listed(off)} of the first tier off supply"
+        if late:
+            words += f", and the state of charge of {_listed(late)} is not known of now"
+        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
+        return
+    ahead = now.standing.plan.get("ahead") or {"times": [], "served": {}}
+    for t, text in enumerate(ahead["times"]):
+        time = pd.Timestamp(text)
+        later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
+        if time <= now.now + AHEAD and later:
+            priority = HIGH if time <= now.now + SOON else MEDIUM
+            words = f"Planned: {_listed(sorted(later))} of the first tier off supply."
+            yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
+            return
+
+
+def _late_batteries(now: Situation) -> list[str]:
+    """Batteries whose state of charge is not known of now."""
+    heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
+    names = [str(name) for name in now.scenario.batteries.id]
+    return [name for name in names if heard.get(name) != "ok"]
+
+
+def _island_margin(now: Situation) -> Iterator[Condition]:
+    """What is stored for an island is nearly used up."""
+    if not now.is_dark:
+        return
+    b = now.scenario.batteries
+    expected = ((now.standing.plan or {}).get("expected") or {}).get("soc", {})
+    usable_kwh = left_kwh = 0.0
+    for i, name in enumerate(b.id):
+        soc = now.soc.get(str(name), expected.get(str(name)))
+        if soc is not None:
+            usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
+            left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))
+    if left_kwh < LEAST_MARGIN * usable_kwh:
+        words = f"Less than {LEAST_MARGIN:.0%} of the usable energy is left, and there is no grid."
+        yield Condition("island_margin", "", MEDIUM, words)
+
+
+def _fallback(now: Situation) -> Iterator[Condition]:
+    """Fallbacks decide."""
+    if (
+        now.standing.plan is not None
+        and now.standing.plan["status"] == "fallback"
+        and now.standing.ahead_s > 0.0
+    ):
+        solve = now.standing.plan["solve"]
+        kind = str(solve["fallback"]).replace("_", " ")
+        words = f"Steps are decided by a fallback ({kind}): {solve['fallback_reason']}."
+        yield Condition("fallback", "", MEDIUM, words)
+
+
+def _source_lost(now: Situation) -> Iterator[Condition]:
+    """Sources are silent."""
+    if not now.heard:
+        yield Condition("source_lost", "", MEDIUM, "No source has sent a reading.")
+    by_source: dict[str, list[str]] = {}
+    for one in now.heard:
+        if one.state == "lost":
+            by_source.setdefault(one.source, []).append(f"{one.quantity} of {one.asset}")
+    for source, names in by_source.items():
+        yield Condition("source_lost", source, MEDIUM, f"No data from {source}: {_listed(names)}.")
+
+
+def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
+    """A device does not do what it is told, or the last check lets nothing through to it."""
+    found = {
+        name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
+    }
+    if now.standing.plan is not None and now.standing.ahead_s > 0.0:
+        for one in refused_of(now.standing.plan):
+            words = f"The last check rejected the set-point of {one['asset']}: {one['reason']}."
+            found.setdefault(one["asset"], f"{words} The default was sent.")
+    for name, text in found.items():
+        yield Condition("setpoint_rejected", name, HIGH if name in now.critical else MEDIUM, text)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names, not more than anybody reads."""
+    more = len(names) - NAMES_SHOWN
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:NAMES_SHOWN])} and {more} more"
