@@ -20,6 +20,7 @@ from tests.support.made_up_runs import (
 )
 from vppres.day import metrics
 from vppres.day.trajectory import Trajectory
+from vppres.report.findings import findings
 
 CONTRACT = {
     "resilience",
@@ -137,6 +138,13 @@ def test_island_figures_by_hand():
     }
 
 
+def test_import_above_the_limit_is_counted_and_named():
+    day = replace(small_scenario(), grid_limit_kw=[90.0, 0.0, 0.0, 110.0])
+    run = small_run(day)  # imports 100, 101, 102 and 103 kW
+    assert metrics.import_above_limit_max_kw(run) == pytest.approx(10.0)
+    assert "Import above its limit in 1 step, by up to 10.0 kW." in findings(run)
+
+
 def test_an_island_that_only_exports_imports_nothing():
     run = with_steps(small_run(), "p_grid_kw", [500.0, -1.0, -2.0, 700.0])
     assert metrics.island_figures(run)["island_import_max_kw"] == 0.0
@@ -199,6 +207,7 @@ def test_summary_by_hand():
         "island_import_max_kw": 102.0,
         "island_export_max_kw": 0.0,
         "island_reactive_max_kvar": 2.0,
+        "import_above_limit_max_kw": None,
         "switching_actions": 6,
         "actions_beyond_one_pair": 0,
         "switching_relaxed_steps": 0,

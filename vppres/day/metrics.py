@@ -52,6 +52,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **voltage_figures(trajectory),
         **line_figures(trajectory),
         **island_figures(trajectory),
+        "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
         **switching_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
@@ -258,6 +259,23 @@ def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
         "island_export_max_kw": max(0.0, float(-island["p_grid_kw"].min())),
         "island_reactive_max_kvar": float(island["q_grid_kvar"].abs().max()),
     }
+
+
+def import_above_limit_max_kw(trajectory: Trajectory) -> float | None:
+    """Largest import beyond the connection's limit; None where no step with grid has one.
+
+    Plans of the paper's mode have no losses: where the limit binds, these come on top of it.
+    """
+    excess_kw = import_above_limit_kw(trajectory)
+    return float(np.nanmax(excess_kw)) if not np.isnan(excess_kw).all() else None
+
+
+def import_above_limit_kw(trajectory: Trajectory) -> Floats:
+    """Import beyond the connection's limit, (T,); NaN without a limit and in the outage."""
+    limit_kw = trajectory.scenario.grid_limit_kw
+    import_kw = trajectory.steps["p_grid_kw"].to_numpy(float)
+    limited = np.isfinite(limit_kw) & (limit_kw > 0.0)
+    return np.where(limited, np.maximum(import_kw - limit_kw, 0.0), np.nan)
 
 
 def reason_figures(explanations: pd.DataFrame) -> dict[str, Any]:

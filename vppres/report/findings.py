@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.text import counted_steps
-from vppres.day.metrics import cautions, island_figures, line_loading
+from vppres.day.metrics import cautions, import_above_limit_kw, island_figures, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 from vppres.report.clock import Clock
@@ -28,6 +28,7 @@ def findings(run: Trajectory) -> list[str]:
         *_unlit(run),
         *_voltages(run),
         *_loadings(run),
+        *_import(run),
         *_island(run),
         *_decisions(run),
         *_answers(run),
@@ -65,6 +66,17 @@ def _loadings(run: Trajectory) -> Iterator[str]:
             f"Lines above their rating in {counted_steps(int((loading > 1).any(axis=1).sum()))}: "
             f"at most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
             f"{_time(run, run.steps['time'].iloc[int(t)])}."
+        )
+
+
+def _import(run: Trajectory) -> Iterator[str]:
+    """Import beyond the limit of the grid: losses that plans of the paper's mode leave out."""
+    excess_kw = import_above_limit_kw(run)
+    beyond = excess_kw > ISLAND_TOLERANCE_KW
+    if beyond.any():
+        yield (
+            f"Import above its limit in {counted_steps(int(beyond.sum()))}, by up to "
+            f"{np.nanmax(excess_kw):,.1f} kW."
         )
 
 

@@ -31,6 +31,7 @@ KEY_FIGURES = (
     ("v_error_max_pu", "Largest voltage difference, optimisation to AC", "pu", ".4f"),
     ("line_current_max_a", "Largest line current", "A", ",.1f"),
     ("line_loading_max", "Largest line loading, as a share of the rating", "", ".1%"),
+    ("import_above_limit_max_kw", "Largest import above the limit of the grid", "kW", ",.2f"),
     ("island_import_max_kw", "Largest power drawn from the slack bus in the outage", "kW", ",.2f"),
     ("island_export_max_kw", "Largest surplus at the slack bus in the outage", "kW", ",.2f"),
     (
