@@ -26,7 +26,6 @@ from vppres.io.find import load_scenario
 from vppres.live.controller import Controller
 from vppres.live.feed import Feed
 from vppres.live.measurement import Measurement
-from vppres.live.memory import Memory
 from vppres.live.set_points import SetPoints
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -148,13 +147,26 @@ print(step.batteries.to_json(double_precision=15), step.import_kw, step.solve["b
 MADE_ANEW = {"_critical", "_sweeps", "known", "_controller_of", "_solver_of", "solver"}
 
 
+def parts_of(found: object, known: set[int]) -> Iterator[object]:
+    """The object and the parts of it that belong to controllers, each once."""
+    if isinstance(found, dict):
+        for value in found.values():
+            yield from parts_of(value, known)
+    ours = type(found).__module__.startswith("vppres.control.") and hasattr(found, "__dict__")
+    if ours and id(found) not in known:
+        known.add(id(found))
+        yield found
+        for value in list(vars(found).values()):
+            yield from parts_of(value, known)
+
+
 def plain_parts(controller: Controller) -> list[str]:
     """All that the parts of a controller hold, as text, but for what is made anew."""
     found = []
-    for part, state in Memory(controller._decider)._kept:
+    for part in parts_of(controller._decider, set()):
         if isinstance(part, Known):
             continue
-        values = {k: v for k, v in state.items() if k not in MADE_ANEW}
+        values = {k: v for k, v in vars(part).items() if k not in MADE_ANEW}
         for name, value in values.items():
             if type(value).__module__.startswith("vppres.control.") and name != "_soc":
                 continue  # a part of its own, or a table of constants

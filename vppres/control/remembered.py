@@ -1,8 +1,8 @@
 """What controllers remember from step to step, as a plain value that can be saved and put back.
 
 A class that remembers says so in ``REMEMBERED``: the name of each attribute, and its type. All else
-that it holds (sites, solvers, compiled problems) is made anew with it. ``live/memory.py`` undoes a
-step within a process; this outlives it.
+that it holds (sites, solvers, compiled problems) is made anew with it. A memory outlives a process,
+and undoes a step within it.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ def memory_of(decider: Any, given: Given) -> dict[str, Any]:
 
 
 def put_back(decider: Any, memory: Any, given: Given, where: str) -> None:
-    """Let a new controller remember what another one did.
+    """Let a controller remember what another one did, or what it did itself before.
 
     Parameters
     ----------
     decider : Decider
-        A controller that has decided nothing yet, of the same options.
+        A controller of the same options.
     memory : dict
         What :func:`memory_of` made of the other.
     given : mapping
@@ -78,9 +78,11 @@ def put_back(decider: Any, memory: Any, given: Given, where: str) -> None:
         if kind is PART:
             put_back(getattr(decider, name), memory[name], given, place)
         elif kind is PARTS:
-            getattr(decider, name).clear()
-            for key, part in memory[name]:
-                put_back(decider.part_for(bytes.fromhex(key)), part, given, place)
+            parts = {bytes.fromhex(key): part for key, part in memory[name]}
+            for key in getattr(decider, name).keys() - parts.keys():
+                del getattr(decider, name)[key]
+            for key, part in parts.items():
+                put_back(decider.part_for(key), part, given, place)
         else:
             setattr(decider, name, from_plain(kind, memory[name], place, given))
 

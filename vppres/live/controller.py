@@ -12,6 +12,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController
+from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
@@ -20,11 +21,10 @@ from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
-from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.live.present import Present, Rows
 from vppres.live.set_points import SetPoints
-from vppres.live.state import Standing, restored, saved_state, state_of
+from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
@@ -75,7 +75,8 @@ class Controller:
         # Steps of controllers count on from the very first one; the scenario begins later.
         self._forgotten = at.forgotten
         self._past = at.past
-        self._step_before: tuple[Memory, Past] | None = at.before
+        self._step_before: tuple[dict[str, Any], Past] | None = at.before
+        self._given = given_by(scenario, options)
         self._turn = threading.Lock()
 
     @classmethod
@@ -344,28 +345,32 @@ class Controller:
         """One step, undone if it fails."""
         earliest = max(self._past.t - self._forgotten, 0)
         seen = see(self.scenario, observation, self.options.guard, earliest)
-        latest = Memory(self._decider)
+        latest = memory_of(self._decider, self._given)
         start = (latest, self._past)
         if seen.t + self._forgotten == self._past.t and self._step_before is not None:
             # Anew within the step: what was ordered and seen in it has happened.
             memory = latest if seen.elapsed_h else self._step_before[0]
             start = (memory, self._step_before[1])
         try:
-            start[0].restore()
+            self._recall(start[0])
             points, past = self._decided(seen, start[1])
         except VppresError:
-            latest.restore()
+            self._recall(latest)
             raise
         except Exception as error:
-            latest.restore()
+            self._recall(latest)
             raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
         except BaseException:  # Ctrl-C
-            latest.restore()
+            self._recall(latest)
             raise
         self._past = past
         if not seen.elapsed_h or self._step_before is None:
             self._step_before = start
         return points
+
+    def _recall(self, memory: dict[str, Any]) -> None:
+        """Let the decider stand where a memory of it was made."""
+        put_back(self._decider, memory, self._given, WHERE)
 
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
         """What was decided for the window as it is believed to be, and what to remember of it."""

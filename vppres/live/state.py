@@ -21,7 +21,6 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.options import RunOptions
-from vppres.live.memory import Memory
 from vppres.live.past import Past
 from vppres.model.site import Site
 from vppres.scenario.history import History
@@ -62,14 +61,14 @@ class Standing:
         Steps before them, since the controller's first.
     past : Past
         What the last step led to.
-    before : tuple of Memory and Past, or None
+    before : tuple of dict and Past, or None
         The same before the last step, which may be decided again.
     """
 
     known: Scenario
     forgotten: int
     past: Past
-    before: tuple[Memory, Past] | None = None
+    before: tuple[dict[str, Any], Past] | None = None
 
 
 def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
@@ -84,10 +83,11 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
     options : RunOptions
         What it was made with.
     """
+    given = given_by(standing.known, options)
     body = {
         **_body(standing, decider, options),
         "history": to_plain(standing.past.history),
-        "before": _moment_before(decider, standing, _given(standing.known, options)),
+        "before": None if standing.before is None else _moment(*standing.before, given),
     }
     return {**body, "digest": _digest(_text(body))}
 
@@ -104,7 +104,7 @@ def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> st
 def _body(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
     """What both have in common."""
     known = standing.known
-    given = _given(known, options)
+    given = given_by(known, options)
     return {
         "kind": KIND,
         "version": VERSION,
@@ -118,7 +118,7 @@ def _body(standing: Standing, decider: Decider, options: RunOptions) -> dict[str
             "series": {name: to_plain(getattr(known, name)) for name in SERIES},
             "warnings": to_plain(known.warnings),
         },
-        "now": _moment(decider, standing.past, given),
+        "now": _moment(memory_of(decider, given), standing.past, given),
     }
 
 
@@ -159,7 +159,7 @@ def _restored(
     """The same, of a state that may still lack something."""
     _check(state, scenario, options)
     known = _known(state["known"], scenario)
-    given = _given(known, options)
+    given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
     history = _history(state["history"], start)
     before = None
@@ -172,36 +172,16 @@ def _restored(
                 known.grid.start + row * pd.Timedelta(minutes=known.grid.step_minutes)
             )
         )
-        past = _put_back(decider, state["before"], start, then, given)
-        before = Memory(decider), past
-    now = _put_back(decider, state["now"], start, history, given)
+        past = start.read(state["before"]["past"], then, given, f"{WHERE}.before.past")
+        before = state["before"]["memory"], past
+    now = start.read(state["now"]["past"], history, given, f"{WHERE}.past")
+    put_back(decider, state["now"]["memory"], given, f"{WHERE}.memory")
     return Standing(known, forgotten, now, before)
 
 
-def _moment(decider: Decider, past: Past, given: Given) -> dict[str, Any]:
+def _moment(memory: dict[str, Any], past: Past, given: Given) -> dict[str, Any]:
     """What the site and the controller are at, between two steps."""
-    return {"past": past.as_plain(given), "memory": memory_of(decider, given)}
-
-
-def _moment_before(decider: Decider, standing: Standing, given: Given) -> dict[str, Any] | None:
-    """The same before the last step."""
-    if standing.before is None:
-        return None
-    memory, past = standing.before
-    latest = Memory(decider)
-    memory.restore()
-    try:
-        return _moment(decider, past, given)
-    finally:
-        latest.restore()
-
-
-def _put_back(
-    decider: Decider, moment: Any, start: Past, history: History | None, given: Given
-) -> Past:
-    """Past of a moment; the controller remembers the rest."""
-    put_back(decider, moment["memory"], given, f"{WHERE}.memory")
-    return start.read(moment["past"], history, given, f"{WHERE}.past")
+    return {"past": past.as_plain(given), "memory": memory}
 
 
 def _history(plain: Any, start: Past) -> History | None:
@@ -215,7 +195,7 @@ def _history(plain: Any, start: Past) -> History | None:
     return found
 
 
-def _given(known: Scenario, options: RunOptions) -> Given:
+def given_by(known: Scenario, options: RunOptions) -> Given:
     """What every controller of the site has by itself."""
     return {Site: Site.of(known), SwitchingRules: options.switching}
 
