@@ -711,7 +711,8 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "centre": "literal",
         "pv_check": "literal",
         "mode": "physical",
-        "headroom": RunOptions().headroom,
+        "headroom": 0.5,
+        "priority": "strict",
         "switching": {
             "min_served_h": 0.5,
             "min_unserved_h": 0.5,

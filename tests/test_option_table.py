@@ -22,7 +22,7 @@ from vppres.day.options import RunOptions
 from vppres.io import read_scenario, schema, write_scenario
 from vppres.scenario.option_table import OPTIONS, Option, section_options
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import ControllerDefaults, Priority
+from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority
 from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.studies import sweep_parameters
 
@@ -49,14 +49,19 @@ def test_every_field_of_the_options_has_one_row_with_its_default() -> None:
 
 def test_constants_of_other_rooms_are_those_of_the_table() -> None:
     options = RunOptions()
-    assert (options.polygon_sides, options.headroom) == (POLYGON_SIDES, DEFAULT_HEADROOM)
+    assert (options.polygon_sides, Headroom().share) == (POLYGON_SIDES, DEFAULT_HEADROOM)
     assert CHOICES["centre"] == get_args(Centre)
     assert CHOICES["pv_check"] == get_args(PVCheck)
 
 
 @pytest.mark.parametrize(
     ("section", "frozen"),
-    [("controller", ControllerDefaults), ("switching", SwitchingRules), ("priority", Priority)],
+    [
+        ("controller", ControllerDefaults),
+        ("switching", SwitchingRules),
+        ("priority", Priority),
+        ("headroom", Headroom),
+    ],
 )
 def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> None:
     assert list(section_options(section)) == [f.name for f in fields(frozen)]
@@ -118,27 +123,27 @@ def test_options_of_studies_pass_the_check() -> None:
 
 
 @pytest.fixture
-def headroom_row(monkeypatch: pytest.MonkeyPatch) -> Option:
+def gap_row(monkeypatch: pytest.MonkeyPatch) -> Option:
     """A row for an option that only Python had, put where the other rows are."""
     row = Option(
-        "headroom",
-        "headroom",
+        "gap-abs",
+        "limits.gap_abs",
         float,
-        0.1,
-        "free share of forming inverters",
+        0.005,
+        "largest absolute gap",
         unit="share",
         choices=(),
-        range=next(option.range for option in OPTIONS if option.field == "headroom"),
+        range=next(option.range for option in OPTIONS if option.field == "limits.gap_abs"),
     )
-    rows = tuple(row if option.field == "headroom" else option for option in OPTIONS)
+    rows = tuple(row if option.field == "limits.gap_abs" else option for option in OPTIONS)
     monkeypatch.setattr(cli_options, "OPTIONS", rows)
     monkeypatch.setattr(day_options, "OPTIONS", rows)
-    monkeypatch.setitem(sweep_parameters.OPTION_OF, "headroom", row)
+    monkeypatch.setitem(sweep_parameters.OPTION_OF, "gap-abs", row)
     return row
 
 
 def test_a_row_is_enough_for_an_option(
-    headroom_row: Option, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    gap_row: Option, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caught: list[RunOptions] = []
 
@@ -150,17 +155,17 @@ def test_a_row_is_enough_for_an_option(
     write_scenario(tiny_scenario(), tmp_path / "tiny")
 
     folder = str(tmp_path / "tiny")
-    assert "Free share of forming inverters. [default: 0.1]" in " ".join(
+    assert "Largest absolute gap. [default: 0.005]" in " ".join(
         call("run", "--help").stdout.replace("│", " ").split()
     )
-    call("run", folder, "--headroom", "0.25", "--out", str(tmp_path / "run"))
-    assert [options.headroom for options in caught] == [0.25]
-    refused = call("run", folder, "--headroom", "1", "--out", str(tmp_path / "run"))
-    assert "headroom = 1.0: must be a share from 0 to below 1." in refused.stderr
+    call("run", folder, "--gap-abs", "0.25", "--out", str(tmp_path / "run"))
+    assert [options.limits.gap_abs for options in caught] == [0.25]
+    refused = call("run", folder, "--gap-abs", "0", "--out", str(tmp_path / "run"))
+    assert "positive number" in refused.stderr
     day = tiny_scenario()
-    parameter = sweep_parameters.find_parameter("headroom", day)
-    assert sweep_parameters.changed(parameter, 0.3, day, RunOptions())[1].headroom == 0.3
-    assert page_row(headroom_row) == ("| `--headroom` | 0.1 | free share of forming inverters |")
+    parameter = sweep_parameters.find_parameter("gap-abs", day)
+    assert sweep_parameters.changed(parameter, 0.3, day, RunOptions())[1].limits.gap_abs == 0.3
+    assert page_row(gap_row) == "| `--gap-abs` | 0.005 | largest absolute gap |"
 
 
 def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import WEIGHT, Window, random_window
-from tests.support.small_windows import DARK, battery, two_buses
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario
 from vppres import RunOptions, run_day
+from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
+from vppres.day.priority import site_of
 from vppres.io import read_scenario, write_scenario
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers
@@ -49,6 +51,43 @@ def test_rule_decides_who_is_supplied(rule: str, critical: int, low: int, contro
 def test_levels_of_a_run_are_recorded() -> None:
     run = run_day(hospital_and_homes(), RunOptions(priority="strict"))
     assert run.steps["levels"].tolist() == ["critical 2/2, low 0/0", "critical 1/1, low 0/0"]
+
+
+def loaded_hospital(hospital_kw: float) -> Scenario:
+    """The same hours with a battery of 70 kVA that must form the island."""
+    day = hospital_and_homes()
+    load_kw = np.column_stack([np.full(2, hospital_kw), day.load_kw[:, 1:]])
+    b = battery(energy_kwh=300.0, p_max_kw=70.0, s_max_kva=70.0, soc=0.85)
+    return replace(day, load_kw=load_kw, batteries=b)
+
+
+@pytest.mark.parametrize(("hospital_kw", "released"), [(60.0, False), (65.0, True)])
+def test_headroom_is_released_for_the_first_tier_alone(hospital_kw: float, released: bool) -> None:
+    """A tenth of 70 kVA is free where the hospital needs 60 kW; at 65 kW it would be off."""
+    day = loaded_hospital(hospital_kw)
+    run = run_day(day, RunOptions(priority="strict", mode="physical"))
+    assert run.customers[run.customers["tier"] == "critical"]["served"].all()
+    assert run.steps["stages"].str.startswith("headroom_released").all() == released
+    weighed = run_day(day, RunOptions(priority="weights", mode="physical"))
+    assert not weighed.steps["stages"].str.startswith("headroom_released").any()
+
+
+def test_nothing_is_kept_behind_the_last_step_of_an_outage() -> None:
+    day = loaded_hospital(60.0)
+    lit = replace(day, grid_limit_kw=np.array([DARK, OPEN]))
+    options = RunOptions(priority="strict", mode="physical").on(day).as_record()
+    sites = [site_of(day, options), site_of(day, options | {"priority": "weights"})]
+    kept_kwh = [
+        [
+            float((physics_of(site, window(case), 0.1).soc_reserve[0] * 300.0 * 0.95).sum())
+            for site in sites
+        ]
+        for case in (lit, day)
+    ]
+    assert kept_kwh == [
+        [pytest.approx(0.0), pytest.approx(7.0)],
+        [pytest.approx(7.0), pytest.approx(14.0)],
+    ]
 
 
 def by_levels(case: Window) -> Wholes:

@@ -10,6 +10,7 @@ The set is decided anew only where the losses leave it no dispatch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, ClassVar
 
 import numpy as np
@@ -91,8 +92,12 @@ class ConvergedPlanner:
         self._known: dict[int, tuple[bool, _Line]] = {}
         self._sweeps: dict[tuple[int, bool], Sweeps] = {}
 
-    def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
+    def plan(
+        self, observation: Observation, n_steps: int | None = None, within_s: float = inf
+    ) -> WindowSolution:
         """Solution of the observed window, or of its first steps.
+
+        It may take no more than ``within_s`` seconds, or its limit where that is less.
 
         Raises
         ------
@@ -109,7 +114,7 @@ class ConvergedPlanner:
         start = self._at_rest(lossless(without_power(whole, dark), physics))
         if self.passes == 0:
             return self._in_the_dark(whole, dark, self.solver.solve(start))
-        deadline = Deadline(self.solver.limits.time_s)
+        deadline = Deadline(min(self.solver.limits.time_s, within_s))
         first = deadline.part(FIRST_SHARE)
         try:
             data, solution = self._decide(self._guessed(t0, start), start, first)
@@ -365,9 +370,13 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
     wanted = np.zeros_like(headroom_kw)
     later = np.zeros(len(b))
     for t in range(data.n_steps - 1, -1, -1):
+        after = later
         later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
+        # In strict order nothing is kept behind the last step of an outage that ends in the window.
+        released = site.ranks is not None and t + 1 < data.n_steps
+        kept_kwh = after if released else later
         wanted[t] = np.minimum(
-            later / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable
+            kept_kwh / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable
         )
     # What cannot be in the battery must not be asked for: the window would have no dispatch.
     reach = np.maximum(data.soc - b.soc_min, 0.0)

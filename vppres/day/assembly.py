@@ -13,12 +13,15 @@ from vppres.control.converged import ConvergedPlanner
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import Tolerances
 from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
+from vppres.control.planner import Planner
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
 from vppres.day.priority import site_of
 from vppres.model.site import Site
+from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
@@ -106,9 +109,19 @@ def _plain_controller(
     if options.controller == "reserve":
         return ReserveController(site, grid, tiers, options.reserve, centre)
     solver = solver_of(site)
-    planner = ConvergedPlanner(solver, options.headroom) if options.mode == "physical" else None
+    planner = _planner(solver, options)
     if options.controller == "mpc":
         return MPCController(
             solver, grid, options.horizon_h, centre, planner, options.switching.move_weight
         )
     return FullHorizonController(solver, grid, options.pv_check, centre, planner)
+
+
+def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
+    """What plans the windows of physical mode; None for the paper's one solve."""
+    if options.mode != "physical":
+        return None
+    assert options.headroom is not None
+    strict = options.priority == STRICT and options.headroom > 0.0
+    kind = HeadroomPlanner if strict else ConvergedPlanner
+    return kind(solver, options.headroom)

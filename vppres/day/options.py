@@ -62,9 +62,9 @@ class RunOptions:
     mode : {"paper", "physical"} or None
         The paper's island, or one with grid-forming batteries and losses in the plan; None uses
         the scenario's.
-    headroom : float
+    headroom : float or None
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
-        an island.
+        an island; None uses the scenario's.
     isolate : bool or None
         Whether windows are solved in a separate process; None: yes for live controllers, no for
         runs.
@@ -100,7 +100,7 @@ class RunOptions:
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
     mode: str | None = None
-    headroom: float = default_of("headroom")
+    headroom: float | None = None
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     guard: bool = default_of("guard")
@@ -152,6 +152,7 @@ class RunOptions:
         return replace(
             self,
             mode=own.mode if self.mode is None else self.mode,
+            headroom=scenario.headroom.share if self.headroom is None else self.headroom,
             priority=scenario.priority.rule if self.priority is None else self.priority,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
             outages=own.outages if self.outages is None else self.outages,

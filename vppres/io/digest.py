@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
+from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
@@ -65,11 +65,12 @@ def _canonical(value: Any) -> Any:
 
 
 def _unsaid(scenario: Scenario) -> set[str]:
-    """Warnings and statistics of outages where there are none, and the usual order of tiers."""
+    """What says no more than a folder without it."""
     said = {
         "warnings": bool(scenario.warnings),
         "outage_statistics": scenario.outage_statistics != OutageStatistics(),
         "priority": scenario.priority != Priority(),
+        "headroom": scenario.headroom != Headroom(),
     }
     return {name for name, told in said.items() if not told}
 

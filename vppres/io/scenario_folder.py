@@ -26,7 +26,13 @@ from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Priority, Scenario
+from vppres.scenario.scenario import (
+    ControllerDefaults,
+    Headroom,
+    ObjectiveWeights,
+    Priority,
+    Scenario,
+)
 from vppres.scenario.source import Source, SourceDeviation
 
 # Tables that a folder may lack, with the model of their rows.
@@ -336,6 +342,7 @@ def _assemble(
         objective=ObjectiveWeights(**file.objective.model_dump()),
         controller=ControllerDefaults(**file.controller.model_dump()),
         priority=Priority(**file.priority.model_dump()),
+        headroom=Headroom(**file.headroom.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,

@@ -84,6 +84,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         },
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
         "priority": asdict(scenario.priority),
+        "headroom": asdict(scenario.headroom),
         "objective": {
             f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
         },

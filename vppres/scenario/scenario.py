@@ -72,6 +72,19 @@ class Priority:
     rule: str = default_of("priority")
 
 
+@dataclass(frozen=True)
+class Headroom:
+    """What plans of physical mode leave free in an island.
+
+    Parameters
+    ----------
+    share : float
+        Of a grid-forming battery's inverter rating.
+    """
+
+    share: float = default_of("headroom")
+
+
 def _zero() -> Floats:
     """A number without dimension: the same in all steps."""
     return np.zeros(())
@@ -103,6 +116,8 @@ class Scenario:
         Largest import; 0 in an outage, infinite without limit.
     priority : Priority
         How tiers are ranked in runs whose options say nothing.
+    headroom : Headroom
+        What plans leave free in islands in runs whose options say nothing.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
     export_limit_kw : array, shape (T,) or ()
@@ -138,6 +153,7 @@ class Scenario:
     objective: ObjectiveWeights = ObjectiveWeights()
     controller: ControllerDefaults = ControllerDefaults()
     priority: Priority = Priority()
+    headroom: Headroom = Headroom()
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
