@@ -677,6 +677,7 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "controller": "full-horizon",
         "solver": "scip",
         "method": "monolithic",
+        "priority": "strict",
         "thermal": "euler",
         "mode": "physical",
         "centre": "literal",
