@@ -65,11 +65,11 @@ def test_what_is_drawn_like_the_forecast_is_evenly_spread_in_it() -> None:
 def test_references_by_hand() -> None:
     hours = np.arange(40.0 * 24)
     history = History(MONDAY, 60.0, hours[:, None], np.zeros((len(hours), 0)))
-    day = Climatology(days=3).fit(history).forecast(history.times[900], 30).load_kw[:, :, 0]
+    day = Climatology(days=3).forecast(history, history.times[900], 30).load_kw[:, :, 0]
     assert day[:, 0].tolist() == [900 - 24, 900 - 48, 900 - 72]
     assert day[:, 24].tolist() == [900 - 24, 900 - 48, 900 - 72]
     # A week before it was 168 less, and the error of that rule always was 168.
-    week = WeeklyNaive().fit(history).forecast(history.times[900], 30)
+    week = WeeklyNaive().forecast(history, history.times[900], 30)
     np.testing.assert_allclose(week.point()[0][:, 0], hours[900:930])
     np.testing.assert_allclose(np.ptp(week.load_kw, axis=0), 0.0)
 

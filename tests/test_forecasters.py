@@ -63,9 +63,9 @@ def test_a_forecast_knows_nothing_from_its_issue_on(
     load, pv = history.load_kw.copy(), history.pv_kw.copy()
     load[issued:] = pv[issued:] = garbage
     changed = replace(history, load_kw=load, pv_kw=pv)
-    whole = Seasonal().fit(history).forecast(issued_at, steps)
-    assert_same(whole, Seasonal().fit(changed).forecast(issued_at, steps))
-    assert_same(whole, Seasonal().fit(history.before(issued_at)).forecast(issued_at, steps))
+    whole = Seasonal().forecast(history, issued_at, steps)
+    assert_same(whole, Seasonal().forecast(changed, issued_at, steps))
+    assert_same(whole, Seasonal().forecast(history.before(issued_at), issued_at, steps))
 
 
 def test_what_is_older_than_the_memory_changes_nothing() -> None:
@@ -73,8 +73,8 @@ def test_what_is_older_than_the_memory_changes_nothing() -> None:
     issued_at = history.times[-24]
     kept = history.before(issued_at).last_days(Seasonal().memory_days + 1)
     assert_same(
-        Seasonal().fit(history).forecast(issued_at, 24),
-        Seasonal().fit(kept).forecast(issued_at, 24),
+        Seasonal().forecast(history, issued_at, 24),
+        Seasonal().forecast(kept, issued_at, 24),
     )
 
 
@@ -90,7 +90,7 @@ def test_homes_live_by_clocks_that_change(step_minutes: float, change: str) -> N
     history = History(start, step_minutes, load, np.zeros((n, 0)), "Europe/London")
     first = history.row_of(pd.Timestamp(change) - pd.Timedelta(hours=7))
     steps = round(48 * 60 / step_minutes)
-    found = Seasonal().fit(history).forecast(times[first], steps)
+    found = Seasonal().forecast(history, times[first], steps)
     point, _ = found.point()
     wrong = np.abs(point - load[first : first + steps])[:, 0]
     # The hour that is left out, or comes twice, has errors in it that go on for a few hours.
@@ -104,7 +104,7 @@ def test_a_week_that_repeats_itself_is_known() -> None:
     load = np.column_stack([1.0 + hour * (1 + (day >= 5)), 2.0 + hour % 3])
     history = History(MONDAY, 60.0, load, np.zeros((len(load), 0)))
     weekly = Seasonal(days=0)
-    found = weekly.fit(history).forecast(history.times[60 * 24], 48)
+    found = weekly.forecast(history, history.times[60 * 24], 48)
     assert found.basis == "model"
     np.testing.assert_allclose(
         quantiles(found.load_kw, [0.1, 0.9]), np.stack([load[1440:1488]] * 2)
@@ -119,7 +119,7 @@ def test_last_errors_die_out_by_hand() -> None:
     load[-2:] = 14.0
     history = History(MONDAY, 60.0, load, np.zeros((n, 0)))
     # Nothing of the kind was seen on the days before: what is supposed holds in full.
-    point, _ = Seasonal().fit(history).forecast(history.end, 3).point()
+    point, _ = Seasonal().forecast(history, history.end, 3).point()
     day_error = 4.0 * 2 / 24
     expected = [
         10.0 + 4.0 * 0.8**lead + 0.6 * 0.98**lead * day_error * (1 - 0.8**lead)
@@ -136,8 +136,7 @@ def test_a_clear_sky_is_followed_and_a_cloud_goes_on() -> None:
     history = History(MONDAY, 60.0, np.ones((len(pv), 1)), pv)
     _, found = (
         Seasonal(pv_errors=LastErrors(2.0, 0.8, 0.0, 1.0))
-        .fit(history)
-        .forecast(history.times[noon], 3)
+        .forecast(history, history.times[noon], 3)
         .point()
     )
     # Two hours at half the clear sky: the index is lower by .5 times .8 an hour.
@@ -159,7 +158,7 @@ def test_a_clear_sky_is_followed_and_a_cloud_goes_on() -> None:
 )
 def test_less_history_is_a_lesser_forecast(hours: int, basis: str, paths: int) -> None:
     history = homes(101).rows(0, hours)
-    found = Seasonal().fit(history).forecast(history.end, 24)
+    found = Seasonal().forecast(history, history.end, 24)
     assert (found.basis, len(found.load_kw)) == (basis, paths)
     assert np.isfinite(found.load_kw).all() == (hours > 0)
     if hours == 5:
@@ -174,7 +173,7 @@ def test_gaps_and_dead_meters_take_nothing_from_the_others() -> None:
     load[:, 1] = np.nan
     load[300:400] = np.nan
     load[-30:] = np.nan
-    found = Seasonal().fit(replace(history, load_kw=load)).forecast(history.end, 30)
+    found = Seasonal().forecast(replace(history, load_kw=load), history.end, 30)
     assert found.basis == "model"
     assert np.isnan(found.load_kw[:, :, 1]).all()
     assert np.isfinite(found.load_kw[:, :, [0, 2]]).all()
@@ -183,7 +182,7 @@ def test_gaps_and_dead_meters_take_nothing_from_the_others() -> None:
 
 def test_a_history_that_ended_long_ago_is_still_used() -> None:
     history = homes(60)
-    found = Seasonal().fit(history).forecast(history.end + pd.Timedelta(days=20), 24)
+    found = Seasonal().forecast(history, history.end + pd.Timedelta(days=20), 24)
     assert found.basis == "model"
     assert 0.5 < found.point()[0].sum() / history.load_kw[-24:].sum() < 2.0
 
@@ -191,13 +190,13 @@ def test_a_history_that_ended_long_ago_is_still_used() -> None:
 def test_a_step_that_no_day_is_made_of_is_refused() -> None:
     history = History(MONDAY, 7.0, np.ones((500, 1)), np.ones((500, 0)))
     with pytest.raises(InputError, match="a day is no whole number of these steps"):
-        Seasonal().fit(history).forecast(history.end, 4)
+        Seasonal().forecast(history, history.end, 4)
 
 
 def test_a_time_between_two_steps_is_refused() -> None:
     history = homes(20)
     with pytest.raises(InputError, match="is not the beginning of a step of the history"):
-        Seasonal().fit(history).forecast(history.end + pd.Timedelta(minutes=7), 4)
+        Seasonal().forecast(history, history.end + pd.Timedelta(minutes=7), 4)
 
 
 def test_quantiles_hold_new_values_as_often_as_they_say() -> None:

@@ -54,3 +54,15 @@ def freeze_fields(record: object, **dtypes: Any) -> None:
     """Replace the named fields of a frozen dataclass by read-only arrays."""
     for name, dtype in dtypes.items():
         object.__setattr__(record, name, freeze(getattr(record, name), dtype))
+
+
+def mean_of_known(values: Floats) -> Floats:
+    """Means along the first axis of what is not NaN; NaN where nothing is known.
+
+    >>> mean_of_known(np.array([[1.0, np.nan], [3.0, np.nan]]))
+    array([ 2., nan])
+    """
+    known = ~np.isnan(values)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    count = known.sum(axis=0)
+    return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))

@@ -12,7 +12,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError
 from vppres.day.options import PERFECT, RunOptions
-from vppres.forecasts.interface import Fitted, Forecaster, LoadAndPV
+from vppres.forecasts.interface import Forecaster, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
@@ -151,8 +151,7 @@ class MeasuredForecasts:
         known = self._before.followed_by(
             grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
         ).last_days(MEMORY_DAYS + n_steps * grid.dt_h / 24.0)
-        fitted: Fitted = self.forecaster.fit(known)
-        found = fitted.forecast(grid.start + (t0 + 1) * known.step, n_steps)
+        found = self.forecaster.forecast(known, grid.start + (t0 + 1) * known.step, n_steps)
         unknown = found.basis in ("recent values", "nothing")
         self.bases[t0] = OWN_SERIES if unknown else found.basis
         if not unknown:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Wholes
+from vppres.core.arrays import Floats, Wholes, mean_of_known
 from vppres.core.errors import InputError
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
@@ -67,9 +67,7 @@ class ClockTable:
     @cached_property
     def mean(self) -> Floats:
         """Mean of each item, NaN where nothing is known, (items,)."""
-        known = ~np.isnan(self.values)
-        total = np.where(known, self.values, 0.0).sum(axis=0)
-        return _ratio(total, known.sum(axis=0))
+        return mean_of_known(self.values)
 
     @cached_property
     def largest(self) -> Floats:
@@ -81,11 +79,8 @@ class ClockTable:
         """Mean at each time of day, of the item where a time is not known, (per_day, items)."""
         usual = np.tile(self.mean, (self.per_day, 1))
         for time in range(min(self.per_day, len(self.values))):
-            values = self.values[time :: self.per_day]
-            known = ~np.isnan(values)
-            count = known.sum(axis=0)
-            total = np.where(known, values, 0.0).sum(axis=0)
-            usual[time] = np.where(count > 0, _ratio(total, count), usual[time])
+            mean = mean_of_known(self.values[time :: self.per_day])
+            usual[time] = np.where(np.isnan(mean), usual[time], mean)
         return usual
 
     @cached_property
@@ -181,8 +176,3 @@ def _shifts(history: History, zone: str, steps: int) -> Wholes:
     offset = (clock - times) / history.step
     whole = np.floor(np.asarray(offset - pd.Index(offset).min(), dtype=float) + 1e-9)
     return np.asarray(whole, dtype=np.int64)
-
-
-def _ratio(total: Floats, count: Wholes) -> Floats:
-    """Means, NaN of nothing."""
-    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))

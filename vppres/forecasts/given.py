@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
-from vppres.forecasts.interface import Basis, Fitted, LoadAndPV
+from vppres.forecasts.interface import Basis, LoadAndPV
 from vppres.scenario.history import History
 
 TOTALS = ("load", "pv")
@@ -50,27 +50,17 @@ class GivenQuantiles:
     pv: Names
     lag: pd.Timedelta = NO_TIME
 
-    def fit(self, history: History) -> Fitted:
-        """Take a history, whose means share totals out."""
-        return _FittedQuantiles(self, history)
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedQuantiles:
-    given: GivenQuantiles
-    history: History
-
-    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        given = self.given
-        past = self.history.before(issued_at)
-        times = pd.date_range(issued_at, periods=steps, freq=self.history.step)
-        out = given.issued <= issued_at - given.lag
-        latest = given.issued == given.issued[out].max() if out.any() else out
-        load_kw = self._paths("load", given.customers, past.load_kw, times, latest)
-        pv_kw = self._paths("pv", given.pv, past.pv_kw, times, latest)
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        """The quantiles as paths; the history's means share totals out."""
+        past = history.before(issued_at)
+        times = pd.date_range(issued_at, periods=steps, freq=history.step)
+        out = self.issued <= issued_at - self.lag
+        latest = self.issued == self.issued[out].max() if out.any() else out
+        load_kw = self._paths("load", self.customers, past.load_kw, times, latest)
+        pv_kw = self._paths("pv", self.pv, past.pv_kw, times, latest)
         known = np.isfinite(load_kw).any() or np.isfinite(pv_kw).any()
         basis: Basis = "model" if known else "nothing"
-        return LoadAndPV(issued_at, self.history.step_minutes, load_kw, pv_kw, basis)
+        return LoadAndPV(issued_at, history.step_minutes, load_kw, pv_kw, basis)
 
     def _paths(
         self,
@@ -94,13 +84,12 @@ class _FittedQuantiles:
         rows: Flags,
     ) -> Floats:
         """Values of a series at the paths' levels, (M, W); NaN where the file has none."""
-        given = self.given
         at = (np.arange(N_PATHS) + 0.5) / N_PATHS
         paths = np.full((N_PATHS, len(times)), np.nan)
-        chosen = np.flatnonzero(rows & (given.series == name))
-        step = times.get_indexer(given.times[chosen])
+        chosen = np.flatnonzero(rows & (self.series == name))
+        step = times.get_indexer(self.times[chosen])
         for row, w in zip(chosen[step >= 0], step[step >= 0], strict=True):
-            paths[:, w] = np.interp(at, given.levels, given.values[row])
+            paths[:, w] = np.interp(at, self.levels, self.values[row])
         return paths
 
 

@@ -72,19 +72,14 @@ class LoadAndPV:
         return middle(self.load_kw), middle(self.pv_kw)
 
 
-class Fitted(Protocol):
-    """A forecaster that knows a history."""
-
-    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        """The steps from ``issued_at`` on, from what was over by then and nothing later."""
-        ...
-
-
 class Forecaster(Protocol):
     """A way of making forecasts."""
 
-    def fit(self, history: History) -> Fitted:
-        """Learn what can be learnt before a forecast is asked for."""
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        """The steps from ``issued_at`` on, from what was over by then and nothing later.
+
+        The history may go on after ``issued_at``, which changes nothing.
+        """
         ...
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from vppres.forecasts.interface import Fitted, LoadAndPV
+from vppres.forecasts.interface import LoadAndPV
 from vppres.forecasts.window import Known, like_days_before
 from vppres.scenario.history import History
 
@@ -23,19 +23,10 @@ class Climatology:
 
     days: int = 42
 
-    def fit(self, history: History) -> Fitted:
-        """Take a history."""
-        return _FittedClimatology(self, history)
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedClimatology:
-    model: Climatology
-    history: History
-
-    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        known = Known.at(self.history, issued_at, steps, self.model.days)
-        days = known.past_days(self.model.days)
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        """See :class:`vppres.forecasts.interface.Forecaster`."""
+        known = Known.at(history, issued_at, steps, self.days)
+        days = known.past_days(self.days)
         return known.of_past_days(days) if len(days) else known.of_the_mean()
 
 
@@ -51,21 +42,12 @@ class WeeklyNaive:
 
     residual_days: int = 42
 
-    def fit(self, history: History) -> Fitted:
-        """Take a history."""
-        return _FittedWeeklyNaive(self, history)
-
-
-@dataclass(frozen=True, eq=False)
-class _FittedWeeklyNaive:
-    model: WeeklyNaive
-    history: History
-
-    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        known = Known.at(self.history, issued_at, steps, self.model.residual_days + 9)
-        days = known.days_with_errors(self.model.residual_days, rule_days=7)
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        """See :class:`vppres.forecasts.interface.Forecaster`."""
+        known = Known.at(history, issued_at, steps, self.residual_days + 9)
+        days = known.days_with_errors(self.residual_days, rule_days=7)
         if not len(days):
-            return Climatology().fit(self.history).forecast(issued_at, steps)
+            return Climatology().forecast(history, issued_at, steps)
         load_kw, pv_kw = (
             like_days_before(known.window(table, days), a_week_before)
             for table in (known.load, known.sun)

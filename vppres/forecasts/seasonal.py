@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.forecasts.interface import Fitted, LoadAndPV
+from vppres.forecasts.interface import LoadAndPV
 from vppres.forecasts.window import HOURS_PER_DAY, Known, LastErrors, Window, like_days_before
 from vppres.scenario.history import History
 
@@ -79,27 +79,7 @@ class Seasonal:
         """Days of history that a forecast of two days looks at; what is older changes nothing."""
         return self.residual_days + max(7 * self.weekdays, self.envelope_days) + 4
 
-    def fit(self, history: History) -> Fitted:
-        """Take a history; there is nothing to learn beforehand."""
-        return FittedSeasonal(self, history)
-
-
-@dataclass(frozen=True, eq=False)
-class FittedSeasonal:
-    """The seasonal forecaster with a history.
-
-    Parameters
-    ----------
-    model : Seasonal
-        The constants.
-    history : History
-        Measured series; it may go on after a forecast is issued, which changes nothing.
-    """
-
-    model: Seasonal
-    history: History
-
-    def forecast(self, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
         """The steps from ``issued_at`` on, from what was over by then.
 
         With less history it rests on less, and says so:
@@ -117,22 +97,21 @@ class FittedSeasonal:
         InputError
             If steps do not fill a day, or ``issued_at`` is not the beginning of one.
         """
-        known = Known.at(self.history, issued_at, steps, self.model.memory_days)
-        days = known.days_with_errors(self.model.residual_days)
+        known = Known.at(history, issued_at, steps, self.memory_days)
+        days = known.days_with_errors(self.residual_days)
         if len(days) >= FEWEST_PATHS:
             w = known.window(known.load, days)
-            load_kw = like_days_before(w, self.model.days_at, self.model.load_errors)
+            load_kw = like_days_before(w, self.days_at, self.load_errors)
             return known.forecast(load_kw, self._pv_paths(known.window(known.sun, days)), "model")
-        days = known.past_days(self.model.residual_days)
+        days = known.past_days(self.residual_days)
         if len(days):
             return known.of_past_days(days)
         return known.of_the_mean()
 
     def _pv_paths(self, w: Window) -> Floats:
         """PV power of each path, (M, W, P)."""
-        model = self.model
         sun = w.table
-        before = range(1, model.envelope_days + 1)
+        before = range(1, self.envelope_days + 1)
         whole_days = range(int(w.early.max()) + 1)
         # Seen from a day earlier, the clear sky is that of the step a day before.
         reach = range(w.span.start - sun.per_day * whole_days[-1], w.span.stop)
@@ -142,7 +121,7 @@ class FittedSeasonal:
         clear = sun.largest_before(reach, before)[rows]
         mean = sun.mean_before(reach, before)[rows]
         peak = sun.largest
-        sunny = clear > model.least_sun * peak
+        sunny = clear > self.least_sun * peak
         index = np.divide(mean, clear, out=np.zeros_like(mean), where=sunny)
         missed = w.past(sun.filled) - mean[0]
 
@@ -153,7 +132,7 @@ class FittedSeasonal:
             lacking = w.mean_of_last(missed, hours)
             return np.divide(lacking, possible, out=np.zeros_like(possible), where=enough)
 
-        errors = model.pv_errors
+        errors = self.pv_errors
         usual = w.seen_from_origins(index)
         recent, day = w.courses(errors, deviation(errors.recent_h), deviation(HOURS_PER_DAY))
         expected = np.clip(usual + recent + day, 0.0, 1.0)
@@ -176,5 +155,5 @@ class FittedSeasonal:
         At once all of it: the last hours count from the mean. Further ahead less: the mean of three
         weeks strays by chance, and what strays is no change of the weather.
         """
-        fresh = self.model.pv_errors.recent_decay_per_h**w.leads_h
-        return np.asarray(fresh + (1.0 - fresh) * self.model.moved_mean)[:, np.newaxis]
+        fresh = self.pv_errors.recent_decay_per_h**w.leads_h
+        return np.asarray(fresh + (1.0 - fresh) * self.moved_mean)[:, np.newaxis]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, mean_of_known
 from vppres.core.errors import InputError
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
@@ -142,7 +142,7 @@ class Backtest:
 
     def mean(self, name: str, quantity: str, where: Any = slice(None)) -> Floats:
         """Mean of a score over the issues, by lead or not; NaN where there is nothing."""
-        return _mean(self.scores[name, quantity][where])
+        return mean_of_known(self.scores[name, quantity][where])
 
     def by_lead(self) -> pd.DataFrame:
         """All scores by lead, one row for each quantity and lead; powers in kW."""
@@ -301,14 +301,11 @@ def backtest(
     plan = plan or Plan()
     issues = plan.issues(history)
     steps = round(plan.horizon_h / history.dt_h)
-    fitted = {
-        FORECAST: (forecaster or Seasonal()).fit(history),
-        **{words: other.fit(history) for words, other in REFERENCES.items()},
-    }
+    tried = {FORECAST: forecaster or Seasonal(), **REFERENCES}
     collected: list[dict[tuple[str, str], Any]] = []
     bases = []
     for done, issued_at in enumerate(issues, start=1):
-        found = {words: one.forecast(issued_at, steps) for words, one in fitted.items()}
+        found = {words: one.forecast(history, issued_at, steps) for words, one in tried.items()}
         collected.append(scores_of_issue(history, found, history.row_of(issued_at)))
         bases.append(str(found[FORECAST].basis))
         if progress is not None:
@@ -360,16 +357,6 @@ def forecasts_in(file: str | Path, history: History) -> Forecaster:
         for words, values in (("customer", history.load_kw), ("system", history.pv_kw))
     )
     return read_quantiles(file, load_ids, pv_ids)
-
-
-def _mean(values: Floats) -> Floats:
-    """Means of what is known along the first axis."""
-    known = ~np.isnan(values)
-    total = np.where(known, values, 0.0).sum(axis=0)
-    count = known.sum(axis=0)
-    return np.asarray(
-        np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
-    )
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
