@@ -84,7 +84,7 @@ def test_a_limit_that_only_a_bus_left_out_exceeds_is_seen() -> None:
     dispatch = WindowSolver(site).solve(data).dispatch
     same = reduction.expanded(data, reduction.reduced(dispatch))
     np.testing.assert_allclose(same.v_pu, dispatch.v_pu, atol=2e-6)
-    assert reduction.within_limits(same, 1e-6)
+    assert reduction.within_limits(data, same, 1e-6)
     low = same.v_pu.copy()
     low[1, site.network.bus_index["m18"]] = 0.9
-    assert not reduction.within_limits(replace(same, v_pu=low), 1e-6)
+    assert not reduction.within_limits(data, replace(same, v_pu=low), 1e-6)

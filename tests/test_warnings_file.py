@@ -12,7 +12,7 @@ from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
 
 HEADER = (
     "issued_at,onset_earliest,onset_likely,onset_latest,probability,"
@@ -59,7 +59,7 @@ def test_what_is_written_reads_back_equal(tiny: Scenario, tmp_path: Path) -> Non
         tiny,
         warnings=(warning, replace(warning, outage="block 2", preset="", duration_p50_h=0.1)),
         outage_statistics=OutageStatistics("equipment", saifi_per_year=3.0),
-        controller=ControllerDefaults(mode="paper", outages="belief"),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, outages="belief"),
     )
     write_scenario(day, tmp_path / "day")
     read = read_scenario(tmp_path / "day")

@@ -39,6 +39,7 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
+    from vppres.physics.uncontrolled import without_control
     from vppres.scenario.remarks import export_words, remarks, unknown_phases
 
     return {
@@ -55,7 +56,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "export": export_words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
-        "remarks": [*unknown_phases(day), *remarks(day)],
+        "remarks": [*unknown_phases(day), *without_control(day), *remarks(day)],
     }
 
 

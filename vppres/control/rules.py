@@ -235,7 +235,8 @@ def _with_network(
     discharge = np.maximum(-battery_kw, 0.0)
     stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
     net = site.network
-    outside = np.maximum(v_pu[1:] - net.v_max_ac_pu, net.v_min_ac_pu - v_pu[1:])
+    lowest, highest = state.v_limits_pu(net.v_min_ac_pu, net.v_max_ac_pu)
+    outside = np.maximum(v_pu - highest, lowest - v_pu)[1:]
     dispatch = one_step(
         served=served,
         pv_self_kw=own,

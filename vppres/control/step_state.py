@@ -20,6 +20,7 @@ from vppres.model.formulas import (
     squared_voltages,
 )
 from vppres.model.linearise import Drawn
+from vppres.model.own_state import with_own_state
 from vppres.model.site import Site
 
 
@@ -45,6 +46,8 @@ class StepState:
         Largest export, 0 in an outage and where the connection imports only.
     drawn : Drawn, optional
         What the network itself draws, one step; None where it draws nothing.
+    own_v_pu : array, shape (N,), optional
+        Voltages that the feeder has without control, where limits give way to them.
     """
 
     site: Site
@@ -58,6 +61,7 @@ class StepState:
     online: Flags
     export_limit_kw: float = 0.0
     drawn: Drawn | None = None
+    own_v_pu: Floats | None = None
 
     @classmethod
     def of(
@@ -66,7 +70,9 @@ class StepState:
         """The first step of an observation; all batteries are online if nothing else is said."""
         everyone = np.ones((1, len(site.customers)), dtype=bool)
         # Demand is higher for those who would be restored now.
-        now = WindowData.of(seen, site, centre).first(1).for_service(everyone)
+        now = with_own_state(site, WindowData.of(seen, site, centre).first(1))
+        own = None if now.own_u_pu2 is None else site.network.v_pu(now.own_u_pu2[0])
+        now = now.for_service(everyone)
         return cls(
             site,
             now.load_kw[0],
@@ -79,6 +85,7 @@ class StepState:
             np.ones(len(site.batteries), dtype=bool) if online is None else online,
             seen.forecast.export_now_kw,
             now.drawn,
+            own,
         )
 
     @property
@@ -122,6 +129,14 @@ class StepState:
         """Demand that PV, batteries and grid can carry together."""
         given_kw = self.usable_pv_kw.sum() + self.discharge_max_kw.sum() + self.grid_limit_kw
         return float(given_kw - self.drawn_kw.sum())
+
+    def v_limits_pu(self, lowest: float, highest: float) -> tuple[Floats, Floats]:
+        """Limits of the voltages that give way to those without control, (N,) each."""
+        shape = self.site.network.n_buses
+        low, high = np.full(shape, lowest), np.full(shape, highest)
+        if self.own_v_pu is None:
+            return low, high
+        return np.minimum(low, self.own_v_pu), np.maximum(high, self.own_v_pu)
 
     def idle(self) -> StepState:
         """The same step with every battery off."""

@@ -22,6 +22,8 @@ from vppres.scenario.remarks import darkness, unknown_phases
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
+OFF_SHOWN = 5
+"""Customers named in one sentence."""
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
@@ -76,8 +78,13 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def cautions(trajectory: Trajectory) -> list[str]:
-    """What has to be known before any figure, in sentences: unknown phases and blackouts."""
-    return [*unknown_phases(trajectory.scenario), *_blackouts(trajectory)]
+    """What has to be known before any figure, in sentences."""
+    off = off_with_grid(trajectory)
+    return [
+        *([off] if off else []),
+        *unknown_phases(trajectory.scenario),
+        *_blackouts(trajectory),
+    ]
 
 
 def _blackouts(trajectory: Trajectory) -> list[str]:
@@ -93,6 +100,37 @@ def _blackouts(trajectory: Trajectory) -> list[str]:
     if len(promised):
         words.append(f"The plan had promised supply in {counted_steps(len(promised))} of them.")
     return words
+
+
+def off_with_grid(trajectory: Trajectory) -> str:
+    """Which customers were off while the grid was on, and why; empty if none was."""
+    rows = _customers(trajectory, outage=False)
+    rows = rows[~rows["served"].astype(bool)]
+    if rows.empty:
+        return ""
+    dt_h = trajectory.scenario.grid.dt_h
+    steps = rows.groupby("id", sort=False).agg(
+        tier=("tier", "first"), weight=("weight", "first"), steps=("time", "size")
+    )
+    steps = steps.sort_values(["weight", "steps"], ascending=False, kind="stable")
+    names = [f"{name} ({row.tier}) {row.steps * dt_h:g} h" for name, row in steps.iterrows()]
+    more = f" and {len(names) - OFF_SHOWN} more" if len(names) > OFF_SHOWN else ""
+    return (
+        f"Off with the grid on: {len(names)} of {len(trajectory.scenario.customers)} customers, "
+        f"{len(rows) * dt_h:g} customer hours. Most important first: "
+        f"{', '.join(names[:OFF_SHOWN])}{more}.{_why_off(trajectory, rows)}"
+    )
+
+
+def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:
+    """The reasons of customers that were off, by their words in the record."""
+    told = trajectory.explanations
+    if told is None:
+        return ""
+    told = told[(told["action"] == "not_served") & told["time"].isin(off["time"])]
+    counts = told["driver"].value_counts()
+    reasons = [f"{str(driver).replace('_', ' ')} {count}" for driver, count in counts.items()]
+    return f" Reasons: {', '.join(reasons)}." if reasons else ""
 
 
 def resilience(trajectory: Trajectory) -> float | None:

@@ -62,6 +62,9 @@ class RunOptions:
     mode : {"paper", "physical"} or None
         The paper's island, or one with grid-forming batteries and losses in the plan; None uses
         the scenario's.
+    voltage_limits : {"soft", "hard"} or None
+        Whether voltage limits give way, with grid, to what the feeder has without control; None
+        uses the scenario's.
     headroom : float or None
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
         an island; None uses the scenario's.
@@ -100,6 +103,7 @@ class RunOptions:
     centre: Centre = default_of("centre")
     pv_check: PVCheck = default_of("pv_check")
     mode: str | None = None
+    voltage_limits: str | None = None
     headroom: float | None = None
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
@@ -154,6 +158,7 @@ class RunOptions:
             mode=own.mode if self.mode is None else self.mode,
             headroom=scenario.headroom.share if self.headroom is None else self.headroom,
             priority=scenario.priority.rule if self.priority is None else self.priority,
+            voltage_limits=self.voltage_limits or own.voltage_limits,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
             outages=own.outages if self.outages is None else self.outages,
         )

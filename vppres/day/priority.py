@@ -1,17 +1,18 @@
-"""The order of the tiers in a run: the site that its controllers plan for."""
+"""The site that the controllers of a run plan for: the order of its tiers, soft or hard limits."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from vppres.model.site import Site
 from vppres.scenario.priority import STRICT, Ranks
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import SOFT, Scenario
 
 
 def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
-    """The site of a scenario as the controllers of a run weigh it.
+    """The site of a scenario as the controllers of a run weigh and limit it.
 
     Parameters
     ----------
@@ -20,7 +21,8 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     options : mapping
         Of the run, as they are recorded.
     """
-    site = Site.of(scenario)
+    soft = options.get("voltage_limits") == SOFT
+    site = replace(Site.of(scenario), soft_voltages=soft)
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))
 

@@ -21,6 +21,7 @@ from vppres.day.outages import BELIEF, GridSeen, OutageView
 from vppres.day.priority import site_of
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
+from vppres.model.own_state import with_own_state
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.shadow_price_model import Held
 
@@ -133,11 +134,12 @@ class Recorded:
         told = replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
         data = WindowData.of(told, self.site, self.options.get("centre", "lossless"))
         empty = self.site.batteries.soc_min
-        return replace(
+        seen = replace(
             data,
             load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
+        return with_own_state(self.site, seen)
 
     def held(self, t: int, n_steps: int) -> Held:
         """Who was served stays served in the step; batteries that moved keep their mode.

@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority, Scenario
+from vppres.scenario.scenario import HARD, ControllerDefaults, Headroom, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
@@ -53,6 +53,9 @@ def _canonical(value: Any) -> Any:
             left_out = left_out | _unsaid(value)
         if isinstance(value, ControllerDefaults) and value.outages == ControllerDefaults.outages:
             left_out = left_out | {"outages"}
+        # Hard limits are those from before there were others.
+        if isinstance(value, ControllerDefaults) and value.voltage_limits == HARD:
+            left_out = left_out | {"voltage_limits"}
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):

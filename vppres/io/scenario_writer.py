@@ -93,6 +93,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "kind": scenario.controller.kind,
             "horizon_h": float(scenario.controller.horizon_h),
             "mode": scenario.controller.mode,
+            "voltage_limits": scenario.controller.voltage_limits,
         },
     }
     if scenario.controller.outages != ControllerDefaults.outages:

@@ -184,11 +184,8 @@ def voltage_limits(
     ``slack``, in pu², is by how much both limits give. Voltages referred to the slack bus have
     limits of their own behind a transformer's ratio.
     """
-    u_min = site.network.u_min_pu2[None, 1:]
-    u_max = site.network.u_max_pu2[None, 1:]
-    if slack is not None:
-        u_min = u_min - slack
-        u_max = u_max + slack
+    u_min = p.u_min if slack is None else p.u_min - slack
+    u_max = p.u_max if slack is None else p.u_max + slack
     return {"voltage_min": v.u[:, 1:] >= u_min, "voltage_max": v.u[:, 1:] <= u_max}
 
 

@@ -18,6 +18,7 @@ from vppres.core.errors import ModelError
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
+from vppres.scenario.network import Network
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +82,9 @@ class WindowData:
         What batteries are to hold at the end; None, the paper, lets them end empty.
     stored_value : StoredValue, optional
         What is left in the batteries at the end is worth; None, the paper, sees nothing behind.
+    own_u_pu2 : array, shape (W, N), optional
+        Squared referred voltages that the feeder has without control, to which its limits give way;
+        NaN where they do not. None, the paper, has hard limits.
     """
 
     load_kw: Floats
@@ -98,6 +102,7 @@ class WindowData:
     drawn: Drawn | None = None
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
+    own_u_pu2: Floats | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -177,7 +182,17 @@ class WindowData:
             drawn=self.drawn and self.drawn.part(steps),
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
+            own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
         )
+
+    def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
+        """Lowest and highest squared referred voltages, (W, N) each."""
+        shape = (self.n_steps, network.n_buses)
+        lowest = np.broadcast_to(network.u_min_pu2, shape)
+        highest = np.broadcast_to(network.u_max_pu2, shape)
+        if self.own_u_pu2 is None:
+            return lowest, highest
+        return np.fmin(lowest, self.own_u_pu2), np.fmax(highest, self.own_u_pu2)
 
     @property
     def ending(self) -> Ending:

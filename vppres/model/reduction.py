@@ -70,12 +70,19 @@ class Reduction:
 
     def data(self, data: WindowData) -> WindowData:
         """A window of the paper's mode on the reduced network."""
-        return replace(data, delta_pu2=np.asarray(data.delta_pu2 @ self.merged.T))
+        delta = np.asarray(data.delta_pu2 @ self.merged.T)
+        own = None if data.own_u_pu2 is None else data.own_u_pu2[:, self._buses]
+        return replace(data, delta_pu2=delta, own_u_pu2=own)
+
+    @property
+    def _buses(self) -> Wholes:
+        """Places of the reduced network's buses in the whole one."""
+        index = self.whole.network.bus_index
+        return np.array([index[bus] for bus in self.site.network.buses])
 
     def reduced(self, dispatch: Dispatch) -> Dispatch:
         """A dispatch with the flows and voltages that the reduced network has."""
-        index = self.whole.network.bus_index
-        buses = np.array([index[bus] for bus in self.site.network.buses])
+        buses = self._buses
         return replace(
             dispatch,
             v_pu=dispatch.v_pu[:, buses],
@@ -107,13 +114,13 @@ class Reduction:
             v_pu=net.v_pu(net.v_slack_pu**2 + rise @ net.downstream),
         )
 
-    def within_limits(self, dispatch: Dispatch, tolerance_pu2: float) -> bool:
+    def within_limits(self, data: WindowData, dispatch: Dispatch, tolerance_pu2: float) -> bool:
         """Whether all voltages of the whole network are within their limits."""
         net = self.whole.network
-        u = net.u_pu2(dispatch.v_pu)[:, 1:]
-        low = u >= net.u_min_pu2[1:] - tolerance_pu2
-        high = u <= net.u_max_pu2[1:] + tolerance_pu2
-        return bool(low.all() and high.all())
+        lowest, highest = data.u_limits_pu2(net)
+        u = net.u_pu2(dispatch.v_pu)
+        within = (u >= lowest - tolerance_pu2) & (u <= highest + tolerance_pu2)
+        return bool(within[:, 1:].all())
 
 
 def _counting(site: Site) -> Flags:

@@ -24,6 +24,8 @@ class Site:
     """What stays the same from step to step: network, assets, weights and step length.
 
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
+    With ``soft_voltages`` the limits of the voltages give way, with grid, to what the feeder has
+    without control.
     """
 
     network: Network
@@ -33,6 +35,7 @@ class Site:
     weights: ObjectiveWeights
     dt_h: float
     ranks: Ranks | None = None
+    soft_voltages: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -66,7 +69,8 @@ class Site:
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         ranks = () if self.ranks is None else (self.ranks,)
-        return f"{self.dt_h} " + content_key(
+        rules = " soft" if self.soft_voltages else ""
+        return f"{self.dt_h}{rules} " + content_key(
             self.weights, self.network, self.customers, self.pv, self.batteries, *ranks
         )
 

@@ -36,6 +36,8 @@ class Parameters:
     eta_ch: cp.Parameter
     inv_eta_dch: cp.Parameter
     delta: cp.Parameter
+    u_min: cp.Parameter
+    u_max: cp.Parameter
     P_drawn: cp.Parameter | None = None
     Q_drawn: cp.Parameter | None = None
 
@@ -58,6 +60,8 @@ class Parameters:
             "eta_ch": (W, B),
             "inv_eta_dch": (W, B),
             "delta": (W, L),
+            "u_min": (W, L),
+            "u_max": (W, L),
         }
         if site.network.draws:
             shapes |= dict.fromkeys(("P_drawn", "Q_drawn"), (W, site.network.n_buses))
@@ -80,6 +84,7 @@ class Parameters:
         W = data.n_steps
         x = np.ones(data.load_kw.shape) if served is None else np.asarray(served, dtype=float)
         load = data.load_kw * x
+        u_min, u_max = data.u_limits_pu2(site.network)
         values = {
             "P_load": load,
             "Q_load": load * site.customers.q_per_p,
@@ -92,6 +97,8 @@ class Parameters:
             "eta_ch": np.tile(data.eta_charge, (W, 1)),
             "inv_eta_dch": np.tile(1.0 / data.eta_discharge, (W, 1)),
             "delta": data.delta_pu2,
+            "u_min": u_min[:, 1:],
+            "u_max": u_max[:, 1:],
         }
         if data.drawn is not None:
             values |= {"P_drawn": data.drawn.kw, "Q_drawn": data.drawn.kvar}

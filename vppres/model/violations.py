@@ -179,11 +179,12 @@ def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
     held_pu2 = net.u_pu2(net.held_pu)[held]
     drop = voltage_drop_pu2(net, d.p_flow_kw, d.q_flow_kvar)
     expected = u[:, net.parent] - drop + data.delta_pu2
+    lowest, highest = data.u_limits_pu2(net)
     limited = np.ones_like(u, dtype=bool)
     limited[:, 0] = held > 0  # the grid's own voltage has no limit
     return {
         "voltage held": _most(VOLTAGE_TOLERANCE_PU2, np.abs(u[steps, held] - held_pu2)),
         "voltage drop": _most(VOLTAGE_TOLERANCE_PU2, np.abs(u[:, 1:] - expected)),
-        "lowest voltage": _most(VOLTAGE_TOLERANCE_PU2, (net.u_min_pu2 - u)[limited]),
-        "highest voltage": _most(VOLTAGE_TOLERANCE_PU2, (u - net.u_max_pu2)[limited]),
+        "lowest voltage": _most(VOLTAGE_TOLERANCE_PU2, (lowest - u)[limited]),
+        "highest voltage": _most(VOLTAGE_TOLERANCE_PU2, (u - highest)[limited]),
     }

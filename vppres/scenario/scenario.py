@@ -26,6 +26,13 @@ DEFAULT_VOLL_GBP_PER_KWH = 16.94
 and DECC, 2013."""
 
 
+SOFT = "soft"
+"""Voltage limits that give way, with grid, to what the feeder has without control."""
+
+HARD = "hard"
+"""Voltage limits that customers are switched off for."""
+
+
 @dataclass(frozen=True)
 class ObjectiveWeights:
     """Weights of the objective (paper, Parameter Selection); powers in kW.
@@ -57,6 +64,7 @@ class ControllerDefaults:
     mode: str = default_of("mode")
     soc_end: float | None = default_of("soc_end")
     outages: str = default_of("outages")
+    voltage_limits: str = default_of("voltage_limits")
 
 
 @dataclass(frozen=True)

@@ -235,7 +235,7 @@ def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> 
         if attempt.dispatch is None:
             return attempt
         whole = reduction.expanded(data, attempt.dispatch)
-        if reduction.within_limits(whole, VOLTAGE_OVER_PU2):
+        if reduction.within_limits(data, whole, VOLTAGE_OVER_PU2):
             return replace(attempt, dispatch=whole)
     return polish(task.cache, data, dispatch, task.answer_by())
 

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
 from vppres.model.data import WindowData
+from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.site import Site
+from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
+from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
 from vppres.solve.fleet.all_terms import all_terms
 from vppres.solve.fleet.masters import fleets_of, master_of
@@ -117,10 +121,35 @@ class WindowSolver:
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
         limits = self.limits.at_most(within_s)
-        data = data.with_sound_soc(self.site.batteries)
+        deadline = Deadline(limits.time_s)
+        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
         if self.method == "decomposed" and falls_apart(self.site, data):
-            return solve_apart(data, limits, self._solve)
-        return self._solve(data, limits)
+            found = solve_apart(data, limits, self._solve)
+        else:
+            found = self._solve(data, limits)
+        return self._within(tighter, found, deadline)
+
+    def _within(
+        self, tighter: list[WindowData], found: WindowSolution, deadline: Deadline
+    ) -> WindowSolution:
+        """An answer within the tightest limits in which its served set has a dispatch."""
+        served = found.dispatch.served
+        for data in tighter:
+            if deadline.passed or not broken(self.site, data.for_service(served), found.dispatch):
+                return found
+            limits = self.limits.at_most(deadline.left_s)
+            kept = self._served(data, limits, served, found.dispatch, keeps_turns=False)
+            if kept is not None:
+                return replace(
+                    found,
+                    dispatch=kept.dispatch,
+                    terms=kept.terms,
+                    loss_kw=kept.loss_kw,
+                    solve_s=found.solve_s + kept.solve_s,
+                    solver_s=found.solver_s + kept.solver_s,
+                    stages=found.stages + kept.stages,
+                )
+        return found
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
@@ -163,8 +192,25 @@ class WindowSolver:
         within_s : float, optional
             Time that it may take, in s, where that is less than the limit.
         """
-        data = data.with_sound_soc(self.site.batteries)
-        task = self._task(data, self.limits.at_most(within_s))
+        deadline = Deadline(self.limits.at_most(within_s).time_s)
+        sound = data.with_sound_soc(self.site.batteries)
+        for each in giving_way(self.site, sound):
+            limits = self.limits.at_most(deadline.left_s)
+            found = self._served(each, limits, served, before, keeps_turns)
+            if found is not None:
+                return found
+        return None
+
+    def _served(
+        self,
+        data: WindowData,
+        limits: SolveLimits,
+        served: Flags,
+        before: Dispatch | None,
+        keeps_turns: bool,
+    ) -> WindowSolution | None:
+        """Cheapest dispatch of a served set within a window's limits, None if it has none."""
+        task = self._task(data, limits)
         if before is not None and keeps_turns:
             keep_with_turns(task, before)
         if not task.certificate.answered:
@@ -180,7 +226,7 @@ class WindowSolver:
         SolveError
             If not even free voltages leave one.
         """
-        return least_slack(self.site, data, self.limits.time_s)
+        return least_slack(self.site, with_own_state(self.site, data), self.limits.time_s)
 
     def _task(self, data: WindowData, limits: SolveLimits) -> WindowTask:
         """A window whose time begins now."""

@@ -188,6 +188,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         delta_pu2=_rows(data.delta_pu2, missing),
         export=data.export and data.export.followed_by_none(missing),
         drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
+        own_u_pu2=None if data.own_u_pu2 is None else _rows(data.own_u_pu2, missing),
     )
 
 

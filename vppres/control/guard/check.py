@@ -12,6 +12,7 @@ from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
 from vppres.model.site import Site
+from vppres.scenario.source import EXACT_PU
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def violations(
     if odd:
         return odd
     net = state.site.network
-    lowest, highest = v_limits_pu or (net.v_min_pu, net.v_max_pu)
+    limits_pu = state.v_limits_pu(*(v_limits_pu or (net.v_min_pu, net.v_max_pu)))
     row = _Row.of(decision)
     found = (
         _service(row),
@@ -82,7 +83,7 @@ def violations(
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
-        _voltage(row, (lowest, highest), within),
+        _voltage(row, state, limits_pu, within),
     )
     return [text for text in found if text]
 
@@ -241,11 +242,15 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     return float(loss_kw.sum())
 
 
-def _voltage(row: _Row, limits_pu: tuple[float, float], within: Tolerances) -> str:
-    v = row.v_pu[1:]  # the slack bus is given
-    outside = np.maximum(limits_pu[0] - v, v - limits_pu[1])
+def _voltage(
+    row: _Row, state: StepState, limits_pu: tuple[Floats, Floats], within: Tolerances
+) -> str:
+    """Voltages of the plan; those without control are known no better than a linear model is."""
+    lowest, highest = limits_pu
+    off_pu = within.v_pu if state.own_v_pu is None else max(within.v_pu, EXACT_PU)
+    outside = np.maximum(lowest - row.v_pu, row.v_pu - highest)[1:]  # the slack bus is given
     worst = int(np.argmax(outside))
-    return f"voltage: {v[worst]:.4f} pu" if outside[worst] > within.v_pu else ""
+    return f"voltage: {row.v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""
 
 
 def _worst(check: str, names: Names, excess: Floats, beyond: Floats, unit: str) -> str:

@@ -407,12 +407,18 @@ class Injections:
             return np.asarray(empty)
         return np.asarray(empty - self.reactance.raised(0.0, self.drawn.kw, self.drawn.kvar))
 
+    @cached_property
+    def _u_limits_pu2(self) -> tuple[Floats, Floats]:
+        """Lowest and highest squared referred voltages, (W, N) each."""
+        return self.data.u_limits_pu2(self.site.network)
+
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
         net = self.site.network
         u = self.u_pu2(x)
+        lowest, highest = self._u_limits_pu2
         found = []
-        for sign, beyond in ((1.0, net.u_min_pu2 - u), (-1.0, u - net.u_max_pu2)):
+        for sign, beyond in ((1.0, lowest - u), (-1.0, u - highest)):
             beyond[self.reference == 0, 0] = -np.inf
             around = np.full_like(beyond, -np.inf)
             around[:, 1:] = beyond[:, net.parent]
@@ -428,7 +434,6 @@ class Injections:
         """A lower (1) or upper (-1) limit, in thousandths of pu²."""
         at = self.at
         reach = self.reactance
-        net = self.site.network
         r, x = reach.row(bus)
         empty = self._referred(self._empty_u)[t, bus]
         if self.reference[t] > 0:
@@ -452,7 +457,7 @@ class Injections:
                 x[reach.pv],
             ]
         )
-        limit = net.u_min_pu2[bus] if sign > 0 else net.u_max_pu2[bus]
+        limit = self._u_limits_pu2[0 if sign > 0 else 1][t, bus]
         used = np.abs(values) > 0.0
         scale = 1e3 * sign
         return Rows.of(

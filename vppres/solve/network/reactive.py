@@ -115,8 +115,9 @@ class ReactiveModel:
         net_kw = dispatch.charge_kw[t] - dispatch.discharge_kw[t]
         write(self.Q_batt_max, _left(rating, net_kw, dispatch.batt_q_kvar[t]))
         write(self.Q_grid_max, data.grid_q_max_kvar(site)[t])
-        write(self.u_min, np.minimum(u, net.u_min_pu2))
-        write(self.u_max, np.maximum(u, net.u_max_pu2))
+        lowest, highest = data.u_limits_pu2(net)
+        write(self.u_min, np.minimum(u, lowest[t]))
+        write(self.u_max, np.maximum(u, highest[t]))
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the solution of the last solve in step ``t``."""

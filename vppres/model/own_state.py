@@ -1,0 +1,81 @@
+"""The state that a feeder has without control, to which soft voltage limits give way.
+
+Everyone is served, batteries are idle, and PV power is exported as far as the connection takes it
+and the highest voltage allows. A limit is never tighter than the voltages of that state, so with
+grid no customer is switched off for a voltage that the feeder has by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.physical import at_far_ends
+from vppres.model.data import WindowData
+from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
+from vppres.model.site import Site
+
+
+def giving_way(site: Site, data: WindowData) -> list[WindowData]:
+    """A window with limits of its voltages that give way more and more, where limits are soft.
+
+    First those of plans; then, where the feeder without control is beyond them, those of the AC
+    voltages; then the voltages without control themselves. They are those of the window's own
+    linearisation, so that this state is one of the last window's dispatches. In an island nothing
+    gives way.
+    """
+    connected = data.grid_limit_kw > 0.0
+    if not site.soft_voltages or not connected.any():
+        return [data]
+    net = site.network
+    own = np.where(connected[:, None], _own_u_pu2(site, data), np.nan)
+    least, most = (net.u_pu2(np.full(net.n_buses, v)) for v in (net.v_min_ac_pu, net.v_max_ac_pu))
+    within_ac = np.clip(own, least, most)
+    beyond = (own < net.u_min_pu2) | (own > net.u_max_pu2)
+    beyond_ac = connected[:, None] & (own != within_ac)
+    states: list[Floats | None] = [None]
+    if beyond[:, 1:].any():
+        states.append(within_ac)
+    if beyond_ac[:, 1:].any():
+        states.append(own)
+    return [replace(data, own_u_pu2=state) for state in states]
+
+
+def with_own_state(site: Site, data: WindowData) -> WindowData:
+    """A window whose limits give way as far as they may."""
+    return giving_way(site, data)[-1]
+
+
+def _own_u_pu2(site: Site, data: WindowData) -> Floats:
+    """Squared referred voltages without control, (W, N)."""
+    net = site.network
+    load_kw = data.all_cold().load_kw
+    load_kvar = load_kw * site.customers.q_per_p
+    usable_kw = np.minimum(data.pv_kw, site.pv.s_max_kva)
+    own_kw = np.minimum(site.behind_meter(load_kw), usable_kw)
+    spare_kw = usable_kw - own_kw
+    p_kw = bus_injections(site, {"pv": own_kw, "customers": -load_kw})
+    q_kvar = bus_injections(site, {"customers": -load_kvar})
+    exported = bus_injections(site, {"pv": spare_kw})
+    if data.drawn is not None:
+        p_kw = p_kw - data.drawn.kw
+        q_kvar = q_kvar - data.drawn.kvar
+    if data.physics is not None:
+        p_kw = p_kw - at_far_ends(data.physics.loss_kw)
+        q_kvar = q_kvar - at_far_ends(data.physics.loss_kvar)
+    flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
+    rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
+    u = net.v_slack_pu**2 + rise @ net.downstream
+    more = -voltage_drop_pu2(net, lossless_flows(net, exported), np.zeros_like(rise))
+    raised = more @ net.downstream
+    taken = _share(data.export_max_kw(site) - p_kw.sum(axis=1), spare_kw.sum(axis=1))
+    allowed = _share(net.u_max_pu2 - u, raised).min(axis=1)
+    return np.asarray(u + np.minimum(taken, allowed)[:, None] * raised)
+
+
+def _share(room: Floats, wanted: Floats) -> Floats:
+    """How much of what is wanted there is room for, 0 to 1."""
+    share = np.divide(room, wanted, out=np.ones_like(wanted), where=wanted > 0.0)
+    return np.clip(share, 0.0, 1.0)
