@@ -20,9 +20,12 @@ from vppres.outlook.value import Ahead, Fleet, concave_above, stored_value
 from vppres.scenario.outage_warnings import (
     STATISTICS_PRESETS,
     WARNING_PRESETS,
+    OutageLength,
     OutageStatistics,
     OutageWarning,
 )
+
+QUANTILES = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
 
 NOON = pd.Timestamp("2022-07-19T12:00Z")
 NEVER = OutageStatistics(saifi_per_year=0.0)
@@ -130,7 +133,8 @@ def test_an_update_during_the_outage_is_the_length_of_the_whole() -> None:
     assert view.at(NOON, 8, [start]).likely.tolist() == [True] * 2 + [False] * 6
     assert view.at(NOON + HOUR, 8, [start]).likely.tolist() == [True] * 4 + [False] * 4
     # Without onset it speaks of the outage that lasts.
-    view = outlook(warned(1, duration_p50_h=3.0))
+    exact = OutageStatistics(saifi_per_year=0.0, estimate_p10=1.0, estimate_p90=1.0)
+    view = outlook(warned(1, duration_p50_h=3.0), statistics=exact)
     assert view.at(NOON + HOUR, 4, [start]).out_probability.tolist() == [1.0, 1.0, 0.0, 0.0]
 
 
@@ -234,6 +238,77 @@ def test_blocks_that_follow_each_other_stay_apart() -> None:
     assert view.at(first.start, 7, [first]).out_probability.tolist() == [1, 1, 0, 1, 1, 0, 0]
     over = replace(first, end=NOON + 2 * HOUR)
     assert view.at(NOON + 2 * HOUR, 5, [over]).out_probability.tolist() == [0, 1, 1, 0, 0]
+
+
+def ends(view: OutageOutlook, hours: float) -> list[float]:
+    """Probability that an outage since noon ends after each hour from now on."""
+    belief = view.at(NOON + hours * HOUR, 12, [SeenOutage(NOON)])
+    left = belief.duration[belief.kind, belief.elapsed :]
+    return (left / left.sum()).tolist()
+
+
+def test_a_lone_estimate_has_the_spread_of_estimates() -> None:
+    alone = ends(outlook(warned(1, duration_p50_h=5.0)), 1)
+    spread = warned(1, duration_p10_h=3.0, duration_p50_h=5.0, duration_p90_h=9.0)
+    assert alone == ends(outlook(spread), 1)
+    as_time = OutageWarning(NOON + HOUR, restored_likely=NOON + 5 * HOUR)
+    assert ends(outlook(as_time), 1) == alone
+    # Of an outage that was announced with its onset before it began it is the length.
+    assert max(ends(outlook(warned(-1, onset_likely=0, duration_p50_h=5.0)), 1)) == 1.0
+
+
+def test_an_outage_that_outlasts_what_was_said_follows_the_statistics() -> None:
+    """Of 2.4, 3 and 3.75 h nothing is left after four; who says more is not treated worse."""
+    known = outlook(statistics=OutageStatistics(saifi_per_year=0.0, caidi_h=4.0))
+    said = warned(1, onset_likely=0, duration_p10_h=2.4, duration_p50_h=3.0, duration_p90_h=3.75)
+    alone = warned(1, onset_likely=0, duration_p50_h=2.0)
+    for message in (said, alone):
+        view = replace(known, warnings=(message,))
+        assert ends(view, 3) != ends(known, 3)
+        for hours in (4, 5, 9):
+            assert ends(view, hours) == ends(known, hours)
+            belief = view.at(NOON + hours * HOUR, 12, [SeenOutage(NOON)])
+            assert belief.words == "the unnamed outage is outlasted, the statistics count"
+
+
+def test_not_before_a_time_the_grid_is_not_back() -> None:
+    known = outlook(statistics=OutageStatistics(saifi_per_year=0.0, caidi_h=3.0))
+    crew = OutageWarning(NOON + HOUR, "crew", restored_not_before=NOON + 4 * HOUR)
+    belief = replace(known, warnings=(crew,)).at(NOON + HOUR, 12, [SeenOutage(NOON)])
+    assert belief.out_probability[:4].tolist() == [1.0, 1.0, 1.0, pytest.approx(0.5, abs=0.25)]
+    # Behind it the outage is as long as before, given that it lasts so long.
+    later = known.at(NOON + 3 * HOUR, 10, [SeenOutage(NOON)])
+    assert belief.out_probability[2:] == pytest.approx(later.out_probability)
+    # A length that is said later replaces it; one from before stays.
+    estimate = {"duration_p10_h": 2.0, "duration_p50_h": 3.0, "duration_p90_h": 6.0}
+    for hours, least in ((0.5, 1), (1.5, 0)):
+        both = replace(known, warnings=(crew, warned(hours, outage="INC-1", **estimate)))
+        assert ends(both, 2)[:least] == [0.0] * least
+        assert ends(both, 2)[least] > 0.0
+
+
+def test_a_notice_is_believed_as_often_as_it_is_right_and_its_absence_too() -> None:
+    """Equal chances of one to six hours; by Bayes' rule."""
+    share, false = 0.72, 0.05
+    site = OutageStatistics(
+        saifi_per_year=0.0, notice_h=1.0, notice_share=share, notice_false_share=false
+    )
+    even = OutageLength("discrete", hours=(1, 2, 3, 4, 5, 6), probability=(1 / 6,) * 6)
+    said = OutageWarning(
+        NOON, onset_likely=NOON, length=even, **dict(zip(QUANTILES, (1.0, 3.5, 6.0), strict=True))
+    )
+    notice = OutageWarning(NOON + 2 * HOUR, "crew", restored_by=NOON + 3 * HOUR)
+    silent = np.array([1 - share, *[1 - false] * 3])
+    heard = np.array([share, *[false] * 3])
+    for messages, likely in (((said,), silent), ((said, notice), heard)):
+        found = ends(OutageOutlook(messages, site, 1.0), 2)
+        assert found[:4] == pytest.approx(likely / likely.sum())
+    # A false notice is one more that was in vain.
+    found = ends(OutageOutlook((said, notice), site, 1.0), 3)
+    assert found[:3] == pytest.approx(silent[:3] / silent[:3].sum())
+    # Where a crew gives none as a rule nothing follows from silence.
+    assert ends(outlook(said), 2)[:4] == pytest.approx([0.25] * 4)
+    assert ends(outlook(said, notice), 2)[0] == pytest.approx(share / (share + 3 * false))
 
 
 def test_probabilities_are_those_of_all_futures_drawn() -> None:

@@ -46,6 +46,40 @@ def told(http: Caller, folder: Path) -> dict[str, Any]:
     return found
 
 
+CREW = """
+import { SiteClock, announced, crewSays } from "./words.mjs";
+const view = { clock: new SiteClock("Europe/London"), now: new Date("2026-07-01T14:20:00Z") };
+const said = %s.map((text) => crewSays(text, view));
+console.log(JSON.stringify({ said, words: said.map((body) => body && announced(body, view)) }));
+"""
+
+
+def test_what_a_crew_says_is_one_field(tmp_path: Path) -> None:
+    """Times are those of the site's clocks, the next ones that come."""
+    lines = [
+        "not before 16:00, about 18:00",
+        "Back within the hour",
+        "within 30 min",
+        "by 9:05",
+        "soon",
+        "about 25:00",
+    ]
+    (tmp_path / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "crew.mjs").write_text(CREW % json.dumps(lines), encoding="utf-8")
+    asked = [str(NODE), str(tmp_path / "crew.mjs")]
+    done = json.loads(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
+    day = "2026-07-0{}:00.000Z"
+    times = [
+        {"not_before": day.format("1T15:00"), "likely": day.format("1T17:00")},
+        {"by": day.format("1T15:20")},
+        {"by": day.format("1T14:50")},
+        {"by": day.format("2T08:05")},
+    ]
+    expected = [{"type": "restoration", "source": "operator", **each} for each in times]
+    assert done["said"] == [*expected, None, None]
+    assert done["words"][0] == "Restoration not before 16:00, about 18:00"
+
+
 def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_path: Path) -> None:
     clock = SetClock(NOON)
     with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:

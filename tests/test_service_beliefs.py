@@ -162,6 +162,36 @@ def test_an_estimate_counts_whatever_its_name(tiny: Scenario, tmp_path: Path) ->
     assert wrong[2] < 0.2 < 0.5 < corrected[1]
 
 
+def test_what_a_crew_says_of_the_end(tiny: Scenario, tmp_path: Path) -> None:
+    """A lone median has a spread; not before a time the grid is away; a notice is near certain."""
+    alone = {**lasting(3.0), "duration": {"family": "lognormal", "median_h": 3.0}}
+    with believing(tiny, tmp_path) as (http, clock):
+        two = NOON + 2 * HOUR
+        clock.set(two)
+        grid_on(http, two, False)
+        http.put("/v1/events/INC-1", alone)
+        median = decided(http, clock, two, 0.6)["outage_probability"]
+        assert median[0] == 1.0 > median[2] > 0.5 > median[3] > 0.1
+        at_five = {"type": "restoration", "likely": "2026-11-21T17:00:00Z"}
+        http.delete("/v1/events/INC-1")
+        http.put("/v1/events/crew", at_five)
+        assert decided(http, clock, two + HOUR, 0.5)["outage_probability"][1] > 0.5
+        later = {"type": "restoration", "not_before": "2026-11-21T19:00:00Z"}
+        http.put("/v1/events/crew", later)
+        assert decided(http, clock, two + 2 * HOUR, 0.4)["outage_probability"][:3] == [1.0] * 3
+        http.put("/v1/events/other", {"type": "restoration", "by": "2026-11-21T18:00:00Z"})
+        plan = decided(http, clock, two + 3 * HOUR, 0.4)
+        assert plan["solve"]["outage_messages"] == "other counts, not crew"
+        nothing = http.put("/v1/events/crew", {"type": "restoration"})
+        assert nothing.status == 422 and "says nothing" in nothing.json()["detail"]
+        order = {**later, "by": "2026-11-21T18:00:00Z"}
+        assert "out of order" in http.put("/v1/events/crew", order).json()["detail"]
+        past = {"type": "restoration", "by": "2026-11-21T13:00:00Z"}
+        assert "wholly in the past" in http.put("/v1/events/new", past).json()["detail"]
+    with believing(tiny, tmp_path / "known", "known") as (http, _):
+        assert http.put("/v1/events/crew", at_five).status == 422
+
+
 def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path) -> None:
     with believing(tiny, tmp_path, "known") as (http, _):
         answer = http.put("/v1/events/storm", STORM)

@@ -57,8 +57,20 @@ def test_what_is_written_reads_back_equal(tiny: Scenario, tmp_path: Path) -> Non
     )
     day = replace(
         tiny,
-        warnings=(warning, replace(warning, outage="block 2", preset="", duration_p50_h=0.1)),
-        outage_statistics=OutageStatistics("equipment", saifi_per_year=3.0),
+        warnings=(
+            warning,
+            replace(warning, outage="block 2", preset="", duration_p50_h=0.1),
+            OutageWarning(
+                pd.Timestamp("2022-07-19T13:00Z"),
+                "crew",
+                restored_not_before=pd.Timestamp("2022-07-19T14:00Z"),
+                restored_likely=pd.Timestamp("2022-07-19T15:30Z"),
+                restored_by=pd.Timestamp("2022-07-19T16:00Z"),
+            ),
+        ),
+        outage_statistics=OutageStatistics(
+            "equipment", saifi_per_year=3.0, estimate_p90=2.5, notice_h=1.0, notice_share=0.7
+        ),
         controller=ControllerDefaults(mode="paper", voltage_limits=HARD, outages="belief"),
     )
     write_scenario(day, tmp_path / "day")

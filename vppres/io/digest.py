@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
-from vppres.scenario.outage_warnings import OutageStatistics
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import HARD, ControllerDefaults, Headroom, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
@@ -56,6 +56,13 @@ def _canonical(value: Any) -> Any:
         # Hard limits are those from before there were others.
         if isinstance(value, ControllerDefaults) and value.voltage_limits == HARD:
             left_out = left_out | {"voltage_limits"}
+        # And what says nothing of restoration.
+        if isinstance(value, OutageWarning | OutageStatistics):
+            left_out = left_out | {
+                f.name
+                for f in fields(value)
+                if f.name.startswith(_OF_RESTORATION) and getattr(value, f.name) is None
+            }
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):
@@ -65,6 +72,9 @@ def _canonical(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_canonical(item) for item in value]
     return value if value is None or isinstance(value, str) else float(value)
+
+
+_OF_RESTORATION = ("restored_", "estimate_", "notice_")
 
 
 def _unsaid(scenario: Scenario) -> set[str]:

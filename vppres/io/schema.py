@@ -62,6 +62,8 @@ MAX_CELL_OHM = 100.0  # a string of small cells has 1 ohm
 MAX_OUTAGE_H = 8784.0  # a leap year
 MAX_SAIFI = 8760.0  # one an hour
 MAX_SIGMA = 5.0  # nine in ten outages differ by a factor of 400,000
+MAX_ESTIMATE = 100.0  # a multiple of what was said
+MAX_SHARE = 0.99
 MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
 
 

@@ -9,12 +9,16 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.outlook import durations
+from vppres.outlook import durations, restoration
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.presets import Statistics, completed
 from vppres.scenario.outage_warnings import OnsetShares, OutageStatistics, OutageWarning
 
 HOUR = pd.Timedelta(hours=1)
+
+BEYOND = 0.1 + 1e-9
+"""Share of lengths beyond the last quantile of a message: when only these are left it is outlasted,
+and what it says of them is a guess."""
 
 LONGEST_STEPS = 3000
 """Lengths that are told apart; longer ones are as long."""
@@ -42,6 +46,12 @@ class Announced:
         When it begins.
     shares : OnsetShares, optional
         The same as a distribution.
+    estimate : bool
+        Whether the length of ``message`` was said of an outage that had begun.
+    not_before : pandas.Timestamp, optional
+        Before it the grid is not back: what was last said of it, unless a length was said later.
+    notices : tuple of OutageWarning
+        Messages that said by when it is.
     dropped : tuple of str
         Names of the messages that this one replaces, where it has another name.
     """
@@ -52,6 +62,9 @@ class Announced:
     likely: pd.Timestamp
     latest: pd.Timestamp
     shares: OnsetShares | None = None
+    estimate: bool = False
+    not_before: pd.Timestamp | None = None
+    notices: tuple[OutageWarning, ...] = ()
     dropped: tuple[str, ...] = ()
 
     @property
@@ -67,8 +80,10 @@ class Announced:
         """How much is left open of its beginning and its length, in h."""
         message = self.message
         onset_h = float((self.latest - self.earliest) / HOUR)
-        if message.duration_p50_h is None:
+        if not message.says_length:
             return np.inf
+        if message.duration_p50_h is None:
+            return onset_h
         shortest_h = message.duration_p10_h or message.duration_p50_h
         longest_h = message.duration_p90_h or message.duration_p50_h
         return onset_h + longest_h - shortest_h
@@ -100,6 +115,14 @@ class Announced:
             one.start <= later and self.explains(one, step) and other.explains(one, step)
             for one in seen
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Lasting:
+    """How long the present outage lasts: likelihoods of its lengths, and what to say of them."""
+
+    duration: Floats
+    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,31 +175,28 @@ class OutageOutlook:
         announced = self.expected(now, seen)
         # The present outage may be longer than all that lies ahead.
         length = min(elapsed + n_steps + 1, LONGEST_STEPS)
-        unannounced = self._unannounced(length)
         explained = [self._explanation(announced, one) for one in seen]
-        present = None if lasting is None else explained[-1]
         waited_for = [one for one in announced if not any(one is known for known in explained)]
+        words = [one.words for one in announced if one.words]
         onset = [self._onset(one, now, n_steps) for one in waited_for]
-        kinds = [self._length(one.message, length) for one in waited_for]
+        kinds = [self._length(one, one.likely, length) for one in waited_for]
         kind = 0
-        if present is not None:
+        if lasting is not None:
             # The present one comes first: those behind it are still waited for.
             kind = 1
+            present = self._lasting(explained[-1], lasting, now, length)
             onset.insert(0, np.zeros(n_steps))
-            kinds.insert(0, self._length(present.message, length))
-        kinds.insert(0, unannounced)
-        elapsed = min(elapsed, length - 1)
-        if lasting is not None and kinds[kind][elapsed:].sum() <= 1e-9:
-            # Longer than anybody said: all that is left to go by are the statistics.
-            kinds[kind] = self._unannounced(length)
+            kinds.insert(0, present.duration)
+            words += [present.words] if present.words else []
+        kinds.insert(0, self._unannounced(length))
         return OutageBelief(
             np.array(onset).reshape(len(onset), n_steps),
             np.array(kinds),
             hazard=float(-np.expm1(-self._rates.hazard_per_h * self.step_h)),
             out=lasting is not None,
             kind=kind,
-            elapsed=elapsed,
-            words="; ".join(one.words for one in announced if one.words),
+            elapsed=min(elapsed, length - 1),
+            words="; ".join(words),
         )
 
     @property
@@ -264,10 +284,54 @@ class OutageOutlook:
         # Step k is the one that begins nearest.
         return _triangular(np.asarray((steps - 0.5) * self.step_h), *hours)
 
-    def _length(self, message: OutageWarning, length: int) -> Floats:
-        """Lengths that a message says, those of the statistics where it says nothing."""
+    def _lasting(
+        self, known: Announced | None, seen: SeenOutage, now: pd.Timestamp, length: int
+    ) -> Lasting:
+        """How long the present outage lasts, by all that was said of its end and what was not."""
+        step = pd.Timedelta(hours=self.step_h)
+        elapsed = round((now - seen.start) / step)
+        duration = self._unannounced(length)
+        not_before = seen.start
+        words = ""
+        if known is not None:
+            not_before = known.not_before or seen.start
+            least = min(max(elapsed, round((not_before - seen.start) / step)), length - 1)
+            said = self._length(known, seen.start, length)
+            if known.message.says_length and said[least:].sum() <= BEYOND:
+                # Longer than anybody said: all that is left to go by are the statistics.
+                words = f"{_named(known.message.outage)} is outlasted, the statistics count"
+            else:
+                duration = said
+        duration = restoration.not_before(duration, (not_before - seen.start) / step)
+        ends_h = self.step_h * np.arange(1.0, length + 1.0)
+        told = [
+            ((one.issued_at - seen.start) / HOUR, (one.restored_by - seen.start) / HOUR)
+            for one in (() if known is None else known.notices)
+            if one.restored_by is not None and one.restored_by > seen.start
+        ]
+        now_h = self.step_h * elapsed
+        likely = self._rates.notices.likelihood(ends_h, now_h, told, self.step_h)
+        return Lasting(duration * (likely / likely.max()), words)
+
+    def _length(self, one: Announced, begun: pd.Timestamp, length: int) -> Floats:
+        """Lengths of an outage that began at a time, as messages say it, else the statistics."""
+        message = one.message
+        if message.restored_likely is not None:
+            least_h = 0.5 * self.step_h
+            hours = max((message.restored_likely - begun) / HOUR, least_h)
+            message = replace(message, restored_likely=None, duration_p50_h=hours)
+        alone = message.duration_p10_h is None and message.duration_p90_h is None
+        spoken = message.duration_p50_h is not None and message.length is None
+        if one.estimate and spoken and alone:
+            message = self._with_spread(message)
         found = length_of(message, self.step_h, length)
         return self._unannounced(length) if found is None else found
+
+    def _with_spread(self, message: OutageWarning) -> OutageWarning:
+        """A lone estimate with the spread that estimates have here."""
+        assert message.duration_p50_h is not None
+        low, middle, high = (message.duration_p50_h * each for each in self._rates.estimate)
+        return replace(message, duration_p10_h=low, duration_p50_h=middle, duration_p90_h=high)
 
 
 def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | None:
@@ -291,7 +355,7 @@ def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | No
 
 def said_so_far(
     messages: Sequence[OutageWarning], times: pd.DatetimeIndex
-) -> tuple[OutageWarning, Floats] | None:
+) -> tuple[Announced, Floats] | None:
     """What messages of one outage come to, as onset in the steps of a grid if it comes.
 
     Parameters
@@ -303,16 +367,16 @@ def said_so_far(
 
     Returns
     -------
-    OutageWarning, array of shape (T,), or None
-        The last message with what those before it said, and the probability of each step to be
-        the one in which it begins; None after the all-clear, or where none says when it begins.
+    Announced, array of shape (T,), or None
+        The outage, and the probability of each step to be the one in which it begins; None after
+        the all-clear, or where none says when it begins.
     """
     found = announced_by([completed(one) for one in messages], None)
     if found is None:
         return None
     step_h = (times[1] - times[0]) / HOUR
     outlook = OutageOutlook(messages, OutageStatistics("none"), step_h)
-    return found.message, np.diff(outlook._begun(found, times[0], len(times)))
+    return found, np.diff(outlook._begun(found, times[0], len(times)))
 
 
 def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:
@@ -338,7 +402,7 @@ def announced_by(
     """The outage that messages speak of, in their order; None after the all-clear.
 
     What the last message leaves out stands as the one before said it. A message without any onset
-    that comes during an outage speaks of that one.
+    that comes during an outage, or an hour before it was seen, speaks of that one.
 
     Parameters
     ----------
@@ -352,31 +416,38 @@ def announced_by(
         return None
     since = max((i for i, m in enumerate(messages) if m.all_clear), default=-1) + 1
     timed = [m for m in messages[since:] if m.onset_likely is not None]
-    lengths = [m for m in messages[since:] if m.duration_p50_h is not None]
-    if last.duration_p50_h is None and lengths:
-        said = lengths[-1]
+    lengths = [m for m in messages[since:] if m.says_length]
+    said = lengths[-1] if lengths else None
+    if said is not None and not last.says_length:
         last = replace(
             last,
             duration_p10_h=said.duration_p10_h,
             duration_p50_h=said.duration_p50_h,
             duration_p90_h=said.duration_p90_h,
+            restored_likely=said.restored_likely,
             length=said.length,
         )
-    first_issued = messages[since].issued_at
-    if not timed:
-        if lasting is None:
-            return None
-        return Announced(last, first_issued, lasting.start, lasting.start, lasting.start)
-    onset = timed[-1]
+    not_before = [m for m in messages[since:] if m.restored_not_before is not None]
+    stands = bool(not_before) and (said is None or not_before[-1].issued_at >= said.issued_at)
+    if timed:
+        onset = timed[-1]
+    elif lasting is not None and last.issued_at >= lasting.start - HOUR:
+        onset = replace(last, onset_likely=lasting.start)
+    else:
+        return None
     likely = onset.onset_likely
     assert likely is not None
     return Announced(
-        last,
-        first_issued,
-        onset.onset_earliest or likely,
-        likely,
-        onset.onset_latest or likely,
-        onset.onset,
+        message=last,
+        first_issued=messages[since].issued_at,
+        earliest=onset.onset_earliest or likely,
+        likely=likely,
+        latest=onset.onset_latest or likely,
+        shares=onset.onset,
+        estimate=said is not None
+        and (said.onset_likely is None or said.issued_at >= said.onset_likely),
+        not_before=not_before[-1].restored_not_before if stands else None,
+        notices=tuple(m for m in messages[since:] if m.restored_by is not None),
     )
 
 

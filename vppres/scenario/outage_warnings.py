@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -86,6 +87,18 @@ class OutageLength:
     max_h: float = np.inf
 
 
+TIMES = (
+    "issued_at",
+    "onset_earliest",
+    "onset_likely",
+    "onset_latest",
+    "restored_not_before",
+    "restored_likely",
+    "restored_by",
+)
+"""Fields of a warning that are times."""
+
+
 @dataclass(frozen=True)
 class OutageWarning:
     """One message about an outage: that it may come, how long it lasts, or the all-clear.
@@ -104,7 +117,11 @@ class OutageWarning:
         Probability that it comes to *this* feeder; 0 is the all-clear.
     duration_p10_h, duration_p50_h, duration_p90_h : float, optional
         Length of the whole outage in h that it stays below with a probability of 10, 50 and 90 %.
-        Only the median: then for certain.
+        Only the median: then for certain, if it was said before the outage; an estimate of one that
+        has begun gets the spread of estimates (:class:`OutageStatistics`).
+    restored_not_before, restored_likely, restored_by : pandas.Timestamp, optional
+        What a crew says of the end: that the grid is not back earlier; an estimate, as a time and
+        not as a length; that it is back by then ("within the hour"), which is a notice.
     onset, length : optional
         Distributions in place of the three times and the three lengths, which then sum them up for
         people.
@@ -126,6 +143,9 @@ class OutageWarning:
     duration_p10_h: float | None = None
     duration_p50_h: float | None = None
     duration_p90_h: float | None = None
+    restored_not_before: pd.Timestamp | None = None
+    restored_likely: pd.Timestamp | None = None
+    restored_by: pd.Timestamp | None = None
     onset: OnsetShares | None = None
     length: OutageLength | None = None
 
@@ -142,25 +162,36 @@ class OutageWarning:
         """Whether it says that the outage does not come."""
         return self.probability == 0.0
 
+    @property
+    def says_length(self) -> bool:
+        """Whether it says how long the outage lasts."""
+        return self.duration_p50_h is not None or self.restored_likely is not None
+
     def contradictions(self) -> list[tuple[str, str, str]]:
         """What does not fit together: field, message, cure."""
         found = self._wrong_numbers()
         onsets = ("onset_earliest", "onset_likely", "onset_latest")
+        ends = ("restored_not_before", "restored_likely", "restored_by")
         durations = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
         for names, wrong in ((onsets, "comes before"), (durations, "is below")):
             given = [(name, getattr(self, name)) for name in names if _known(getattr(self, name))]
-            for (low, less), (high, more) in pairwise(given):
-                if more < less:
-                    found.append((high, f"{wrong} {low}", "Put them in their order."))
+            found += _out_of_order(given, wrong)
             middle = names[1]
             if given and middle not in dict(given):
                 found.append((middle, "is missing", f"Give it, or leave out {given[0][0]} too."))
+        said = [(name, getattr(self, name)) for name in ends if _known(getattr(self, name))]
+        found += _out_of_order(said, "comes before")
+        if self.restored_by is not None and self.restored_by <= self.issued_at:
+            found.append(("restored_by", "does not come after issued_at", "Give a later time."))
+        if self.restored_likely is not None and self.duration_p50_h is not None:
+            cure = "Leave out one of the two."
+            found.append(("restored_likely", "is given beside duration_p50_h", cure))
         return found
 
     def _wrong_numbers(self) -> list[tuple[str, str, str]]:
         """Times without zone, and numbers out of their range."""
         found = []
-        for name in ("issued_at", "onset_earliest", "onset_likely", "onset_latest"):
+        for name in TIMES:
             time = getattr(self, name)
             if time is not None and time.tzinfo is None:
                 cure = "Write it with an offset, for example 2022-07-19T05:00Z."
@@ -193,6 +224,14 @@ class OutageStatistics:
         Spread of the length: standard deviation of its logarithm.
     value_of_lost_load_gbp_per_kwh : float, optional
         What a kWh that is not supplied is worth beside one that is bought.
+    estimate_p10, estimate_p50, estimate_p90 : float, optional
+        What an outage lasts as a multiple of a lone estimate that is given while it lasts: one in
+        ten less than the first, half of them less than the second, nine in ten less than the third.
+    notice_h : float, optional
+        How long before the end of an outage the crew gives notice; then its silence is news too.
+        None if it gives none as a rule.
+    notice_share, notice_false_share : float, optional
+        Share of outages with such a notice, and of other hours in which it is given in vain.
 
     Examples
     --------
@@ -205,9 +244,16 @@ class OutageStatistics:
     caidi_h: float | None = None
     duration_sigma: float | None = None
     value_of_lost_load_gbp_per_kwh: float | None = None
+    estimate_p10: float | None = None
+    estimate_p50: float | None = None
+    estimate_p90: float | None = None
+    notice_h: float | None = None
+    notice_share: float | None = None
+    notice_false_share: float | None = None
 
     def __post_init__(self) -> None:
-        positive = {"caidi_h", "value_of_lost_load_gbp_per_kwh"}
+        positive = {"caidi_h", "value_of_lost_load_gbp_per_kwh", "notice_h"}
+        positive |= {"estimate_p10", "estimate_p50", "estimate_p90"}
         problems = []
         for name in (f.name for f in fields(self) if f.name != "preset"):
             value = getattr(self, name)
@@ -225,8 +271,32 @@ class OutageStatistics:
                         value=value,
                     )
                 )
+        problems += [
+            Problem("outage statistics", message, cure, field=field, value=getattr(self, field))
+            for field, message, cure in self._wrong_shares()
+        ]
         if problems:
             raise InputError(problems)
+
+    def _wrong_shares(self) -> list[tuple[str, str, str]]:
+        """Shares that are none, and quantiles that cross: field, message, cure."""
+        names = ("estimate_p10", "estimate_p50", "estimate_p90")
+        given = [(name, getattr(self, name)) for name in names if _known(getattr(self, name))]
+        found = _out_of_order(given, "is below")
+        for name in ("notice_share", "notice_false_share"):
+            share = getattr(self, name)
+            if share is not None and not 0.0 <= share < 1.0:
+                found.append((name, "must be a share below 1", "Give for example 0.72."))
+        return found
+
+
+def _out_of_order(given: list[tuple[str, Any]], wrong: str) -> list[tuple[str, str, str]]:
+    """Values below the one before them: field, message, cure."""
+    return [
+        (high, f"{wrong} {low}", "Put them in their order.")
+        for (low, less), (high, more) in pairwise(given)
+        if more < less
+    ]
 
 
 def _known(value: object) -> bool:

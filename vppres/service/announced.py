@@ -25,6 +25,15 @@ from vppres.service.window import Window
 
 HOUR = pd.Timedelta(hours=1)
 
+RESTORATION = "restoration"
+
+SAID_OF_END = {
+    "not_before": "restored_not_before",
+    "likely": "restored_likely",
+    "by": "restored_by",
+}
+"""What a crew says of the end, and the field of a warning that it becomes."""
+
 SHAPES = {"lognormal": "sigma", "weibull": "shape"}
 """What says of a family how different its lengths are."""
 
@@ -110,6 +119,8 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
         end = read_moment(body["start"]) + len(body["price_gbp_per_kwh"]) * read_duration(
             body["resolution"]
         )
+    elif body["type"] == RESTORATION:
+        end = max(read_moment(body[name]) for name in SAID_OF_END if body.get(name))
     elif body["type"] == "outage_belief":
         end = (certain_interval(body) or (now, None))[1]
     if end is not None and end <= now:
@@ -149,14 +160,17 @@ def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
         distribution of which one length in ten is nothing, or without end.
     """
     believes = options.outages in (BELIEF, LIKELY)
-    if not believes and certain_interval(body) is None:
+    restoration = body["type"] == RESTORATION
+    if not believes and (restoration or certain_interval(body) is None):
         raise InputError.of(
             "event",
             f"is uncertain, and the service takes outages for {options.outages}",
             f"Start it with --outages {BELIEF}, or announce a certain outage.",
             field="type",
-            value="outage_belief",
+            value=body["type"],
         )
+    if restoration:
+        return
     lengths_h = list(_quantiles_h(_distribution(body["duration"])).values())
     if not all(np.isfinite(hours) and hours > 0.0 for hours in lengths_h):
         name = SHAPES[body["duration"]["family"]]
@@ -184,7 +198,9 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
     found = []
     for name, event in events.items():
         message = _message(name, event.body, now, step)
-        if message is not None:
+        if event.body["type"] == RESTORATION:
+            found.append(_of_crew(name, event, now))
+        elif message is not None:
             # Since when somebody knew, and what is said now.
             issued = {min(moment(at), now) for at in (event.since, event.made_at)}
             found += [replace(message, issued_at=at) for at in sorted(issued)]
@@ -206,7 +222,17 @@ def _message(
         return None
     begun = _step_of(start, now, step)
     lasts_h = None if end is None else -((begun - end) // step) * (step / HOUR)
-    return OutageWarning(now, name, onset_likely=begun, probability=1.0, duration_p50_h=lasts_h)
+    names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
+    lasts = dict.fromkeys(names, lasts_h)
+    return OutageWarning(now, name, onset_likely=begun, probability=1.0, **lasts)
+
+
+def _of_crew(name: str, event: Event, now: pd.Timestamp) -> OutageWarning:
+    """What a crew says of the end of the present outage."""
+    said: dict[str, Any] = {
+        field: _moment(event.body.get(key)) for key, field in SAID_OF_END.items()
+    }
+    return OutageWarning(min(moment(event.made_at), now), name, **said)
 
 
 def _uncertain(
@@ -233,8 +259,13 @@ def _uncertain(
         probability=body["probability"],
         length=length,
         **times,
-        **_quantiles_h(length),
+        **(_quantiles_h(length) or _alone(body["duration"])),
     )
+
+
+def _alone(duration: Mapping[str, Any] | None) -> dict[str, Any]:
+    """An estimate without a spread."""
+    return {} if duration is None else {"duration_p50_h": duration["median_h"]}
 
 
 def _length(
@@ -258,6 +289,8 @@ def _distribution(body: Mapping[str, Any] | None) -> OutageLength | None:
             "discrete", hours=tuple(body["hours"]), probability=tuple(body["probabilities"])
         )
     scale = "median_h" if body["family"] == "lognormal" else "scale_h"
+    if body[SHAPES[body["family"]]] is None:
+        return None  # an estimate alone
     return OutageLength(
         body["family"],
         scale_h=body[scale],

@@ -180,11 +180,11 @@ class Onset(Body):
 
 
 class Lognormal(Body):
-    """A length whose logarithm is normal."""
+    """A length whose logarithm is normal; an estimate without ``sigma`` has the site's spread."""
 
     family: Literal["lognormal"]
     median_h: Hours
-    sigma: Shape
+    sigma: Shape | None = None
     max_h: Hours | None = None
 
 
@@ -241,6 +241,29 @@ class Belief(Body):
         return self
 
 
+class Restoration(Body):
+    """What a crew says of the end of the present outage."""
+
+    type: Literal["restoration"]
+    source: Name = "crew"
+    not_before: Moment | None = None
+    likely: Moment | None = None
+    by: Moment | None = None
+
+    @property
+    def times(self) -> list[pd.Timestamp]:
+        """What is given, in the order that it must have."""
+        return [one for one in (self.not_before, self.likely, self.by) if one is not None]
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Restoration:
+        if not self.times:
+            raise ValueError("says nothing. Give not_before, likely or by")
+        if self.times != sorted(self.times):
+            raise ValueError("has times out of order. Give not_before <= likely <= by")
+        return self
+
+
 def _check_last(start: pd.Timestamp, resolution: pd.Timedelta, values: int) -> None:
     """Whether the last of so many values is of our time, by arithmetic that has no end."""
     years = (values - 1) * resolution.total_seconds() / (365.25 * 86_400)
@@ -284,7 +307,9 @@ class Alert(Interval):
     text: str = Field(max_length=500)
 
 
-Event = Annotated[Outage | Belief | ImportLimit | Prices | Alert, Field(discriminator="type")]
+Event = Annotated[
+    Outage | Belief | Restoration | ImportLimit | Prices | Alert, Field(discriminator="type")
+]
 
 
 class Quantiles(Body):

@@ -144,6 +144,7 @@ class Runner:
         self.changes = Changes()
         self.alarms = Alarms(store)
         self._within: Within | None = None
+        self._logged: str | None = None
         if isinstance(clock, SetClock) and self.last is not None:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
         self._state = self._last_state()
@@ -390,11 +391,19 @@ class Runner:
         except StorageError:
             self._controller = self._restored()  # as if it had not decided
             raise
+        self._log_messages(plan)
         self._state = after.state
         self.expected[plan["id"]] = known.measurement
         while len(self.expected) > MOST_KNOWN:
             self.expected.popitem(last=False)
         return plan
+
+    def _log_messages(self, plan: dict[str, Any]) -> None:
+        """A line for which of several messages about an outage counts, and for one outlasted."""
+        words = plan["solve"]["outage_messages"]
+        if words and words != self._logged:
+            log.warning("%s: %s", plan["start"], words)
+        self._logged = words
 
     def _ruled(
         self, time: pd.Timestamp, known: Known | None, error: Exception, asked: Asked | None

@@ -21,7 +21,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.day.outages import BELIEF, LOOKAHEAD_H
-from vppres.outlook.outlook import length_of, said_so_far
+from vppres.outlook.outlook import Announced, length_of, said_so_far
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.client import Client
@@ -375,6 +375,9 @@ def warned(scenario: Scenario) -> Iterator[Announcement]:
         name = f"warned-{list(so_far).index(one.outage) + 1}"
         # It may have been due before it was said.
         first = grid.start + ((one.issued_at - LOOKAHEAD_H * HOUR - grid.start) // step) * step
+        crew = _of_crew(one)
+        if crew is not None:
+            yield Announcement(one.issued_at, f"{name}-crew", crew)
         said = said_so_far(messages, pd.date_range(first, periods=MOST_ONSETS, freq=step))
         if said is not None and said[1].any():
             standing.add(name)
@@ -385,9 +388,10 @@ def warned(scenario: Scenario) -> Iterator[Announcement]:
 
 
 def _belief(
-    message: OutageWarning, onset: Floats, first: pd.Timestamp, step: pd.Timedelta
+    known: Announced, onset: Floats, first: pd.Timestamp, step: pd.Timedelta
 ) -> dict[str, Any]:
     """A warning as an event of the service."""
+    message = known.message
     begin, end = np.flatnonzero(onset)[[0, -1]].tolist()
     resolution = f"PT{round(step.total_seconds())}S"
     body: dict[str, Any] = {
@@ -404,10 +408,24 @@ def _belief(
     lengths = length_of(message, step / HOUR, round(LOOKAHEAD_H * HOUR / step))
     if lengths is None:
         return body
+    if known.estimate and np.count_nonzero(lengths) == 1:
+        alone = {"family": "lognormal", "median_h": message.duration_p50_h}
+        return {**body, "duration": alone}
     likely = np.flatnonzero(lengths)
     hours = ((likely + 1) * (step / HOUR)).tolist()
     shares = (lengths[likely] / lengths.sum()).tolist()
     return {**body, "duration": {"family": "discrete", "hours": hours, "probabilities": shares}}
+
+
+def _of_crew(message: OutageWarning) -> dict[str, Any] | None:
+    """What a warning says of the end, as an event of the service; None if it says nothing."""
+    said = {
+        "not_before": message.restored_not_before,
+        "likely": message.restored_likely,
+        "by": message.restored_by,
+    }
+    times = {name: written(time) for name, time in said.items() if time is not None}
+    return {"type": "restoration", "source": "simulation", **times} if times else None
 
 
 def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:

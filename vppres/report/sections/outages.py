@@ -57,7 +57,18 @@ def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:
         "onset": "all-clear" if message.all_clear else _between(onsets, clock),
         "probability": f"{chance:.0%}" if chance >= 0.01 else f"{chance:.2%}",
         "length": ", ".join(f"{hours:.3g}" for hours in lengths if hours is not None),
+        "end": _end(message, clock),
     }
+
+
+def _end(message: OutageWarning, clock: Clock) -> str:
+    """What a message says of the restoration, as times."""
+    said = {
+        "not before": message.restored_not_before,
+        "about": message.restored_likely,
+        "by": message.restored_by,
+    }
+    return ", ".join(f"{word} {clock.words(time)}" for word, time in said.items() if time)
 
 
 def _between(onsets: Sequence[pd.Timestamp | None], clock: Clock) -> str:

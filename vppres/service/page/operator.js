@@ -1,17 +1,19 @@
 // The operator's form: mode, duration and reason, with a confirmation.
 
-import { HOUR, MINUTE, MODE_WORDS } from "./words.js";
+import { HOUR, MINUTE, MODE_WORDS, crewSays } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 
 export class Operator {
-  constructor(ask, look, now) {
+  constructor(ask, look, now, view) {
     this.ask = ask; // sends a request, with the token if there is one
     this.look = look; // shows the state anew
     this.now = now; // the time at the service
+    this.view = view; // what the page shows
     this.present = null;
     $("mode-form").addEventListener("submit", (event) => { event.preventDefault(); this.confirm(); });
     $("mode").addEventListener("click", (event) => { event.preventDefault(); this.chosen()?.focus(); $("operator").scrollIntoView(); });
+    $("crew-form").addEventListener("submit", (event) => { event.preventDefault(); this.record(); });
     $("confirm").addEventListener("close", () => this.confirmed());
   }
 
@@ -29,6 +31,15 @@ export class Operator {
       label.append(input, `${mode}: ${MODE_WORDS[mode]?.[0] ?? ""}`);
       return label;
     }));
+  }
+
+  // What a crew says of the end of the outage.
+  async record() {
+    const body = crewSays($("crew").value, this.view());
+    const failed = (error) => `Not recorded. ${error.message}`;
+    $("crew-said").textContent = body === null
+      ? "Not understood. Write for example: not before 16:00, about 18:00."
+      : await this.ask("v1/events/crew", { method: "PUT", body: JSON.stringify(body) }).then(() => `Recorded: ${$("crew").value}.`, failed);
   }
 
   // The current mode; a choice that is not sent yet stays.

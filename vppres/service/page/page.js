@@ -302,7 +302,7 @@ function showSteps() {
   write("steps-counts", `Since the start: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
 }
 
-const operator = new Operator(ask, look, () => view.now);
+const operator = new Operator(ask, look, () => view.now, () => view);
 new ResizeObserver(() => view.overview && showChart()).observe($("chart"));
 setInterval(show, 1000);
 (async function watch() {

@@ -267,8 +267,43 @@ export function announced(event, view) {
     case "price": return `Prices ${span}: ${event.price_gbp_per_kwh.slice(0, 3).map((p) => p.toFixed(2)).join(", ")}${event.price_gbp_per_kwh.length > 3 ? ", \u2026" : ""} GBP/kWh`;
     case "alert": return `${event.text} (${span})`;
     case "outage_belief": return belief(event, at);
+    case "restoration": return `Restoration ${restored(event, at)}`;
     default: return `${event.type.replaceAll("_", " ")} ${span}`;
   }
+}
+
+const SAID_OF_END = { not_before: "not before", likely: "about", by: "by" };
+
+function restored(event, at) {
+  return Object.entries(SAID_OF_END).filter(([key]) => event[key]).map(([key, words]) => `${words} ${at(event[key])}`).join(", ");
+}
+
+// What a crew says of the end, in one line, as an event; null if it is not understood.
+// "not before 16:00, about 18:00", "by 17:30", "within the hour", "back within 30 min".
+export function crewSays(text, view) {
+  const body = { type: "restoration", source: "operator" };
+  for (const part of text.toLowerCase().split(",")) {
+    const words = part.trim().replace(/^back /, "");
+    const time = /^(not before|about|by) (\d{1,2}:\d{2})$/.exec(words);
+    const span = /^within (?:the hour|(\d+(?:\.\d+)?) ?(h|min))$/.exec(words);
+    if (time) {
+      const key = Object.keys(SAID_OF_END).find((one) => SAID_OF_END[one] === time[1]);
+      body[key] = nextAt(time[2], view);
+    } else if (span) {
+      body.by = new Date(view.now.getTime() + Number(span[1] ?? 1) * (span[2] === "min" ? MINUTE : HOUR)).toISOString();
+    } else return null;
+  }
+  return Object.values(body).includes(null) ? null : body;
+}
+
+// The next time at which the clocks of the site show these hours and minutes; null if they never do.
+function nextAt(clock, view) {
+  const begin = Math.ceil(view.now.getTime() / MINUTE);
+  for (let minute = begin; minute < begin + 24 * 60; minute++) {
+    const time = new Date(minute * MINUTE);
+    if (view.clock.hm.format(time) === clock.padStart(5, "0")) return time.toISOString();
+  }
+  return null;
 }
 
 function belief(event, at) {

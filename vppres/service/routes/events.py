@@ -56,11 +56,14 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         actor: str = guarded("events"),
         if_match: Annotated[str | None, Header()] = None,
     ) -> dict[str, Any]:
-        """An outage or belief, an import limit, prices or an alert; it replaces the old one."""
+        """An outage, a belief or what a crew says of its end; an import limit, prices or an alert.
+
+        It replaces the old one.
+        """
         if isinstance(body, payloads.Prices):
             check_forecast("load_kw", {}, body.start, body.resolution, runner.scenario)
         plain = payloads.plain(body)
-        if isinstance(body, payloads.Belief):
+        if isinstance(body, payloads.Belief | payloads.Restoration):
             check_belief(plain, runner.options)
         now = runner.clock.now()
         if identifier not in runner.store.events():
