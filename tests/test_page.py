@@ -120,6 +120,17 @@ def test_sources_grow_old_and_plans_run_out(runner: Runner) -> None:
     assert missed["steps"]["missed"] == 2
 
 
+def test_older_steps_are_asked_for(runner: Runner) -> None:
+    for hour in range(3):
+        decide(runner, NOON + hour * HOUR)
+    http = Caller(make_app(runner, Access()))
+    asked = f"/v1/history?since={written(NOON)}&until={written(NOON + 2 * HOUR)}"
+    steps = http.get(asked).json()["steps"]
+    assert [step["start"] for step in steps] == [written(NOON), written(NOON + HOUR)]
+    assert steps == http.get("/v1/overview").json()["past"][:2]
+    assert http.get("/v1/history").status == 422
+
+
 def test_what_the_gate_refused_is_named(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "vppres.service.runner.refusals", lambda *_: {("batteries", "big"): "no number"}

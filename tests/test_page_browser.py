@@ -159,11 +159,13 @@ def test_all_text_stands_out_and_everything_has_a_name(
             )
             assert page.evaluate(CONTRAST) == []
         assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        page.check("input[value=manual]")
         page.focus("#mode-change")
         boxes = "all => all.map(one => one.getBoundingClientRect().height)"
-        assert min(page.locator("button:visible, select, #mode-reason").evaluate_all(boxes)) >= 44
+        controls = "button:visible, select:visible, #mode-reason"
+        assert min(page.locator(controls).evaluate_all(boxes)) >= 44
         unnamed = "all => all.filter(one => !one.labels?.length && !one.textContent.trim()).length"
-        assert page.locator("button:visible, select, input:visible").evaluate_all(unnamed) == 0
+        assert page.locator(f"{controls}, input:visible").evaluate_all(unnamed) == 0
         images = "all => all.filter(one => !one.getAttribute('aria-label')).length"
         assert page.locator("[role=img]").evaluate_all(images) == 0
         assert page.locator("h1").count() == 1
@@ -274,6 +276,35 @@ def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> Non
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
+def test_set_points_are_given_by_hand(browser: Any, watched: tuple[Runner, str]) -> None:
+    runner, address = watched
+    with Watcher(browser, address, PHONE) as watcher:
+        page = watcher.page
+        page.check("input[value=manual]")
+        page.click("#mode-change")
+        watcher.wait_for("#mode-said", "Add a set-point first.")
+        page.select_option("#manual-device", label="hospital")
+        page.click("#manual-add")
+        page.select_option("#manual-device", label="big")
+        page.fill("#manual-power", "-60")
+        page.click("#manual-add")
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        page.click("#mode-change")
+        words = "set-points are used. hospital disconnected; big -60 kW. For 1 hour, then auto."
+        assert watcher.text("#confirm-words").endswith(words)
+        page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "is beyond its rating of 50 kW")
+        page.check("input[value=manual]")
+        page.fill("#manual-power", "-20.5")
+        page.click("#manual-add")
+        page.click("#mode-change")
+        page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "The mode is manual.")
+        asked = [(one["asset"], one["p_kw"], one["served"]) for one in runner.mode["setpoints"]]
+        assert asked == [("hospital", None, False), ("big", -20.5, None)]
+    runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
+
+
 def test_an_outage_that_is_believed_is_told_before_a_plan_knows_of_it(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -316,6 +347,8 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         attention = watcher.text("#attention-list")
         assert "Less than 10% of the usable energy is left, and there is no grid." in attention
         assert "missed" in watcher.text("#steps-list")
+        page.click("text=Acknowledge >> nth=0")
+        watcher.wait_for("#attention-list", "by anybody here")
         assert page.locator("#chart .bad").count() == 1
         assert page.locator("#chart .outage").count() >= 2
         assert page.evaluate(CONTRAST) == []

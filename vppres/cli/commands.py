@@ -454,6 +454,7 @@ def serve(
     rehearse: cli_serve.Rehearse = False,
     paced: cli_serve.Paced = False,
     keep_days: cli_serve.KeepDays = 400.0,
+    notify: cli_serve.Notify = None,
     add_token: cli_serve.AddToken = None,
     token_days: cli_serve.TokenDays = None,
     remove_token: cli_serve.RemoveToken = None,
@@ -484,7 +485,7 @@ def serve(
             return
         names = tuple(name or ())
         address = service.Address(host, port, behind_proxy, names, certificate, key)
-        service.serve(served, folder, address, typer.echo)
+        service.serve(served, folder, address, typer.echo, notify or ())
 
 
 @app.command(

@@ -30,6 +30,15 @@ Paced = Annotated[
 KeepDays = Annotated[
     float, typer.Option(min=1.0, help="How long readings and plans are kept, in days.")
 ]
+Notify = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="URL",
+        envvar="VPPRES_NOTIFY",
+        help="Where alarms are sent: https://HOST/PATH or smtp://USER@HOST:PORT/TO?from=FROM; "
+        "may be given several times.",
+    ),
+]
 AddToken = Annotated[
     str | None,
     typer.Option(

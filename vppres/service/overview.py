@@ -24,6 +24,9 @@ PAST_H = 12.0
 MOST_PAST = 96
 """Steps of it at most."""
 
+MOST_HISTORY = 1_000
+"""Steps of an answer, the last ones: ten days of quarter hours, read in a second or so."""
+
 NOT_TOLD = ("setpoints", "ahead", "before")
 
 REFRESH_S = 1
@@ -47,6 +50,10 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "customers": {
             str(name): str(tier)
             for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
+        },
+        "pv": {
+            str(name): {"p_max_kw": float(p_kw)}
+            for name, p_kw in zip(day.pv.id, day.pv.p_max_kw, strict=True)
         },
         "batteries": {
             str(name): {
@@ -90,6 +97,11 @@ class Overview:
                 content = json.dumps(self._now(), allow_nan=False, separators=(",", ":"))
                 self._made = (key, content.encode())
             return self._made[1]
+
+    def history(self, since: pd.Timestamp, until: pd.Timestamp) -> list[dict[str, Any]]:
+        """Steps that are kept, in a few numbers each, from a time on and before another one."""
+        begin = max(since, until - MOST_HISTORY * self.runner.length)
+        return [self._summary(plan) for plan in self.runner.store.plans(begin, until)]
 
     def _key(self) -> Any:
         return (

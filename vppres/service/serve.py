@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ssl
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from vppres.service.app import make_app
 from vppres.service.clock import Clock, SetClock, SystemClock
 from vppres.service.connections import MOST_AT_ONCE, Connection
 from vppres.service.loop import Loop
+from vppres.service.notify import notifier, target_of
 from vppres.service.runner import Runner, Service
 from vppres.service.store import Store
 
@@ -159,7 +160,11 @@ def remove_token(service: Service, folder: Path | str, name: str) -> None:
 
 
 def serve(
-    service: Service, folder: Path | str, address: Address, told: Callable[[str], None]
+    service: Service,
+    folder: Path | str,
+    address: Address,
+    told: Callable[[str], None],
+    notify: Sequence[str] = (),
 ) -> None:
     """Serve until SIGINT or SIGTERM.
 
@@ -173,13 +178,17 @@ def serve(
         Where it listens.
     told : callable
         Is told in a line what begins.
+    notify : sequence of str, optional
+        Addresses of webhooks and for mail, which are told of alarms.
 
     Raises
     ------
     InputError
         If another process serves from the folder, or the address needs what is not there.
     """
-    with opened(service, folder) as runner:
+    targets = [target_of(text) for text in notify]
+    with opened(service, folder) as runner, notifier(service.scenario.name, targets) as tell:
+        runner.alarms.on_notice = tell
         access = Access(runner.store.tokens())
         address.check(access)
         hosts = (*LOOPBACK, address.host, *address.names)

@@ -21,9 +21,15 @@ export function meter(to, { from = 0, kind = "", rest = "", marks = [], name = "
     ...marks.map((mark) => element("line", { class: "mark", x1: `${x(mark)}%`, x2: `${x(mark)}%`, y1: -3, y2: 17 })));
 }
 
+// The steps of the overview, and older ones if they were asked for.
+export function pastOf(view) {
+  const { past } = view.overview;
+  return [...(view.history ?? []).filter((step) => past.length && step.start < past[0].start), ...past];
+}
+
 // Past steps, the current one, and planned ones.
 export function stepsOf(view) {
-  const { past, plan } = view.overview;
+  const { plan } = view.overview, past = pastOf(view);
   const length = view.site.step_s * 1000;
   const stored = (soc) => soc && storedShare(view.site, (name) => soc[name]);
   const known = past.map((step) => ({

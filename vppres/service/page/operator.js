@@ -2,6 +2,11 @@
 
 import { HOUR, MINUTE, MODE_WORDS, crewSays } from "./words.js";
 
+const KINDS = { customers: "Customers", batteries: "Batteries", pv: "PV systems" };
+const NEED_END = ["hold", "manual"];
+
+const setpointWords = (one) => `${one.asset} ${one.kind === "customers" ? (one.served ? "connected" : "disconnected") : `${one.p_kw} kW`}`;
+
 const $ = (id) => document.getElementById(id);
 
 export class Operator {
@@ -15,6 +20,10 @@ export class Operator {
     $("mode").addEventListener("click", (event) => { event.preventDefault(); this.chosen()?.focus(); $("operator").scrollIntoView(); });
     $("crew-form").addEventListener("submit", (event) => { event.preventDefault(); this.record(); });
     $("confirm").addEventListener("close", () => this.confirmed());
+    $("modes").addEventListener("change", () => this.showManual());
+    $("manual-device").addEventListener("change", () => this.showManual());
+    $("manual-add").addEventListener("click", () => this.add());
+    this.setpoints = new Map(); // by device, not sent yet
   }
 
   // Something that needs no confirmation, on an alarm.
@@ -24,8 +33,14 @@ export class Operator {
     await this.look();
   }
 
-  offer(modes) {
-    $("modes").replaceChildren(...modes.filter((mode) => mode !== "manual").map((mode) => {
+  offer(site) {
+    $("manual-device").replaceChildren(...["customers", "batteries", "pv"].map((kind) => {
+      const group = document.createElement("optgroup");
+      group.label = KINDS[kind];
+      group.append(...Object.keys(site[kind]).map((name) => new Option(name, JSON.stringify([kind, name]))));
+      return group;
+    }));
+    $("modes").replaceChildren(...site.modes.map((mode) => {
       const label = document.createElement("label"), input = document.createElement("input");
       Object.assign(input, { type: "radio", name: "mode", value: mode, required: true });
       label.append(input, `${mode}: ${MODE_WORDS[mode]?.[0] ?? ""}`);
@@ -51,6 +66,30 @@ export class Operator {
 
   choosePresent() {
     for (const input of $("modes").querySelectorAll("input")) input.checked = input.value === this.present;
+    this.showManual();
+  }
+
+  // The set-points of manual mode: one device after another, sent together.
+  showManual() {
+    $("manual").hidden = this.chosen()?.value !== "manual";
+    const [kind] = JSON.parse($("manual-device").value || "[null]");
+    $("manual-power-box").hidden = kind === "customers";
+    $("manual-on-box").hidden = kind !== "customers";
+    $("manual-list").replaceChildren(...[...this.setpoints].map(([key, one]) => {
+      const item = document.createElement("li"), remove = document.createElement("button");
+      Object.assign(remove, { type: "button", className: "quiet", textContent: "Remove", ariaLabel: `Remove ${one.asset}` });
+      remove.addEventListener("click", () => { this.setpoints.delete(key); this.showManual(); $("manual-add").focus(); });
+      item.append(setpointWords(one), " ", remove);
+      return item;
+    }));
+  }
+
+  add() {
+    const key = $("manual-device").value, [kind, asset] = JSON.parse(key);
+    const power = $("manual-power");
+    if (kind !== "customers" && (power.value === "" || !power.checkValidity())) { power.focus(); return; }
+    this.setpoints.set(key, { kind, asset, ...(kind === "customers" ? { served: $("manual-on").value === "on" } : { p_kw: Number(power.value) }) });
+    this.showManual();
   }
 
   chosen() { return $("modes").querySelector(":checked"); }
@@ -58,11 +97,13 @@ export class Operator {
   confirm() {
     const mode = this.chosen()?.value;
     if (!mode) return;
+    if (mode === "manual" && !this.setpoints.size) { $("mode-said").textContent = "Add a set-point first."; $("manual-device").focus(); return; }
     const hours = $("mode-hours");
-    if (mode === "hold" && !hours.value) hours.value = "1"; // hold needs an end
+    if (NEED_END.includes(mode) && !hours.value) hours.value = "1";
     const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
     $("confirm-title").textContent = `Change the mode to ${mode}?`;
-    $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""} ${span}`;
+    const asked = mode === "manual" ? ` ${[...this.setpoints.values()].map(setpointWords).join("; ")}.` : "";
+    $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""}${asked} ${span}`;
     $("confirm-no").textContent = `No, keep ${this.present}`;
     $("confirm-yes").textContent = `Yes, change to ${mode}`;
     $("confirm").returnValue = "";
@@ -82,10 +123,12 @@ export class Operator {
     }
     const hours = Number($("mode-hours").value);
     const until = hours ? this.after(hours).toISOString() : null;
-    const body = { mode: this.chosen().value, until, reason: $("mode-reason").value };
+    const mode = this.chosen().value;
+    const setpoints = mode === "manual" ? [...this.setpoints.values()] : [];
+    const body = { mode, until, reason: $("mode-reason").value, setpoints };
     $("mode-change").disabled = true;
     const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })
-      .then((answer) => { this.present = answer.mode; return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
+      .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
     $("mode-change").disabled = false;
     $("mode-change").focus();
     $("mode-said").textContent = said;

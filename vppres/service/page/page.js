@@ -1,9 +1,9 @@
 // Polls the service every two seconds and shows its state. Nothing is fetched from other hosts.
 
-import { chart, meter, stepsOf } from "./chart.js";
+import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -31,13 +31,14 @@ async function look() {
     if (!view.site) {
       view.site = await ask("v1/site");
       view.clock = new SiteClock(view.site.time_zone);
-      operator.offer(view.site.modes);
+      operator.offer(view.site);
     }
     view.overview = await ask("v1/overview");
     heardAt = performance.now();
     view.heard = new Date(view.overview.now);
     wantToken(null);
     learnWhy();
+    learnHistory();
   } catch (error) {
     if (error.status === 401 || error.status === 403) wantToken(error.message);
   }
@@ -56,6 +57,17 @@ async function learnWhy() {
   } catch { /* it is asked again when the page looks again */ }
   asking = false;
 }
+
+// Steps before those of the overview, once for each new step.
+async function learnHistory(anew = false) {
+  const hours = Number($("history-hours").value), last = view.overview.past.at(-1)?.start;
+  if (!anew && (!hours || view.historyOf === last)) return;
+  view.historyOf = last;
+  const since = new Date(view.now.getTime() - hours * HOUR).toISOString();
+  view.history = hours ? (await ask(`v1/history?since=${since}`, {}, WHY_PATIENCE_MS).catch(() => ({ steps: [] }))).steps : [];
+  show();
+}
+$("history-hours").addEventListener("change", () => learnHistory(true));
 
 function wantToken(words) {
   if (words === null) {
@@ -223,7 +235,7 @@ function voltageFigure() {
 }
 
 function showChart() {
-  const { past, plan } = view.overview;
+  const { plan } = view.overview, past = pastOf(view);
   const width = Math.max(300, Math.floor($("chart").clientWidth));
   renew("chart", [past, plan?.ahead, width, Math.floor(view.now / 60000)], () => [chart(view, width) ?? node("p", { class: "note" }, "No step has been decided yet.")]);
   renew("chart-table", [past, plan?.ahead], () => chartTable());
@@ -292,7 +304,7 @@ function showEvents() {
 }
 
 function showSteps() {
-  const { past, steps } = view.overview;
+  const { steps } = view.overview, past = pastOf(view);
   const odd = past.filter((step) => step.status !== "ok" || step.refused.length).reverse();
   renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
     ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
+from vppres.service.clock import written
 from vppres.service.overview import Overview, site_of
 from vppres.service.routes.guard import Guard
+from vppres.service.routes.times import moment_asked
 from vppres.service.runner import Runner
 
 POLICY = "; ".join(
@@ -60,6 +62,17 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         text = overview.fresh() or await run_in_threadpool(overview.text)
         headers = {"Cache-Control": "no-store"}
         return Response(text, media_type="application/json", headers=headers)
+
+    @router.get("/v1/history")
+    def history(
+        since: Annotated[str, Query(max_length=40)],
+        until: Annotated[str | None, Query(max_length=40)] = None,
+        _: str = guarded("read"),
+    ) -> dict[str, Any]:
+        """Steps that were, from a time on; of more than 1,000 the last ones."""
+        now = runner.clock.now()
+        end = now if until is None else moment_asked(until)
+        return {"now": written(now), "steps": overview.history(moment_asked(since), end)}
 
     return router
 
