@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 
 # Control, surrogate, unassigned and format characters and line separators steer terminals, break
 # XML, or make a name look like another one. The two joiners of Persian and Indic writing do not.
@@ -42,6 +43,17 @@ def counted_steps(count: int) -> str:
     ('1 step', '6 steps')
     """
     return "1 step" if count == 1 else f"{count} steps"
+
+
+def named(names: Iterable[object], most: int = 12) -> str:
+    """Names in a row; many are cut.
+
+    >>> named(["a", "b", "c"], most=2)
+    'a, b and 1 more'
+    """
+    words = [str(name) for name in names]
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
 
 
 def in_pounds(gbp: float, form: str) -> str:

@@ -17,9 +17,10 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, VerificationError
+from vppres.core.text import named
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.feeder import Deviation, ImportedFeeder
-from vppres.feeders.net.elements import NetCase, few, label, supplied
+from vppres.feeders.net.elements import NetCase, label, supplied
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
@@ -253,7 +254,7 @@ def _held_voltages(net: Any, case: NetCase) -> Iterator[tuple[float, str]]:
     gens = supplied(net, "gen", case)
     if len(gens):
         kvar = float(mw_to_kw(net.res_gen["q_mvar"].reindex(gens.index).abs().sum()))
-        names = few(label(net, "gen", i) for i in gens.index)
+        names = named(label(net, "gen", i) for i in gens.index)
         yield (
             kvar,
             f"generators that hold their voltage in the source, with {kvar:.4g} kvar: {names}",
@@ -268,7 +269,7 @@ def _following_loads(net: Any, case: NetCase) -> Iterator[tuple[float, str]]:
         p_kw = _share(loads, kind, "p") * mw_to_kw(loads["p_mw"].abs() * scaling)
         q_kvar = _share(loads, kind, "q") * mw_to_kw(loads["q_mvar"].abs() * scaling)
         if p_kw.any() or q_kvar.any():
-            names = few(label(net, "load", i) for i in loads.index[(p_kw > 0) | (q_kvar > 0)])
+            names = named(label(net, "load", i) for i in loads.index[(p_kw > 0) | (q_kvar > 0)])
             size = f"{p_kw.sum():.4g} kW and {q_kvar.sum():.4g} kvar"
             yield (
                 float(np.hypot(p_kw.sum(), q_kvar.sum())),

@@ -116,12 +116,19 @@ def import_network(
 def _of_file(read: Callable[[], _Net], path: Path, changes: Changes) -> ImportedFeeder:
     """The feeder of a file or code."""
     found = read()
-    try:
+    with _to_blame(path, "a network"):
         return _feeder(found, path.name, changes)
+
+
+@contextmanager
+def _to_blame(path: Path, what: str) -> Iterator[None]:
+    """Whatever the reader stumbles over, the file is the cause."""
+    try:
+        yield
     except VppresError:
         raise
-    except Exception as error:  # values that no check thought of; the file is the cause
-        raise _unreadable(path, "a network", f"{type(error).__name__}: {error}") from error
+    except Exception as error:
+        raise _unreadable(path, what, str(error) or type(error).__name__) from error
 
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
@@ -212,13 +219,9 @@ def _missing(module: str, extra: str) -> InputError:
 def _pandapower(path: Path) -> _Net:
     from vppres.feeders.net.json_file import read_pandapower
 
-    try:
+    with _to_blame(path, "pandapower JSON"):
         net, notes, constants = read_pandapower(path)
         profiles = control_profiles(net, controls_in_json(constants))
-    except InputError:
-        raise
-    except Exception as error:  # whatever the reader stumbles over, the file is the cause
-        raise _unreadable(path, "pandapower JSON", error) from None
     return _Net(net, notes=notes, profiles=profiles)
 
 
@@ -230,12 +233,8 @@ def _matpower(path: Path) -> _Net:
     read = readers.get(path.suffix.lower())
     if read is None:
         raise _unreadable(path, what, "its name ends in neither .m nor .mat")
-    try:
+    with _to_blame(path, what):
         return _Net(read(path))
-    except InputError:
-        raise
-    except Exception as error:  # whatever the reader stumbles over, the file is the cause
-        raise _unreadable(path, what, error) from None
 
 
 def _opendss(path: Path) -> _Net:

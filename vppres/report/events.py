@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from vppres.core.text import named
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
@@ -51,16 +52,6 @@ def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     return [_day(run), *_outage(run, summary)]
 
 
-def named(names: Sequence[str], most: int = NAMES_SHOWN) -> str:
-    """Names in a row; many are cut.
-
-    >>> named(["a", "b", "c"], most=2)
-    'a, b and 1 more'
-    """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
-
-
 def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     energy = stored_energy_kwh(run)
     for first, last in outage_spans(run):
@@ -86,7 +77,8 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
                     f"{name} ({tier})"
                     for name, tier in zip(c.id[changed][order], c.tier[changed][order], strict=True)
                 ]
-                yield t, f"{len(names)} {_customers(len(names))} {words}: {named(names)}."
+                who = named(names, NAMES_SHOWN)
+                yield t, f"{len(names)} {_customers(len(names))} {words}: {who}."
 
 
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.text import named
 from vppres.core.units import h_to_minutes
 from vppres.day.metrics import line_current_a, line_loading, service_by_customer
 from vppres.day.reliability import reliability_by_tier
@@ -16,7 +17,6 @@ from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energ
 from vppres.day.trajectory import Trajectory
 from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
-from vppres.report.events import named
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from vppres.core.text import named
 from vppres.scenario.scenario import Scenario
 from vppres.service.knowledge import GRID, Heard, Latest, refusing, soc_of
 from vppres.service.lost import lost_customers
@@ -167,9 +168,9 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
     off = [name for name in off if name in able]
     late = _late_batteries(now)
     if off:
-        words = f"{_listed(off)} of the first tier off supply"
+        words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
         if late:
-            words += f", and the state of charge of {_listed(late)} is not known of now"
+            words += f", and the state of charge of {named(late, NAMES_SHOWN)} is not known of now"
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
         return
     ahead = now.standing.plan.get("ahead") or {"times": [], "served": {}}
@@ -178,7 +179,7 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
         later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
         if time <= now.now + AHEAD and later:
             priority = HIGH if time <= now.now + SOON else MEDIUM
-            words = f"Planned: {_listed(sorted(later))} of the first tier off supply."
+            words = f"Planned: {named(sorted(later), NAMES_SHOWN)} of the first tier off supply."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
 
@@ -229,7 +230,9 @@ def _source_lost(now: Situation) -> Iterator[Condition]:
         if one.state == "lost":
             by_source.setdefault(one.source, []).append(f"{one.quantity} of {one.asset}")
     for source, names in by_source.items():
-        yield Condition("source_lost", source, MEDIUM, f"No data from {source}: {_listed(names)}.")
+        yield Condition(
+            "source_lost", source, MEDIUM, f"No data from {source}: {named(names, NAMES_SHOWN)}."
+        )
 
 
 def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
@@ -243,9 +246,3 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
             found.setdefault(one["asset"], f"{words} The default was sent.")
     for name, text in found.items():
         yield Condition("setpoint_rejected", name, HIGH if name in now.critical else MEDIUM, text)
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names, not more than anybody reads."""
-    more = len(names) - NAMES_SHOWN
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:NAMES_SHOWN])} and {more} more"

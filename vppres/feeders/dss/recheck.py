@@ -17,10 +17,10 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
+from vppres.core.text import named
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
-from vppres.feeders.net.elements import few
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
@@ -190,7 +190,7 @@ def _check_loads(run: Tables, nominal_kw: Mapping[str, float], name: str) -> Non
     if missing:
         raise InputError.of(
             name,
-            f"has no load at the buses of {len(missing)} customers: bus {few(missing)}",
+            f"has no load at the buses of {len(missing)} customers: bus {named(missing)}",
             "Give the file that the run's scenario was made from.",
         )
 
@@ -295,7 +295,7 @@ def _notes(
     )
     if found["switched_off"]:
         yield (
-            f"Switched off, as the run has its own in their place: {few(found['switched_off'])}."
+            f"Switched off, as the run has its own in their place: {named(found['switched_off'])}."
         )
     lit = voltages[voltages["outage"] & voltages["v_plan_pu"].notna()]["time"].nunique()
     dark = int(steps["outage"].sum()) - lit

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.text import named
 from vppres.core.units import mw_to_kw
 from vppres.feeders.feeder import Generators, Loads, Storages
-from vppres.feeders.net.elements import NetCase, few, label, supplied
+from vppres.feeders.net.elements import NetCase, label, supplied
 from vppres.scenario.network import BusId
 
 HOURS_OF_STORAGE = 2.0
@@ -137,7 +138,7 @@ class _Told:
     def say(self, which: pd.Series[bool], words: str) -> None:
         """A sentence, if it holds for any battery."""
         if which.any():
-            self.notes.append(f"{words}: {few(self.names[which])}.")
+            self.notes.append(f"{words}: {named(self.names[which])}.")
 
 
 def _power_mw(frame: pd.DataFrame, given_mw: pd.Series[float], told: _Told) -> pd.Series[float]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
-
-NAMES_SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +45,3 @@ def label(net: Any, table: str, index: Any) -> str:
     """An element by table and index, with its name if it has one."""
     name = net[table]["name"].at[index] if "name" in net[table] else None
     return f"{table} {index}" + (f" ({name})" if isinstance(name, str) and name else "")
-
-
-def few(names: Iterable[object]) -> str:
-    """Names in a row; many are cut."""
-    words = [str(name) for name in names]
-    more = f" and {len(words) - NAMES_SHOWN} more" if len(words) > NAMES_SHOWN else ""
-    return ", ".join(words[:NAMES_SHOWN]) + more

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.net.elements import few, in_service, label
+from vppres.core.text import named
+from vppres.feeders.net.elements import in_service, label
 from vppres.scenario.network import BusId
 
 ALL = "all"
@@ -86,7 +87,7 @@ def _grid(net: Any, table: str, index: Any, bus_ids: Mapping[int, BusId] | None)
 def _undecided(name: str, grids: list[_Grid]) -> Problem:
     return Problem(
         name,
-        f"has {len(grids)} external grids: {few(_described(grids))}",
+        f"has {len(grids)} external grids: {named(_described(grids))}",
         "Choose one with --slack, by its name or its bus; --slack all joins those that hold the "
         "same voltage.",
     )
@@ -96,7 +97,7 @@ def _unknown(name: str, wanted: str, grids: list[_Grid]) -> Problem:
     return Problem(
         name,
         "is no external grid of the network",
-        f"There is {few(_described(grids))}." if grids else "Add an external grid to the source.",
+        f"There is {named(_described(grids))}." if grids else "Add an external grid to the source.",
         field="slack",
         value=wanted,
     )
@@ -118,7 +119,7 @@ def _check_alike(net: Any, name: str, grids: list[_Grid]) -> None:
         held = [f"{grid.label} {grid.v_pu:g} pu" for grid in grids]
         raise InputError.of(
             name,
-            f"has grids that hold different voltages: {few(held)}",
+            f"has grids that hold different voltages: {named(held)}",
             "Choose one of them.",
             field="slack",
             value=ALL,
@@ -147,7 +148,7 @@ def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
             net.gen.loc[[grid.index] if grid.table == "gen" else [], "in_service"] = False
         yield (
             f"{len(chosen)} external grids hold the same voltage and are joined to one grid "
-            f"connection (--slack all): {few(grid.label for grid in chosen)}. Limits and outages "
+            f"connection (--slack all): {named(grid.label for grid in chosen)}. Limits and outages "
             "are those of all together."
         )
         return
@@ -155,13 +156,13 @@ def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
     if fed:
         yield (
             f"The grid connection is {first.label} (--slack); no longer feeding, and out of "
-            f"service: {few(fed)}."
+            f"service: {named(fed)}."
         )
     generating = [grid.label for grid in elsewhere if grid.table == "gen"]
     if generating:
         yield (
             f"The grid connection is {first.label}; generators with their own active power and no "
-            f"longer the balance of the net: {few(generating)}."
+            f"longer the balance of the net: {named(generating)}."
         )
 
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.text import named
 from vppres.core.units import mw_to_kw
 from vppres.feeders.closeness import causes_of
 from vppres.feeders.feeder import Generators
 from vppres.feeders.net.branches import LEAST_PU, Stub
-from vppres.feeders.net.elements import NetCase, few, in_service, label, supplied
+from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 
 TABLES_OF_BUSES = ("load", "sgen", "gen")
 TAP_TOLERANCE = 1e-9
@@ -55,23 +56,23 @@ def _notes_on_topology(
         joined.setdefault(row, []).append(bus)
     for buses in joined.values():
         if len(buses) > 1:
-            yield f"Closed switches make one bus of the buses {few(buses)}."
+            yield f"Closed switches make one bus of the buses {named(buses)}."
     if closed:
         yield (
             f"Branches of less than {LEAST_PU:g} pu (on 1 MVA) count as closed switches, and their "
-            f"ends as one bus: {few(closed)}."
+            f"ends as one bus: {named(closed)}."
         )
     lost = net.bus.index.difference([*case.bus_at])
     if len(lost):
-        yield f"Without supply or out of service, and left out: bus {few(lost)}."
+        yield f"Without supply or out of service, and left out: bus {named(lost)}."
         for table in TABLES_OF_BUSES:
             frame = in_service(net, table)
             names = [label(net, table, i) for i in frame.index[frame["bus"].isin(lost)]]
             if names:
-                yield f"Left out with their buses: {few(names)}."
+                yield f"Left out with their buses: {named(names)}."
     if stubs:
         kvar = float(mw_to_kw(sum(stub.y.imag for stub in stubs) * case.base_mva))
-        ends = few(stub.label for stub in stubs)
+        ends = named(stub.label for stub in stubs)
         yield f"Open at one end, and kept as shunts of {kvar:.4g} kvar: {ends}."
 
 
@@ -87,12 +88,12 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
     off = branches[(branches["tap"] - 1).abs() > TAP_TOLERANCE]
     if len(off):
         ratios = [f"{n} ({tap:.4f})" for n, tap in zip(off["label"], off["tap"], strict=True)]
-        yield f"Taps stay as they are, with the ratio {few(ratios)}."
+        yield f"Taps stay as they are, with the ratio {named(ratios)}."
     yield from _set_points(net)
     negative = branches[branches["r"] < 0]
     if len(negative):
         sizes = [f"{n} ({r:.3g} pu)" for n, r in zip(negative["label"], negative["r"], strict=True)]
-        yield f"Negative resistances count as none: {few(sizes)}."
+        yield f"Negative resistances count as none: {named(sizes)}."
 
 
 def _set_points(net: Any) -> Iterator[str]:
@@ -106,9 +107,9 @@ def _set_points(net: Any) -> Iterator[str]:
         if not table.startswith("trafo") or (target is None and None in band):
             continue
         held = f"{target:g} pu" if target is not None else f"{band[0]:g} to {band[1]:g} pu"
-        found.append(f"{table} {few(np.ravel([index]))} ({held})")
+        found.append(f"{table} {named(np.ravel([index]))} ({held})")
     if found:
-        yield f"Tap changers are controlled in the source, and fixed here: {few(found)}."
+        yield f"Tap changers are controlled in the source, and fixed here: {named(found)}."
 
 
 def _notes_on_elements(net: Any, case: NetCase, condensers: Generators) -> Iterator[str]:
@@ -118,7 +119,7 @@ def _notes_on_elements(net: Any, case: NetCase, condensers: Generators) -> Itera
         sizes = [
             f"{n} ({q:.4g} kvar)" for n, q in zip(condensers.id, condensers.q_kvar, strict=True)
         ]
-        yield f"Generators with reactive power only are fixed: {few(sizes)}."
+        yield f"Generators with reactive power only are fixed: {named(sizes)}."
 
 
 def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
@@ -128,11 +129,11 @@ def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
         flags = loads["controllable"].fillna(False).astype(bool)
         if flags.any() and not flags.all():
             names = [label(net, "load", i) for i in loads.index[~flags]]
-            yield f"Not controllable in the source, and customers like any other: {few(names)}."
+            yield f"Not controllable in the source, and customers like any other: {named(names)}."
     yield from _flexible_loads(net, loads)
     acting = [row for row in _controllers(net) if row[1]]
     if acting:
-        yield f"Controllers of the source do not act: {few(name for name, _ in acting)}."
+        yield f"Controllers of the source do not act: {named(name for name, _ in acting)}."
 
 
 def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
@@ -145,7 +146,7 @@ def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
         chosen = loads[found.any(axis=1)]
         if len(chosen):
             p_kw = float(mw_to_kw((chosen["p_mw"] * chosen["scaling"].fillna(1.0)).sum()))
-            names = few(label(net, "load", i) for i in chosen.index)
+            names = named(label(net, "load", i) for i in chosen.index)
             yield (
                 f"{what} of {p_kw:.4g} kW keep their demand, which nothing moves in time here, and "
                 f"are switched off with their customers: {names}."

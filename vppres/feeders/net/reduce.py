@@ -19,6 +19,7 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
 from vppres.core.units import kva_to_a, kw_at_1_pu_to_us, mw_to_kw
 from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
 from vppres.feeders.feeder import Generators, ImportedFeeder
@@ -31,7 +32,7 @@ from vppres.feeders.net.branches import (
     parallel_as_one,
     split_stubs,
 )
-from vppres.feeders.net.elements import NetCase, few, in_service, label, supplied
+from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.notes import notes_of
 from vppres.feeders.net.ratings import rating_mva
 from vppres.io.messages import did_you_mean
@@ -165,7 +166,7 @@ def _check_slack(net: Any, name: str) -> list[Problem]:
         return [
             Problem(
                 name,
-                f"has {len(grids)} external grids: {few(grids)}",
+                f"has {len(grids)} external grids: {named(grids)}",
                 "Keep the one that feeds the feeder and take the others out of service.",
             )
         ]
@@ -341,7 +342,7 @@ def _check_loops(branches: pd.DataFrame, name: str) -> list[Problem]:
         loops.append([between[frozenset((int(a), int(b)))] for a, b in pairs])
     if not loops:
         return []
-    shown = "; ".join(few(loop) for loop in loops[:LOOPS_SHOWN])
+    shown = "; ".join(named(loop) for loop in loops[:LOOPS_SHOWN])
     return [
         Problem(
             name,

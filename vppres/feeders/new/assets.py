@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
-from vppres.feeders.net.elements import few
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -172,7 +172,7 @@ def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
             f"{net.buses[n]} ({net.p_fixed_kw[n]:.4g} kW, {net.q_fixed_kvar[n]:.4g} kvar)"
             for n in fixed
         ]
-        yield f"Drawn in every step and owned by no customer: bus {few(sizes)}."
+        yield f"Drawn in every step and owned by no customer: bus {named(sizes)}."
 
 
 def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
@@ -330,21 +330,22 @@ def _told_generators(
         yield (
             f"{pv.counted()}, {pv.p_max_kw.sum():,.1f} kW"
             + (" (PV invented by size)" if options.pv == "sized" else " (the source's)")
-            + (f"; without a customer, all exported or curtailed: {few(alone)}." if alone else ".")
+            + (f"; without a customer, all exported or curtailed: {named(alone)}" if alone else "")
+            + "."
         )
     table = generator_table(feeder)
     yield from _told_fuelled(table)
     yield from _told_replaced(table, options)
     larger = table["counterpart"] & (table["p_max_kw"] > table["s_kva"] * (1 + 1e-9))
     if larger.any():
-        yield f"Generators keep to their inverter's rating: {few(table['id'][larger])}."
+        yield f"Generators keep to their inverter's rating: {named(table['id'][larger])}."
 
 
 def _told_fuelled(table: pd.DataFrame) -> Iterator[str]:
     """Generators without a counterpart: what they are, how large, and what is missing without."""
     fuelled = table[table["kind"].map(burns_fuel).astype(bool)]
     if len(fuelled):
-        names = few(
+        names = named(
             f"{name}, {kind}, {p_kw:.4g} kW"
             for name, kind, p_kw in zip(
                 fuelled["id"], fuelled["kind"], fuelled["p_max_kw"], strict=True
@@ -358,7 +359,7 @@ def _told_fuelled(table: pd.DataFrame) -> Iterator[str]:
     drawing = table[~table["counterpart"] & (table["p_max_kw"] < schema.MIN_KW)]
     drawing = drawing.drop(fuelled.index, errors="ignore")
     if len(drawing):
-        yield f"Generators that give no active power are left out: {few(drawing['id'])}."
+        yield f"Generators that give no active power are left out: {named(drawing['id'])}."
 
 
 def _told_replaced(table: pd.DataFrame, options: NewScenarioOptions) -> Iterator[str]:
@@ -368,7 +369,7 @@ def _told_replaced(table: pd.DataFrame, options: NewScenarioOptions) -> Iterator
         out = out[out["kind"] == PV]
     if len(out):
         yield (
-            f"Generators of the source that --pv {options.pv} leaves out: {few(out['id'])}, "
+            f"Generators of the source that --pv {options.pv} leaves out: {named(out['id'])}, "
             f"{out['p_max_kw'].sum():.4g} kW."
         )
 

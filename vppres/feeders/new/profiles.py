@@ -10,8 +10,8 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.net.elements import few as few_names
 from vppres.feeders.new.assets import NewAssets, generator_table
 from vppres.feeders.series.clocks import in_utc
 from vppres.feeders.series.files import units_missing
@@ -183,14 +183,14 @@ def place_profiles(
         raise InputError(folded(problems))
     notes = [
         _told_origin(profiles),
-        *(f"{_UNUSED[kind]}: {few_names(names)}." for kind, names in unused.items()),
+        *(f"{_UNUSED[kind]}: {named(names)}." for kind, names in unused.items()),
         *load_notes,
         *pv_notes,
     ]
     if gaps:
         notes.append(
             "Missing values of the series lie on a straight line between their neighbours: "
-            f"{few_names(gaps)}."
+            f"{named(gaps)}."
         )
     return Series(load_kw, np.minimum(pv_kw, assets.pv.p_max_kw), system, tuple(notes))
 
@@ -324,14 +324,14 @@ def _systems(
 
 def _invented(names: list[str], count: int, what: str) -> str:
     """What fills in for series that were not given."""
-    of = "all of them" if len(names) == count else few_names(names)
+    of = "all of them" if len(names) == count else named(names)
     rule = " (kinds other than PV: the largest power)" if what != "Load" else ""
     return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
 
 
 def _told_origin(profiles: list[Profile]) -> str:
     files = list(dict.fromkeys(profile.where for profile in profiles))
-    return f"{len(profiles)} series from {few_names(files)}; reactive power follows power factors."
+    return f"{len(profiles)} series from {named(files)}; reactive power follows power factors."
 
 
 def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:

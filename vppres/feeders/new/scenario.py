@@ -16,6 +16,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.tables import packaged_table
+from vppres.core.text import named
 from vppres.feeders.closeness import (
     check_deviation,
     source_deviation,
@@ -23,7 +24,6 @@ from vppres.feeders.closeness import (
     told_deviation,
 )
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.net.elements import few
 from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
 from vppres.feeders.new.options import NewScenarioOptions, check_options, outages_of
 from vppres.feeders.new.profiles import Series, place_profiles, timed
@@ -116,9 +116,9 @@ def _for_islands(network: Network, batteries: Batteries) -> tuple[Network, list[
     if not off.any():
         return network, []
     note = (
-        f"The capacitors at bus {few(network.buses[off])} are switched off in islands: with them "
+        f"The capacitors at bus {named(network.buses[off])} are switched off in islands: with them "
         f"there is more reactive power than the {rating_kva:,.0f} kVA of the grid-forming "
-        f"battery {few(batteries.id[forming])}."
+        f"battery {named(batteries.id[forming])}."
     )
     return replace(network, island=network.island & ~off), [note]
 
@@ -201,7 +201,7 @@ def _told_bundled(pv: PVSystems) -> Iterator[str]:
     yield f"Invented: {shaped} one bundled summer day; the source's loads are the peaks."
     constant = [str(name) for name in pv.id[pv.kind != PV]]
     if constant:
-        yield f"Without a series, at their largest power in every step: {few(constant)}."
+        yield f"Without a series, at their largest power in every step: {named(constant)}."
 
 
 def _told_constants(series: Series) -> Iterator[str]:
