@@ -61,7 +61,7 @@ def test_whoever_is_served_was_in_reach(nightly: bool) -> None:
             if answer.dispatch.served.all():
                 served += 1
                 assert everyone_in_reach(site, case.data), (seed, stressed)
-    assert 3 * served > len(seeds)
+    assert 4 * served >= len(seeds)
 
 
 def test_nothing_stored_and_nothing_given_reaches_nobody() -> None:
