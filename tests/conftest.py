@@ -11,6 +11,8 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.io import write_scenario
 from vppres.scenario.scenario import Scenario
 
+TESTS = Path(__file__).parent
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of these tests: the size of one, and which of them run."""
@@ -41,6 +43,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Measure tests, and choose them by what was measured."""
     config.pluginmanager.register(Durations(config), "durations-of-tests")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the tests of studies and benchmarks, which are there for the night."""
+    whole = config.getoption("nightly") or config.getoption("measure")
+    return None if whole or collection_path != TESTS / "nightly" else True
 
 
 @pytest.fixture(scope="session")

@@ -169,6 +169,7 @@ def test_a_scenario_without_enough_days_says_so() -> None:
         backtest(history)
 
 
+@pytest.mark.nightly
 def test_the_homes_held_out_months() -> None:
     """The issue's bars, on every second day: docs/forecasts.md has all hours."""
     homes = read_history(ROOT / "data" / "homes", zone="Etc/GMT+8")

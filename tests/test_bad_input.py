@@ -1372,7 +1372,7 @@ def check_reading(folder: Path) -> None:
 
 def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path) -> None:
     """A small part of the study; see experiments/mutations.py for the large one."""
-    tally = study(tiny_folder, folders=150, runs=3, seed=2)
+    tally = study(tiny_folder, folders=40, runs=1, seed=2)
     assert tally.sound, tally
-    assert tally.runs["finished"] >= 2
-    assert tally.refused > 50
+    assert tally.runs["finished"] >= 1
+    assert tally.refused > 13

@@ -12,6 +12,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sybil import Document, Example, Region, Sybil
@@ -31,11 +32,11 @@ NOT_RUN = {
     "make test": "runs this test",
     "make reproduce": "takes a quarter of an hour",
     "make bench": "takes up to 45 minutes",
-    "python -m experiments --quick": "takes minutes; tests/test_experiments.py has its parts",
+    "python -m experiments --quick": "takes minutes; tests/nightly has its parts",
     "python -m experiments --only voltage": "takes minutes",
     "python -m experiments --only switching": "takes minutes",
     "python -m experiments --jobs 1 --results elsewhere": "takes a quarter of an hour",
-    "python -m benchmarks --quick": "takes minutes; tests/test_benchmarks.py has its parts",
+    "python -m benchmarks --quick": "takes minutes; tests/nightly has its parts",
     "python -m benchmarks --only windows": "takes minutes",
     "python -m benchmarks --time-limit 10 --jobs 1 --results elsewhere": "takes minutes",
     "python -m benchmarks --publish": "writes into the checkout",
@@ -63,6 +64,9 @@ NOT_RUN = {
     "python -m experiments.answers": "takes a minute",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
 }
+
+# Pages that take long, and whose commands are those of other pages or tests.
+NIGHTLY = {"islands.md", "tutorial.md", "compare.md", "reproduce.md", "solver.md", "sweep.md"}
 
 # The same command on another page; one of them runs it.
 RUN_ON_ANOTHER_PAGE = {
@@ -128,11 +132,15 @@ SYBIL = Sybil(
 )
 
 
-@pytest.mark.parametrize(
-    "page",
-    [p for p in PAGES if any(SYBIL.parse(p).examples())],
-    ids=lambda page: str(page.relative_to(ROOT)),
-)
+def cases() -> Iterator[Any]:
+    """Pages with something to run; those that take long for the night."""
+    for page in PAGES:
+        if any(SYBIL.parse(page).examples()):
+            marks = [pytest.mark.nightly] if page.name in NIGHTLY else []
+            yield pytest.param(page, id=str(page.relative_to(ROOT)), marks=marks)
+
+
+@pytest.mark.parametrize("page", list(cases()))
 def test_blocks_of_the_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -34,15 +34,20 @@ def site() -> Service:
 PLAIN = Request("GET", "/v1/plan", {"host": "localhost"})
 
 
-def test_nothing_breaks_and_strangers_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_breaks_and_strangers_change_nothing(
+    monkeypatch: pytest.MonkeyPatch, nightly: bool
+) -> None:
     pytest.importorskip("schemathesis")
     monkeypatch.setattr(hostile, "ROUNDS", 1)
-    found = hostile.study(site(), generated=60, hostile=300, seed=20261121)
+    found = hostile.study(
+        site(), generated=60 if nightly else 20, hostile=300 if nightly else 100, seed=20261121
+    )
     assert found["open"]["wrong"] == [] and found["shut"]["wrong"] == []
     assert found["shut"]["changed"] == [] and found["shut"]["let_in"] == 0
     answers = found["open"]["answers"]
-    assert min(answers[status] for status in ("200", "400", "404", "405", "422")) > 3
-    assert found["open"]["sent"] > 320 and found["open"]["steps"] >= 1
+    assert min(answers[status] for status in ("200", "400", "404", "405", "422")) > 1
+    assert found["open"]["sent"] > (320 if nightly else 100)
+    assert not nightly or found["open"]["steps"] >= 1
 
 
 def test_the_corpus_is_the_same_for_a_seed_and_has_all_kinds() -> None:

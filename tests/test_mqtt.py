@@ -225,17 +225,19 @@ def test_one_odd_message_loses_no_other(odd: Message, tmp_path: Path) -> None:
 
 
 def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
-    """As much as is promised to be kept while the service is away."""
-    from vppres.service.mqtt import MOST_WAITING, Bridge, Topics
+    """Of readings that waited, a request takes as many as the service does."""
+    from vppres.service.mqtt import MOST_SERIES, Bridge, Topics
+
+    count = 2 * MOST_SERIES + 1
 
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, secret), Topics())
-        for number in range(MOST_WAITING):
+        for number in range(count):
             bridge._heard(None, None, Message())
             bridge._waiting[-1]["source"] = f"mqtt-{number}"
         bridge.turn()
         assert not bridge._waiting
-        assert len(runner.store.contacts()) == MOST_WAITING
+        assert len(runner.store.contacts()) == count
         bridge.service.close()
 
 

@@ -6,6 +6,7 @@ import ast
 from pathlib import Path
 
 TESTS = Path(__file__).parent
+OWN = {path.stem for path in TESTS.rglob("*.py")} - {"__init__"}
 
 
 def imported(path: Path) -> set[str]:
@@ -23,10 +24,9 @@ def imported(path: Path) -> set[str]:
 def is_another_test(name: str) -> bool:
     """Whether a name leads to a test module, a conftest or a helper outside ``tests.support``."""
     parts = name.split(".")
-    own = {path.stem for path in TESTS.rglob("*.py")} - {"__init__"}
     relative = parts[0] == ""
     below_tests = parts[0] == "tests" and parts[1:2] != ["support"]
-    return relative or below_tests or parts[0] in own
+    return relative or below_tests or parts[0] in OWN
 
 
 def test_test_modules_import_no_test_module() -> None:

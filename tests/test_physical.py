@@ -132,9 +132,11 @@ def test_windows_have_losses_islands_and_headroom() -> None:
     assert sum((p.soc_reserve > 0).any() for p in physics) >= 10
 
 
-def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage() -> None:
+def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
+    nightly: bool,
+) -> None:
     less = islands = 0
-    for seed in range(12):
+    for seed in range(12 if nightly else 5):
         case = physical_window(seed, stressed=True)
         site, data = Site.of(case.scenario), case.data
         if not applies(site, data):
@@ -153,8 +155,8 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage() 
         flows = [(d.q_flow_kvar**2 @ site.network.r_ohm).sum() for d in (before, after)]
         less += flows[1] < 0.5 * flows[0]
         islands += (data.require_physics().reference > 0).any()
-    assert islands >= 3
-    assert less >= 3
+    assert islands >= (3 if nightly else 1)
+    assert less >= (3 if nightly else 1)
 
 
 @pytest.mark.parametrize("kind", ["tight", "no_batteries"])

@@ -102,6 +102,7 @@ def test_planned_is_what_happens_under_ideal_conditions(days: Days) -> None:
     assert day.planned["energy_kwh"] == pytest.approx(day.steps["energy_kwh"], abs=0.01)
 
 
+@pytest.mark.nightly
 def test_mpc_keeps_its_resilience_under_load_error_and_the_plan_does_not(days: Days) -> None:
     results = days(forecast_errors.jobs(LOAD_ERROR))
     mpc, full = (points(LOAD_ERROR, results, name)[-1] for name in (MPC, FULL))
@@ -112,6 +113,7 @@ def test_mpc_keeps_its_resilience_under_load_error_and_the_plan_does_not(days: D
     assert STATEMENTS["R18"].holds(mpc.days[0].resilience / median - 1.0)
 
 
+@pytest.mark.nightly
 def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
     full = efficiency.pair(HEATING, "euler")[FULL]
     day = days([full])[full]

@@ -62,6 +62,7 @@ def test_second_day_is_cloudy(day: Scenario) -> None:
     assert energy[1] < 0.8 * energy[0]
 
 
+@pytest.mark.nightly
 def test_other_seeds_draw_other_days() -> None:
     one, other = builder.build(1), builder.build(2)
     assert (one.load_kw != other.load_kw).any()

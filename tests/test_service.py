@@ -446,6 +446,7 @@ def test_the_loop_decides_the_present_step_and_waits_for_the_next(
         assert runner.last is not None and runner.last["start"] == written(NOON)
 
 
+@pytest.mark.nightly
 def test_killed_at_random_moments_it_decides_as_if_it_had_not_been(tmp_path: Path) -> None:
     """By SIGKILL, in the middle of whatever it does; and nothing that it answered is lost."""
     root = Path(__file__).parents[1]

@@ -153,6 +153,7 @@ def test_the_clock_is_set_where_it_is_not_the_machines(tiny: Scenario, tmp_path:
         assert http.get("/v1/status").json()["now"] == "2026-11-21T12:00:00Z"
 
 
+@pytest.mark.nightly
 def test_a_day_is_played_from_the_command_line(tiny: Scenario, tmp_path: Path) -> None:
     """With a service in a process of its own, as in the tutorial."""
     from vppres.io.scenario_writer import write_scenario

@@ -64,8 +64,8 @@ def with_wind(tiny: Scenario) -> np.ndarray:
 @pytest.mark.parametrize("options", [
     RunOptions(horizon_h=3.0),
     RunOptions(horizon_h=3.0, mode="physical"),
-    RunOptions(horizon_h=3.0, method="monolithic"),
-    RunOptions(controller="full-horizon"),
+    pytest.param(RunOptions(horizon_h=3.0, method="monolithic"), marks=pytest.mark.nightly),
+    pytest.param(RunOptions(controller="full-horizon"), marks=pytest.mark.nightly),
     RunOptions(controller="reserve"),
 ], ids=["mpc", "physical", "monolithic", "plan", "rules"])  # fmt: skip
 def test_the_day_is_that_of_an_owner_who_takes_nothing(options: RunOptions) -> None:

@@ -81,9 +81,9 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
     [
         RunOptions(horizon_h=1.0, switching=RULES, protect_critical=True),
         RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
-        RunOptions(horizon_h=1.0, forecaster="seasonal"),
-        RunOptions("full-horizon", mode="physical"),
-        RunOptions("reserve"),
+        pytest.param(RunOptions(horizon_h=1.0, forecaster="seasonal"), marks=pytest.mark.nightly),
+        pytest.param(RunOptions("full-horizon", mode="physical"), marks=pytest.mark.nightly),
+        pytest.param(RunOptions("reserve"), marks=pytest.mark.nightly),
         RunOptions(outages="belief"),
     ],
     ids=["rules", "physical", "seasonal", "full", "reserve", "belief"],
@@ -118,6 +118,7 @@ def test_fallbacks_are_remembered(tiny: Scenario, monkeypatch: pytest.MonkeyPatc
         assert same(one, other) and one.solve["fallback"] == other.solve["fallback"]
 
 
+@pytest.mark.nightly
 def test_the_packaged_day_goes_on_in_another_process(tmp_path: Path) -> None:
     """The outage begins between the two processes."""
     day = load_scenario("uk-heatwave-2022")

@@ -408,13 +408,14 @@ def packaged() -> Scenario:
     ],
 )
 def test_real_day_obeys_the_rules(
-    packaged: Scenario, controller: str, rules: SwitchingRules
+    packaged: Scenario, nightly: bool, controller: str, rules: SwitchingRules
 ) -> None:
+    day = packaged if nightly else packaged.between(10, 19)
     options = RunOptions(controller, switching=rules, errors=ForecastErrors(pv_bias=0.3))
-    run = run_day(packaged, options)
+    run = run_day(day, options)
     assert not run.steps["switching_relaxed"].any()
     assert broken_rules(run, rules) == 0
-    free = run_day(packaged, replace(options, switching=SwitchingRules()))
+    free = run_day(day, replace(options, switching=SwitchingRules()))
     assert broken_rules(free, rules) > 0
 
 
@@ -451,6 +452,7 @@ def test_steps_that_the_plan_before_did_not_reach_are_free() -> None:
     assert value == pytest.approx(np.array([[0.15, 0.4], [0.0, 0.0]]))
 
 
+@pytest.mark.nightly
 def test_fewer_moves_cost_no_service(packaged: Scenario) -> None:
     errors = ForecastErrors(load_alpha_per_h=0.1, pv_alpha_per_h=0.1)
     found = [

@@ -118,18 +118,18 @@ def with_another_future(day: Scenario, step: int, seed: int) -> Scenario:
     ("controller", "kind"),
     [
         ("mpc", "belief"),
-        ("mpc", "likely"),
-        ("mpc", "none"),
+        pytest.param("mpc", "likely", marks=pytest.mark.nightly),
+        pytest.param("mpc", "none", marks=pytest.mark.nightly),
         ("full-horizon", "likely"),
         ("reserve", "likely"),
-        ("reserve", "none"),
+        pytest.param("reserve", "none", marks=pytest.mark.nightly),
     ],
 )
 def test_nothing_that_is_not_seen_changes_a_decision(
-    tiny: Scenario, controller: str, kind: str
+    tiny: Scenario, nightly: bool, controller: str, kind: str
 ) -> None:
     leaks = []
-    for seed in range(2):
+    for seed in range(2 if nightly else 1):
         day = random_day(tiny, seed)
         options = RunOptions(outages=kind, controller=controller, horizon_h=3.0)
         run = run_day(day, options)

@@ -29,7 +29,7 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import InputError, SolveError
 from vppres.day.options import RunOptions
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SHORT = Job(options=RunOptions(horizon_h=0.0))
 PLAN = Job(options=RunOptions(controller="full-horizon"))
 
