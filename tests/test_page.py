@@ -39,7 +39,7 @@ def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
     site = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
     with opened(Service(site, OPTIONS), tmp_path, SetClock(NOON)) as runner:
         outage = {"type": "outage", "start": written(NOON + 2 * HOUR), "end": None}
-        runner.store.put_event("storm", outage, NOON, "test")
+        runner.store.put_events({"storm": outage}, NOON, "test")
         yield runner
 
 
@@ -154,7 +154,7 @@ def test_it_is_made_once_for_all_who_ask(runner: Runner, monkeypatch: pytest.Mon
     really = overview._now
     monkeypatch.setattr(overview, "_now", lambda: made.append(1) or really())
     assert overview.text() == overview.text() and len(made) == 1
-    runner.store.put_event("storm", None, NOON, "test")
+    runner.store.put_events({"storm": None}, NOON, "test")
     assert b"storm" not in overview.text() and len(made) == 2
 
 

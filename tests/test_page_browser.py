@@ -67,7 +67,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Runner, 
     options = RunOptions(horizon_h=3.0, isolate=False)
     folder = tmp_path_factory.mktemp("watched")
     with opened(Service(site(), options), folder, SetClock(NIGHT - 2 * HOUR)) as runner:
-        runner.store.put_event("storm", DARK, NIGHT, "test")
+        runner.store.put_events({"storm": DARK}, NIGHT, "test")
         for hour in (-2, -1, 0):
             decide(runner, NIGHT + hour * HOUR)
         with listening(make_app(runner, Access())) as address:
@@ -313,7 +313,7 @@ def test_an_outage_that_is_believed_is_told_before_a_plan_knows_of_it(
     options = RunOptions(horizon_h=3.0, isolate=False, outages="belief")
     with opened(Service(site(), options), tmp_path, SetClock(NIGHT)) as runner:
         decide(runner, NIGHT)
-        runner.store.put_event("storm", believed, NIGHT, "test")
+        runner.store.put_events({"storm": believed}, NIGHT, "test")
         with (
             listening(make_app(runner, Access())) as address,
             Watcher(browser, address) as watcher,

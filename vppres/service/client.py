@@ -50,11 +50,8 @@ class Client:
                 field="url",
                 value=url,
             )
-        kind = (
-            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
-        )
         self.url = url
-        self._connection = kind(parts.hostname, parts.port, timeout=TIMEOUT_S)
+        self._connection = KINDS[parts.scheme](parts.hostname, parts.port, timeout=TIMEOUT_S)
         self._headers = {"Content-Type": "application/json"}
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"

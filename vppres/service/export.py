@@ -7,7 +7,7 @@ answer: nobody measures all of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,13 @@ from vppres.live.profile import Profile
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import limits_kw, prices
 from vppres.service.clock import written
-from vppres.service.records import moment
+from vppres.service.learned import InSteps
+from vppres.service.records import Event, seconds
 from vppres.service.runner import Service
 from vppres.service.store import Store
-from vppres.service.told import Told
+from vppres.service.window import Window
 from vppres.service.world import World
 
 MOST_STEPS = 40_000
@@ -137,44 +139,13 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     return replace(profile.steps(first, n_steps), warnings=())
 
 
-class _Measured:
-    """Readings of a time, each in the step in which it was taken.
-
-    Parameters
-    ----------
-    store : Store
-        What was heard.
-    scenario : Scenario
-        The steps.
-    """
-
-    def __init__(self, store: Store, scenario: Scenario) -> None:
-        self.scenario = scenario
-        grid = scenario.grid
-        step = pd.Timedelta(minutes=grid.step_minutes)
-        self._first: dict[tuple[str, str, int], float] = {}
-        for reading in store.between(grid.start, grid.end, ("soc", "load_kw", "pv_kw")):
-            t = (moment(reading.time) - grid.start) // step
-            if reading.value is not None:
-                self._first.setdefault((reading.quantity, reading.asset, t), reading.value)
-
-    def laid(self, quantity: str, ids: Any, series: Floats) -> Floats:
-        """A series (T, items) with what was measured in its place."""
-        found = series.copy()
-        places = {str(name): i for i, name in enumerate(ids)}
-        for (kind, asset, t), value in self._first.items():
-            if kind == quantity and asset in places:
-                found[t, places[asset]] = value
-        return found
-
-
 def as_it_was(
     scenario: Scenario, stored: list[dict[str, Any] | None], store: Store
 ) -> tuple[Scenario, Floats]:
     """What was measured and announced, without grid where plans say so; and SoC, NaN if not so."""
-    measured = _Measured(store, scenario)
+    measured = InSteps(store, scenario.grid)
     dark = [plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored]
-    told = Told.of(scenario, stored, store)
+    price, limit_kw = _announced(scenario, stored, store)
     nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
     soc = measured.laid("soc", scenario.batteries.id, nothing)
     first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
@@ -185,11 +156,45 @@ def as_it_was(
         pv_kw=np.minimum(
             measured.laid("pv_kw", scenario.pv.id, scenario.pv_kw), scenario.pv.p_max_kw
         ),
-        price_gbp_per_kwh=told.price_gbp_per_kwh,
-        grid_limit_kw=np.where(dark, 0.0, told.limit_kw),
+        price_gbp_per_kwh=price,
+        grid_limit_kw=np.where(dark, 0.0, limit_kw),
         batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
     )
     return known, soc
+
+
+def _announced(
+    scenario: Scenario, stored: Sequence[Mapping[str, Any] | None], store: Store
+) -> tuple[Floats, Floats]:
+    """Import price and limit of each step, (T,), as they were known when it was decided.
+
+    They are what its plan says; without one, what events said by then.
+    """
+    price = scenario.price_gbp_per_kwh.copy()
+    limit_kw = scenario.grid_limit_kw.copy()
+    versions = store.events_ever()
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    for t, (time, plan) in enumerate(zip(scenario.grid.times, stored, strict=True)):
+        expected = (plan or {}).get("expected") or {}
+        if "price_gbp_per_kwh" in expected:
+            known_kw = expected["grid_limit_kw"]
+            price[t] = expected["price_gbp_per_kwh"]
+            limit_kw[t] = np.inf if known_kw is None else known_kw
+        elif versions:
+            row = slice(t, t + 1)
+            series = {name: values[row] for name, values in scenario.series.items()}
+            alone = Window(scenario.grid.times[row], step, series)
+            said = _known_by(versions, time if plan is None else plan["generated_at"])
+            price[t] = prices(said, alone)[0]
+            limit_kw[t] = limits_kw(said, alone)[0]
+    return price, limit_kw
+
+
+def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
+    """Of each event what was said last by a time, those left out that were withdrawn."""
+    at = seconds(pd.Timestamp(time))
+    last = [next((one for one in reversed(each) if one.made_at <= at), None) for each in versions]
+    return [one for one in last if one is not None and one.body]
 
 
 def replayed(

@@ -7,15 +7,17 @@ is chosen for a service that ran without one, the rows are made of the readings 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Names
 from vppres.live.controller import Controller
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 from vppres.service.records import Measured, moment, seconds
 from vppres.service.store import Store
 
@@ -65,25 +67,52 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
     return before.followed_by(start, load_kw, pv_kw).last_days(REMEMBERED_DAYS)
 
 
+class InSteps:
+    """Readings of a time, the first of each step in which one was taken.
+
+    Parameters
+    ----------
+    store : Store
+        What was heard.
+    grid : TimeGrid
+        The steps.
+    """
+
+    def __init__(self, store: Store, grid: TimeGrid) -> None:
+        step = pd.Timedelta(minutes=grid.step_minutes)
+        self._first: dict[tuple[str, str, int], float] = {}
+        for reading in store.between(grid.start, grid.end, ("soc", *QUANTITIES)):
+            t = (moment(reading.time) - grid.start) // step
+            if reading.value is not None:
+                self._first.setdefault((reading.quantity, reading.asset, t), reading.value)
+
+    def laid(self, quantity: str, ids: Names, series: Floats) -> Floats:
+        """A series (T, items) with what was measured in its place."""
+        found = series.copy()
+        places = {str(name): i for i, name in enumerate(ids)}
+        for (kind, asset, t), value in self._first.items():
+            if kind == quantity and asset in places:
+                found[t, places[asset]] = value
+        return found
+
+
 def _read(
     store: Store, scenario: Scenario, since: pd.Timestamp, end: pd.Timestamp
 ) -> list[Measured]:
-    """Rows of the steps up to a time, made of the first readings in each."""
-    grid = scenario.grid
-    step = pd.Timedelta(minutes=grid.step_minutes)
-    first = end - ((end - since) // step) * step
-    ids = {"load_kw": scenario.customers.id, "pv_kw": scenario.pv.id}
-    places = {(kind, str(name)): i for kind, names in ids.items() for i, name in enumerate(names)}
-    found: dict[int, dict[str, list[float | None]]] = {}
-    for reading in store.between(first, end, QUANTITIES):
-        place = places.get((reading.quantity, reading.asset))
-        if place is None or reading.value is None:
-            continue
-        begun = seconds(first + ((moment(reading.time) - first) // step) * step)
-        row = found.setdefault(begun, {kind: [None] * len(names) for kind, names in ids.items()})
-        if row[reading.quantity][place] is None:
-            row[reading.quantity][place] = reading.value
-    return [Measured(time, **found[time]) for time in sorted(found)]
+    """Rows of the steps up to a time in which anything was read."""
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    n_steps = (end - since) // step
+    grid = replace(scenario.grid, start=end - n_steps * step, n_steps=n_steps)
+    readings = InSteps(store, grid)
+    load_kw, pv_kw = (
+        readings.laid(quantity, ids, np.full((n_steps, len(ids)), np.nan))
+        for quantity, ids in zip(QUANTITIES, (scenario.customers.id, scenario.pv.id), strict=True)
+    )
+    known = np.isfinite(np.hstack([load_kw, pv_kw])).any(axis=1)
+    return [
+        Measured(seconds(grid.times[t]), _known(load_kw[t]), _known(pv_kw[t]))
+        for t in np.flatnonzero(known).tolist()
+    ]
 
 
 def _known(row: Floats) -> list[float | None]:

@@ -189,36 +189,6 @@ class Store:
 
     # Events and forecasts
 
-    def put_event(
-        self,
-        identifier: str,
-        body: dict[str, Any] | None,
-        now: pd.Timestamp,
-        actor: str,
-        replacing: int | None = None,
-    ) -> Event:
-        """Keep a version of an event, none to withdraw it; the version.
-
-        Parameters
-        ----------
-        identifier : str
-            Of the event.
-        body : dict or None
-            What it says.
-        now : pandas.Timestamp
-            When it is said.
-        actor : str
-            Who says it.
-        replacing : int, optional
-            The version that it is to replace, whichever it is if not given.
-
-        Raises
-        ------
-        ChangedError
-            If the event has another version, or there is none to be withdrawn.
-        """
-        return self.put_events({identifier: body}, now, actor, replacing)[identifier]
-
     def put_events(
         self,
         bodies: Mapping[str, dict[str, Any] | None],
@@ -226,7 +196,24 @@ class Store:
         actor: str,
         replacing: int | None = None,
     ) -> dict[str, Event]:
-        """Keep versions of several events, all or none of them."""
+        """Keep versions of events, all or none of them; these versions.
+
+        Parameters
+        ----------
+        bodies : mapping
+            What each says; None withdraws it.
+        now : pandas.Timestamp
+            When it is said.
+        actor : str
+            Who says it.
+        replacing : int, optional
+            The version that is to be replaced, whichever it is if not given.
+
+        Raises
+        ------
+        ChangedError
+            If an event has another version, or there is none to be withdrawn.
+        """
         with self._changes() as db:
             found = {
                 name: put_event(db, name, body, now, replacing) for name, body in bodies.items()

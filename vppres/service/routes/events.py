@@ -68,7 +68,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         now = runner.clock.now()
         if identifier not in runner.store.events():
             check_not_over(plain, now)
-        put = runner.store.put_event(identifier, plain, now, actor, _version(if_match))
+        version = _version(if_match)
+        put = runner.store.put_events({identifier: plain}, now, actor, version)[identifier]
         if not isinstance(body, payloads.Alert):
             runner.changes.note(f"event {identifier}")
         response.status_code = 201 if put.new else 200
@@ -85,7 +86,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if identifier not in runner.store.events():
             raise HTTPException(404, "There is no such event.")
         now = runner.clock.now()
-        put = runner.store.put_event(identifier, None, now, actor, _version(if_match))
+        version = _version(if_match)
+        put = runner.store.put_events({identifier: None}, now, actor, version)[identifier]
         runner.changes.note(f"event {identifier} withdrawn")
         return {"version": put.version}
 
