@@ -307,6 +307,54 @@ def biased(
     return tuple(_wrong(warning, shift_h, factor) for warning in warnings)
 
 
+INCIDENT = "INC-1"
+WRONG_SHARE = 0.28
+"""Share of estimates of restoration that say nothing of the truth: after storm Arwen 28 % of
+customers had had one that was wrong by more than a day (Ofgem 2022)."""
+
+ESTIMATE_EVERY_H = 2
+NOTICE_H = 1.0
+NOTICE_SHARE, FALSE_SHARE = 0.72, 0.05
+"""How well a crew's notice of the end is to be believed."""
+
+
+def by_several_names(day: OutageDay, seed: int, climate: OutageClimate | None = None) -> OutageDay:
+    """The day with estimates of the outage system, under a name of its own, every two hours.
+
+    Some are wrong: they are those of another outage, with the same claimed spread.
+    """
+    climate = climate or OutageClimate()
+    rng = np.random.default_rng([seed, 1543])
+    messages: list[OutageWarning] = []
+    told = 0
+    for one in day.warnings:
+        onset = one.onset_likely
+        if one.all_clear or onset is None or one.issued_at < onset:
+            messages.append(one)
+            continue
+        told += 1
+        wrong = rng.random() < WRONG_SHARE
+        factor = climate.duration_h(rng) / climate.duration_median_h if wrong else 1.0
+        if told % ESTIMATE_EVERY_H:
+            messages.append(replace(_wrong(one, 0.0, factor), outage=INCIDENT))
+    return replace(day, warnings=tuple(messages))
+
+
+def with_notices(day: OutageDay, midnight: pd.Timestamp, seed: int) -> OutageDay:
+    """The day with a crew's notices: an hour before the end in most cases, else rarely in vain."""
+    rng = np.random.default_rng([seed, 1544])
+    messages = list(day.warnings)
+    for outage in day.outages:
+        for hour in outage.steps:
+            last = hour == outage.steps[-1]
+            if rng.random() < (NOTICE_SHARE if last else FALSE_SHARE):
+                now = midnight + pd.Timedelta(hours=hour)
+                back = now + pd.Timedelta(hours=NOTICE_H)
+                messages.append(OutageWarning(now, "crew", restored_by=back))
+    messages.sort(key=lambda message: message.issued_at)
+    return replace(day, warnings=tuple(messages))
+
+
 def _wrong(warning: OutageWarning, shift_h: float, factor: float) -> OutageWarning:
     names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
     believed = {name: getattr(warning, name) for name in names}

@@ -1,7 +1,8 @@
 """Outages that nobody knows exactly: what controllers make of warnings, on the same days.
 
 ``python -m experiments.uncertain --days 240``, ``--part cigre`` on another feeder, ``--part wrong``
-with beliefs that are wrong about durations.
+with beliefs that are wrong about durations, ``--part names`` with estimates of restoration under
+another name than the warning, of which some are wrong, and with a crew's notices.
 """
 
 from __future__ import annotations
@@ -14,11 +15,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import pandas as pd
 import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
-from experiments.outage_days import OutageDay, biased, draw_outage_day, with_outage_day
+from experiments.outage_days import (
+    FALSE_SHARE,
+    NOTICE_H,
+    NOTICE_SHARE,
+    OutageDay,
+    biased,
+    by_several_names,
+    draw_outage_day,
+    with_notices,
+    with_outage_day,
+)
 from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
@@ -43,12 +55,13 @@ from vppres.day.simulate import Day
 from vppres.day.trajectory import Trajectory
 from vppres.io.find import load_scenario
 from vppres.outlook.belief import OutageBelief
+from vppres.outlook.outlook import Announced, OutageOutlook, SeenOutage, announced_by
 from vppres.report.plots.palette import BLUE
 from vppres.scenario.scenario import Scenario
 from vppres.studies.drawing import draw_grid, save_figure
 from vppres.studies.side_by_side import Where
 
-Part = Literal["heatwave", "cigre", "wrong"]
+Part = Literal["heatwave", "cigre", "wrong", "names"]
 
 TWO_STAGE = "two-stage"
 POLICIES = {
@@ -59,6 +72,17 @@ POLICIES = {
     "known": "the exact window, H = 5 h",
     "perfect": "perfect information",
 }
+BY_NAME = "by name"
+NOTICE = "notice"
+OF_NAMES = {
+    "likely": "the most likely outage",
+    BY_NAME: "the belief, each name an outage of its own",
+    "belief": "the belief, the last message counts",
+    NOTICE: "the same with a notice one hour ahead",
+    "known": "the exact window, H = 5 h",
+}
+"""Policies of the part ``names``."""
+
 SCENARIOS = 8
 """Futures that the yardstick of two stages samples in every step."""
 
@@ -133,6 +157,21 @@ class TwoStageView(OutageView):
         return replace(values[0], service=mean, as_service=belief.out)
 
 
+@dataclass(frozen=True, eq=False)
+class OutlookByName(OutageOutlook):
+    """The yardstick: every name is an outage of its own, and the first by its onset explains."""
+
+    def expected(self, now: pd.Timestamp, seen: Sequence[SeenOutage]) -> list[Announced]:
+        """Every name that has announced an outage, by its likely onset."""
+        lasting = seen[-1] if seen and seen[-1].end is None else None
+        named = [announced_by(group, lasting) for group in self._messages(now).values()]
+        return sorted((one for one in named if one), key=lambda one: one.likely)
+
+    def _explanation(self, announced: Sequence[Announced], seen: SeenOutage) -> Announced | None:
+        step = pd.Timedelta(hours=self.step_h)
+        return next((one for one in announced if one.explains(seen, step)), None)
+
+
 def sampled(belief: OutageBelief, rng: Generator) -> Flags:
     """A future of a belief, (T,): whether each step is one of an outage."""
     out = np.zeros(belief.n_steps, dtype=bool)
@@ -176,6 +215,10 @@ def run_policy(scenario: Scenario, policy: str, seed: int) -> Trajectory:
     if policy == TWO_STAGE:
         view = {f.name: getattr(day.outages, f.name) for f in fields(day.outages)}
         day.outages = TwoStageView(**view, seed=seed)
+    if policy == BY_NAME:
+        outlook = day.outages.outlook
+        by_name = OutlookByName(outlook.warnings, outlook.statistics, outlook.step_h)
+        day.outages = replace(day.outages, outlook=by_name)
     for t in range(scenario.grid.n_steps):
         day.step(controller, t)
     return day.recorder.finish(options.as_record(), None)
@@ -185,7 +228,7 @@ def options_of(policy: str) -> RunOptions:
     """How a policy runs a day."""
     if policy == "perfect":
         return RunOptions(controller="perfect")
-    return RunOptions(outages="belief" if policy == TWO_STAGE else policy)
+    return RunOptions(outages="belief" if policy in (TWO_STAGE, BY_NAME, NOTICE) else policy)
 
 
 @cache
@@ -222,6 +265,26 @@ def cigre_day(seed: int) -> list[Run]:
 def wrong_day(seed: int) -> list[Run]:
     """The likely outage and the belief on one day, both wrong about durations in the same way."""
     return _runs(heatwave(), seed, ("likely", "belief"), WRONG)
+
+
+def names_day(seed: int) -> list[Run]:
+    """Estimates under another name, on one day of the paper's feeder."""
+    base = heatwave()
+    day = by_several_names(draw_outage_day(seed, base.grid.start), seed)
+    scenario = with_outage_day(base, day)
+    told = with_outage_day(base, with_notices(day, base.grid.start, seed))
+    told = replace(
+        told,
+        outage_statistics=replace(
+            told.outage_statistics,
+            notice_h=NOTICE_H,
+            notice_share=NOTICE_SHARE,
+            notice_false_share=FALSE_SHARE,
+        ),
+    )
+    return [
+        _run(told if policy == NOTICE else scenario, day, policy, "", seed) for policy in OF_NAMES
+    ]
 
 
 def _runs(
@@ -338,13 +401,13 @@ def figure(runs: Sequence[Run]) -> Figure:
     return drawn
 
 
-def _policies_text(runs: Sequence[Run]) -> str:
+def _policies_text(runs: Sequence[Run], policies: Mapping[str, str] = POLICIES) -> str:
     """The table of the policies."""
     outages = with_outage(runs)
     likely = paired(outages, "likely", "", lambda run: run.resilience)
     all_cost = paired(runs, "likely", "", lambda run: run.cost_gbp)
     rows = []
-    for name, words in POLICIES.items():
+    for name, words in policies.items():
         found = paired(outages, name, "", lambda run: run.resilience)
         cost = paired(runs, name, "", lambda run: run.cost_gbp)
         critical = paired(outages, name, "", lambda run: run.critical_lost_h)
@@ -389,6 +452,21 @@ def _kinds_text(runs: Sequence[Run]) -> str:
             cells.append(f"{served}GBP {cost:,.0f}")
         rows.append(tuple(cells))
     return markdown_table(("days", "count", *POLICIES.values()), rows)
+
+
+def _names_text(runs: Sequence[Run]) -> str:
+    """The table of messages by several names, and what the last one gains, day by day."""
+    outages = with_outage(runs)
+    gains = []
+    for one, other in (("belief", BY_NAME), (NOTICE, "belief")):
+        off = [paired(outages, name, "", lambda run: run.critical_lost_h) for name in (one, other)]
+        found = [paired(outages, name, "", lambda run: run.resilience) for name in (one, other)]
+        gains.append(
+            f"{OF_NAMES[one]} less {OF_NAMES[other]}: R "
+            f"{Estimate.of(found[0] - found[1]).text('+.4f')}, critical customer hours "
+            f"{Estimate.of(off[0] - off[1]).text('+.2f')}."
+        )
+    return "\n\n".join([_policies_text(runs, OF_NAMES), *gains])
 
 
 def _wrong_text(runs: Sequence[Run]) -> str:
@@ -440,8 +518,9 @@ def _write(part: Part, runs: Sequence[Run], wall_s: float, folder: Path) -> Path
     name = f"uncertain-{part}"
     days = len({run.seed for run in runs})
     outages = len({run.seed for run in with_outage(runs)})
-    parts = [_wrong_text(runs)] if part == "wrong" else [_policies_text(runs), _kinds_text(runs)]
-    if part != "wrong":
+    texts = {"wrong": _wrong_text, "names": _names_text}
+    parts = [texts[part](runs)] if part in texts else [_policies_text(runs), _kinds_text(runs)]
+    if part not in texts:
         save_figure(figure(runs), folder / name)
         parts.insert(1, f"![Resilience by what is known]({name}.svg)")
     parts.append(
@@ -466,6 +545,7 @@ PARTS: dict[Part, Study[list[Run]]] = {
     "heatwave": Study(heatwave_day, _writer("heatwave"), width=TABLE_WIDTH),
     "cigre": Study(cigre_day, _writer("cigre"), width=TABLE_WIDTH),
     "wrong": Study(wrong_day, _writer("wrong"), width=TABLE_WIDTH),
+    "names": Study(names_day, _writer("names"), width=TABLE_WIDTH),
 }
 
 
@@ -476,7 +556,7 @@ def main(
     results: Results = STUDIES,
     scheduler: Scheduler = None,
     part: Annotated[
-        Part, typer.Option(help="The paper's feeder, another one, or wrong beliefs.")
+        Part, typer.Option(help="The paper's feeder, another one, wrong beliefs, several names.")
     ] = "heatwave",
 ) -> None:
     """Run what may be known of outages on the same uncertain days."""
