@@ -71,6 +71,13 @@ def test_what_was_measured_stands_over_the_profile(tiny: Scenario, tmp_path: Pat
             )
             decided(http, clock, time, soc=0.5 + 0.1 * hours)
         run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T16:00")  # while it runs
+        http.delete("/v1/events/storm")
+        said = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T16:00").scenario.warnings
+        assert [(one.outage, one.issued_at, one.all_clear) for one in said] == [
+            ("storm", NOON, False),
+            ("storm", NOON + 3 * HOUR, True),
+        ]
+        assert (said[0].onset_likely, said[0].duration_p90_h) == (NOON + HOUR, 1.0)
         with pytest.raises(InputError, match="finds no step from 2026-11-20"):
             export(service, tmp_path, "2026-11-20", "2026-11-20T05:00")
         with pytest.raises(InputError, match="does not end after it begins"):

@@ -9,7 +9,8 @@ import pytest
 from vppres.core.errors import InputError
 from vppres.io.find import load_scenario
 from vppres.outlook.outlook import SeenOutage
-from vppres.scenario.outage_warnings import OutageWarning
+from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.studies.estimate_scores import EstimateScores
 from vppres.studies.warning_scores import (
     WarnedOutage,
     WarningScores,
@@ -153,3 +154,35 @@ def test_outages_that_cannot_be(tmp_path: Path, rows: str, words: str) -> None:
     with pytest.raises(InputError) as error:
         WarningScores.of_files(warnings, outages)
     assert words in str(error.value)
+
+
+def test_estimates_of_restoration_are_learned_from_what_came() -> None:
+    """Ten outages of four hours; of each an early estimate of 2 h, later one, and a notice."""
+    hour = pd.Timedelta(hours=1)
+    outages, messages = [], []
+    for day in range(10):
+        start = NOON + pd.Timedelta(days=day)
+        outages.append(SeenOutage(start, start + 4 * hour))
+        name = f"INC-{day}"
+        later_h = 4.0 if day < 8 else 8.0
+        messages += [
+            OutageWarning(start + 0.5 * hour, name, duration_p50_h=2.0),
+            OutageWarning(start + 2 * hour, name, restored_likely=start + later_h * hour),
+            OutageWarning(start + hour, name, restored_by=start + 2 * hour),
+        ]
+        if day < 7:
+            messages.append(OutageWarning(start + 3 * hour, name, restored_by=start + 4 * hour))
+    scores = WarningScores.of(messages, outages, 1.0).restoration
+    table = scores.table.set_index("said")
+    assert table.loc["up to 1 h", ["outages", "estimate_p50", "wrong"]].tolist() == [10, 2.0, 1.0]
+    assert table.loc["up to 4 h", "wrong"] == table.loc["all", "wrong"] == pytest.approx(0.2)
+    assert table.loc["all", ["estimate_p10", "estimate_p50", "estimate_p90"]].tolist() == [
+        pytest.approx(0.5),
+        1.0,
+        1.0,
+    ]
+    # Of thirty other hours ten had a notice in vain.
+    expected = {"notice_h": 1.0, "notice_share": 0.7, "notice_false_share": 0.33}
+    assert {name: scores.learned[name] for name in expected} == expected
+    OutageStatistics(**scores.learned)  # as it may be written
+    assert EstimateScores.of(messages, outages[:3]).learned == {}

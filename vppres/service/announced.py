@@ -6,7 +6,7 @@ controllers that plan with beliefs, of which a certain outage is the special cas
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -205,6 +205,37 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
             issued = {min(moment(at), now) for at in (event.since, event.made_at)}
             found += [replace(message, issued_at=at) for at in sorted(issued)]
     return found
+
+
+def warnings_ever(
+    versions: Mapping[str, Sequence[Event]], start: pd.Timestamp, step: pd.Timedelta
+) -> list[OutageWarning]:
+    """All that was ever said of outages, each message when it came.
+
+    Parameters
+    ----------
+    versions : mapping of str to sequence of Event
+        Of each event all that was said, empty where it was withdrawn.
+    start : pandas.Timestamp
+        Beginning of a step.
+    step : pandas.Timedelta
+        Length of a step.
+    """
+    found = []
+    for name, each in versions.items():
+        spoken = False
+        for event in each:
+            issued = moment(event.made_at)
+            if not event.body:
+                message = OutageWarning(issued, name, probability=0.0) if spoken else None
+            elif event.body["type"] == RESTORATION:
+                message = _of_crew(name, event, issued)
+            else:
+                message = _message(name, event.body, _step_of(issued, start, step), step)
+            spoken = message is not None and bool(event.body)
+            if message is not None:
+                found.append(replace(message, issued_at=issued))
+    return sorted(found, key=lambda one: one.issued_at)
 
 
 def _message(

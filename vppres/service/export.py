@@ -25,7 +25,7 @@ from vppres.live.profile import Profile
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import limits_kw, prices
+from vppres.service.announced import limits_kw, prices, warnings_ever
 from vppres.service.clock import written
 from vppres.service.learned import InSteps
 from vppres.service.records import Event, seconds
@@ -116,6 +116,13 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
             )
         )
     scenario, soc = as_it_was(scenario, stored, store)
+    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    warnings = [
+        one
+        for one in warnings_ever(store.events_ever(), scenario.grid.start, step)
+        if one.issued_at < scenario.grid.end
+    ]
+    scenario = replace(scenario, warnings=tuple(warnings))
     recorder = Recorder(scenario)
     for record in replayed(scenario, service.options, stored, soc):
         recorder.add(record)
@@ -172,7 +179,7 @@ def _announced(
     """
     price = scenario.price_gbp_per_kwh.copy()
     limit_kw = scenario.grid_limit_kw.copy()
-    versions = store.events_ever()
+    versions = list(store.events_ever().values())
     step = pd.Timedelta(minutes=scenario.grid.step_minutes)
     for t, (time, plan) in enumerate(zip(scenario.grid.times, stored, strict=True)):
         expected = (plan or {}).get("expected") or {}

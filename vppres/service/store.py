@@ -271,11 +271,11 @@ class Store:
             found.append(Event(row.version, body, row.made_at, since))
         return found
 
-    def events_ever(self) -> list[list[Event]]:
-        """All versions of every event that there ever was, as far as they are kept."""
+    def events_ever(self) -> dict[str, list[Event]]:
+        """All versions of every event that there ever was by name, as far as they are kept."""
         with self._reads() as db:
             names = db.execute(sa.select(EVENTS.c.id).distinct()).scalars().all()
-        return [self.event_versions(name) for name in names]
+        return {name: self.event_versions(name) for name in names}
 
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str

@@ -19,6 +19,7 @@ from vppres.report.pages import page
 from vppres.report.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
 from vppres.studies.backtest import Backtest
 from vppres.studies.drawing import draw_grid, embedded
+from vppres.studies.estimate_scores import EstimateScores
 from vppres.studies.issue_scores import ENERGY_H, SHARES
 from vppres.studies.warning_scores import WarningScores
 
@@ -151,6 +152,7 @@ def _warned_findings(warned: WarningScores) -> list[str]:
             f"Their probabilities are off by more (Brier score {warned.brier:.3f}) than the share "
             f"that came, said each time, would be ({warned.brier_of_share:.3f})."
         )
+    sentences += _restoration_findings(warned.restoration)
     table = warned.reliability
     sentences += [
         f"Where warnings said {_percent(row['said'])}, {_percent(row['came'])} of "
@@ -159,6 +161,22 @@ def _warned_findings(warned: WarningScores) -> list[str]:
             "records"
         )
     ]
+    return sentences
+
+
+def _restoration_findings(found: EstimateScores) -> list[str]:
+    """How long outages lasted of what was said of them, and what to write of it."""
+    sentences = [
+        f"Estimates of restoration, {row['said']} since the onset "
+        f"({_counted(row['outages'], 'outage')}): one outage in ten lasted less than "
+        f"{row['estimate_p10']:.2f} times the estimate, one in two less than "
+        f"{row['estimate_p50']:.2f} times, nine in ten less than {row['estimate_p90']:.2f} times; "
+        f"{_percent(row['wrong'])} missed by more than a quarter."
+        for row in found.table.to_dict("records")
+    ]
+    if found.learned:
+        lines = ", ".join(f"{name} = {value:g}" for name, value in found.learned.items())
+        sentences.append(f"For [outage_statistics] of scenario.toml: {lines}.")
     return sentences
 
 

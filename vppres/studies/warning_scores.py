@@ -20,6 +20,7 @@ from vppres.outlook.outlook import Announced, SeenOutage, announced_by, seen_out
 from vppres.outlook.presets import completed
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
+from vppres.studies.estimate_scores import EstimateScores
 
 BINS = 5
 
@@ -62,10 +63,13 @@ class WarningScores:
         Outages that no message spoke of before they began.
     late : int
         Outages first announced when they had begun or could no longer begin; they score nothing.
+    restoration : EstimateScores
+        What was said while outages lasted.
     """
 
     pairs: tuple[WarnedOutage, ...]
     unannounced: tuple[SeenOutage, ...]
+    restoration: EstimateScores
     late: int = 0
 
     @classmethod
@@ -84,9 +88,10 @@ class WarningScores:
             What an onset may be off by at least.
         """
         step = pd.Timedelta(hours=step_h)
+        said = [completed(warning) for warning in warnings]
         named: dict[str, list[OutageWarning]] = {}
-        for warning in sorted(warnings, key=lambda one: one.issued_at):
-            named.setdefault(warning.outage, []).append(completed(warning))
+        for warning in sorted(said, key=lambda one: one.issued_at):
+            named.setdefault(warning.outage, []).append(warning)
         left = sorted(outages, key=lambda one: one.start)
         pairs = []
         late = 0
@@ -98,7 +103,7 @@ class WarningScores:
             elif not all(message.all_clear for message in messages):
                 late += 1
             left = [one for one in left if one is not came]
-        return cls(tuple(pairs), tuple(left), late)
+        return cls(tuple(pairs), tuple(left), EstimateScores.of(said, outages), late)
 
     @classmethod
     def of_files(cls, warnings: str | Path, outages: str | Path) -> WarningScores:
@@ -154,6 +159,7 @@ class WarningScores:
             "brier_of_share": _or_none(self.brier_of_share),
             "reliability": self.reliability.to_dict("records"),
             "duration_pit": self.duration_pit.tolist(),
+            "restoration": self.restoration.summary(),
         }
 
     @property
