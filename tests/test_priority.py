@@ -15,6 +15,8 @@ from vppres import RunOptions, run_day
 from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
+from vppres.day.inversions import inversions
+from vppres.day.metrics import cautions
 from vppres.day.priority import site_of
 from vppres.io import read_scenario, write_scenario
 from vppres.model.site import Site
@@ -158,3 +160,46 @@ def test_rule_is_written_and_read(tmp_path: Path) -> None:
     day = read_scenario(tmp_path / "day")
     assert RunOptions().on(day).priority == "strict"
     assert RunOptions(priority="weights").on(day).priority == "weights"
+
+
+def test_inversions_are_told_with_names_and_power() -> None:
+    day = hospital_and_homes()
+    weighed = run_day(day, RunOptions(priority="weights"))
+    assert [(one.t, one.customer, one.kw) for one in inversions(weighed)] == [
+        (0, 0, 60.0),
+        (1, 0, 60.0),
+    ]
+    assert cautions(weighed) == [
+        "Tier order was not kept in 2 customer-steps (c0): the energy of lower tiers would have "
+        "sufficed. At 00:00 UTC c0 (critical, 60.0 kW) was off supply, while c1, c2, c3 had up to "
+        "60.0 kW."
+    ]
+    assert not inversions(run_day(day, RunOptions(priority="strict")))
+
+
+@pytest.mark.parametrize(
+    ("homes_kw", "left_kwh", "room_kw", "inverted"),
+    [
+        (60.0, 0.0, 0.0, True),
+        (50.0, 0.0, 70.0, False),
+        (50.0, 10.0, 70.0, True),
+        (50.0, 10.0, 9.0, False),
+        (0.0, 60.0, 70.0, False),
+    ],
+)
+def test_an_inversion_needs_energy_and_power(
+    homes_kw: float, left_kwh: float, room_kw: float, inverted: bool
+) -> None:
+    """A hospital of 60 kW in one dark hour: what lower tiers take, what is left, what is free."""
+    day = hospital_and_homes().between(0, 1)
+    run = run_day(day, RunOptions(priority="weights"))
+    lost = 0.95 * 200.0
+    batteries = run.batteries.assign(
+        soc_end=0.15 + left_kwh / lost, discharge_kw=70.0 - room_kw, charge_kw=0.0
+    )
+    load = run.customers["p_load_kw"].where(run.customers["id"] == "c0", homes_kw / 3)
+    customers = run.customers.assign(p_load_kw=load, served=run.customers["id"] != "c0")
+    if not homes_kw:
+        customers["served"] = False
+    changed = replace(run, batteries=batteries, customers=customers)
+    assert bool(inversions(changed)) == inverted

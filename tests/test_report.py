@@ -202,7 +202,8 @@ def test_findings_name_what_is_wrong() -> None:
         status=["optimal", "limit", "limit", "optimal"],
     )
     wrong = rated(replace(run, buses=buses, lines=lines, steps=steps), [4.0, np.inf, np.inf])
-    found = findings(wrong)
+    inverted, *found = findings(wrong)
+    assert inverted.startswith("Tier order was not kept in 1 customer-step (a)")
     assert found[0] == (
         "Voltage below the AC limit of 0.94 pu in 4 steps at 1 bus: the farthest "
         "is 0.9300 pu at bus 3, 19 Jul 00:00 UTC."

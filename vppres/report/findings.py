@@ -24,8 +24,9 @@ ISLAND_TOLERANCE_KW = 0.5
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each exception; empty if there is none."""
     return [
-        *cautions(run),
         *_unlit(run),
+        *cautions(run),
+        *_estimates(run),
         *_voltages(run),
         *_loadings(run),
         *_import(run),
@@ -129,12 +130,15 @@ def _answers(run: Trajectory) -> Iterator[str]:
 
 
 def _unlit(run: Trajectory) -> Iterator[str]:
-    """Islands that nothing can form, AC power flows without a solution, estimated measurements."""
-    steps = run.steps
-    mode = run.options.get("mode", "paper")
-    told = darkness(run.scenario, mode)
+    """Islands that nothing can form."""
+    told = darkness(run.scenario, run.options.get("mode", "paper"))
     if told:
         yield told
+
+
+def _estimates(run: Trajectory) -> Iterator[str]:
+    """AC power flows without a solution, and estimated measurements."""
+    steps = run.steps
     failed = steps.get("ac_failed", pd.Series("", steps.index))
     not_found = failed.astype(str).str.startswith(NOBODY)
     estimated = steps.get("estimated", pd.Series("", steps.index))

@@ -1,0 +1,126 @@
+"""Inversions: a customer off supply in an outage that a lower tier's energy would have supplied."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.text import named
+from vppres.day.trajectory import Trajectory
+
+TOLERANCE_KW = 1e-3
+NAMES = 3
+"""Names that a sentence has of each kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """A customer off supply in a step, and who of lower tiers was supplied.
+
+    Parameters
+    ----------
+    t, customer : int
+        Step and customer.
+    kw : float
+        Its demand.
+    lower : array of int
+        Customers of lower tiers that were supplied in the step, or later in the outage.
+    lower_kw : float
+        Their largest demand in a step.
+    """
+
+    t: int
+    customer: int
+    kw: float
+    lower: Wholes
+    lower_kw: float
+
+
+def inversions(run: Trajectory) -> list[Inversion]:
+    """Customers off supply whose demand lower tiers would have left power and energy for.
+
+    It is reckoned for the batteries as one, without the network: had lower tiers been off supply
+    from the step on, what they took and what was left in the batteries would have sufficed until
+    the end of the outage, in every step, within the power of the batteries.
+    """
+    found: list[Inversion] = []
+    fleet = _Fleet.of(run)
+    out = run.steps["outage"].to_numpy(bool)
+    last = len(out)
+    for t in range(len(out) - 1, -1, -1):
+        if not out[t]:
+            last = t
+            continue
+        found += _in_step(run, fleet, t, last)
+    return found[::-1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fleet:
+    """The record of a run as arrays of steps."""
+
+    rank: Wholes
+    served: Flags
+    load_kw: Floats
+    kept_kwh: Floats
+    free_kw: Floats
+    dark: Flags
+
+    @classmethod
+    def of(cls, run: Trajectory) -> _Fleet:
+        steps = len(run.steps)
+        day = run.scenario
+        b = day.batteries
+        position = {tier: k for k, tier in enumerate(day.tiers)}
+        table = run.batteries
+        tile = np.tile
+        usable = np.maximum(table["soc_end"] - tile(b.soc_min, steps), 0.0)
+        kept = usable * tile(b.energy_kwh, steps) * table["eta_discharge"]
+        free = tile(b.active_max_kw, steps) + table["charge_kw"] - table["discharge_kw"]
+        dark = run.steps["dark"] > 0 if "dark" in run.steps else np.zeros(steps)
+        return cls(
+            rank=np.array([position[tier] for tier in day.customers.tier]),
+            served=run.customers["served"].to_numpy(float).reshape(steps, -1) > 0.5,
+            load_kw=run.customers["p_load_kw"].to_numpy(float).reshape(steps, -1),
+            kept_kwh=kept.to_numpy(float).reshape(steps, -1).sum(axis=1),
+            free_kw=free.to_numpy(float).reshape(steps, -1).sum(axis=1),
+            dark=np.asarray(dark, dtype=bool),
+        )
+
+
+def _in_step(run: Trajectory, fleet: _Fleet, t: int, last: int) -> Iterator[Inversion]:
+    """Inversions of one step of an outage that ends before step ``last``."""
+    dt_h = run.scenario.grid.dt_h
+    for customer in np.flatnonzero(~fleet.served[t] & ~fleet.dark[t]):
+        lower = fleet.served[t:last] & (fleet.rank > fleet.rank[customer])
+        lower_kw = (fleet.load_kw[t:last] * lower).sum(axis=1)
+        kw = float(fleet.load_kw[t, customer])
+        enough_kw = fleet.free_kw[t] + lower_kw[0] >= kw - TOLERANCE_KW
+        left_kwh = fleet.kept_kwh[t:last] + dt_h * (lower_kw.cumsum() - kw)
+        if lower.any() and enough_kw and left_kwh.min() >= -dt_h * TOLERANCE_KW:
+            now = lower[:1] if lower[0].any() else lower
+            who = np.flatnonzero(now.any(axis=0))
+            yield Inversion(t, int(customer), kw, who, float(lower_kw[: len(now)].max()))
+
+
+def inversion_words(run: Trajectory) -> list[str]:
+    """Inversions in a sentence, with names and kW; empty if there is none."""
+    found = inversions(run)
+    if not found:
+        return []
+    c = run.scenario.customers
+    position = {tier: k for k, tier in enumerate(run.scenario.tiers)}
+    worst = min(found, key=lambda one: (position[c.tier[one.customer]], -one.kw))
+    names = list(dict.fromkeys(str(c.id[one.customer]) for one in found))
+    off = f"{c.id[worst.customer]} ({c.tier[worst.customer]}, {worst.kw:,.1f} kW)"
+    lower = named([str(c.id[i]) for i in worst.lower], NAMES)
+    time = run.steps["time"].iloc[worst.t]
+    count = "1 customer-step" if len(found) == 1 else f"{len(found)} customer-steps"
+    return [
+        f"Tier order was not kept in {count} ({named(names, NAMES)}): the "
+        f"energy of lower tiers would have sufficed. At {time:%H:%M} UTC {off} was off supply, "
+        f"while {lower} had up to {worst.lower_kw:,.1f} kW."
+    ]
