@@ -19,7 +19,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.forecasting import Forecasts
 from vppres.day.options import PERFECT
 from vppres.day.priority import site_of
@@ -314,14 +314,12 @@ def check_outages(kind: str, controller: str) -> None:
         cure = "Use the controller mpc, or likely outages."
     else:
         return
-    raise InputError(
-        Problem(
-            "options",
-            f"has no meaning for the controller {controller}",
-            cure,
-            field="outages",
-            value=kind,
-        )
+    raise InputError.of(
+        "options",
+        f"has no meaning for the controller {controller}",
+        cure,
+        field="outages",
+        value=kind,
     )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, get_args
 
-from vppres.core.errors import InputError, Problem, VppresError
+from vppres.core.errors import InputError, VppresError
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
@@ -98,14 +98,12 @@ def import_network(
             return _feeder(_Net(name_or_file), "pandapower net", changes)
     text = str(name_or_file)
     if source not in (None, *get_args(Source)):
-        raise InputError(
-            Problem(
-                "options",
-                f"must be one of {', '.join(get_args(Source))}",
-                "Correct the source.",
-                field="from",
-                value=source,
-            )
+        raise InputError.of(
+            "options",
+            f"must be one of {', '.join(get_args(Source))}",
+            "Correct the source.",
+            field="from",
+            value=source,
         )
     with _quiet():
         if source is None and text in NAMED:
@@ -168,32 +166,28 @@ def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
     """The reader of a file or code."""
     never = NEVER.get(Path(text).suffix.lower())
     if never and source != "simbench":
-        raise InputError(
-            Problem(
-                f"network {Path(text).name}",
-                never,
-                "Write the net with pandapower.to_json, and import that file.",
-            )
+        raise InputError.of(
+            f"network {Path(text).name}",
+            never,
+            "Write the net with pandapower.to_json, and import that file.",
         )
     kind = source or SUFFIXES.get(Path(text).suffix.lower())
     if kind is None:
-        raise InputError(
-            Problem(
-                f"network {text}",
-                "is neither a named network nor a file that can be imported",
-                did_you_mean(
-                    text,
-                    sorted(NAMED),
-                    f"Give a file ending in {', '.join(SUFFIXES)}, or a "
-                    "SimBench code with --from simbench.",
-                ),
-            )
+        raise InputError.of(
+            f"network {text}",
+            "is neither a named network nor a file that can be imported",
+            did_you_mean(
+                text,
+                sorted(NAMED),
+                f"Give a file ending in {', '.join(SUFFIXES)}, or a "
+                "SimBench code with --from simbench.",
+            ),
         )
     if kind == "simbench":
         return lambda: _simbench(text)
     path = Path(text)
     if not path.is_file():
-        raise InputError(Problem(f"network {text}", "there is no such file", "Correct the path."))
+        raise InputError.of(f"network {text}", "there is no such file", "Correct the path.")
     readers = {"pandapower": _pandapower, "matpower": _matpower, "opendss": _opendss}
     return lambda: readers[kind](path)
 
@@ -207,12 +201,10 @@ def _library(module: str, extra: str) -> ModuleType:
 
 
 def _missing(module: str, extra: str) -> InputError:
-    return InputError(
-        Problem(
-            "network",
-            f"needs the library {module}, which is not installed",
-            f"Install it with: pip install 'vppres[{extra}]'",
-        )
+    return InputError.of(
+        "network",
+        f"needs the library {module}, which is not installed",
+        f"Install it with: pip install 'vppres[{extra}]'",
     )
 
 
@@ -250,23 +242,19 @@ def _simbench(code: str) -> _Net:
     simbench = _library("simbench", "simbench")
     codes = simbench.collect_all_simbench_codes()
     if code not in codes:
-        raise InputError(
-            Problem(
-                f"network {code}",
-                "is not a SimBench code",
-                did_you_mean(code, sorted(codes), "Correct the code."),
-            )
+        raise InputError.of(
+            f"network {code}",
+            "is not a SimBench code",
+            did_you_mean(code, sorted(codes), "Correct the code."),
         )
     return _Net(simbench.get_simbench_net(code))
 
 
 def _unreadable(path: Path, what: str, reason: object) -> InputError:
-    return InputError(
-        Problem(
-            path.name,
-            f"cannot be read as {what} ({reason})",
-            "Correct the file, or choose another format with --from.",
-        )
+    return InputError.of(
+        path.name,
+        f"cannot be read as {what} ({reason})",
+        "Correct the file, or choose another format with --from.",
     )
 
 

@@ -104,7 +104,7 @@ def read_scenario(folder: str | Path) -> Scenario:
     folder = Path(folder)
     if not folder.is_dir():
         message = "is not a folder" if folder.exists() else "there is no such folder"
-        raise InputError(Problem(str(folder), message, "Give the path of a scenario folder."))
+        raise InputError.of(str(folder), message, "Give the path of a scenario folder.")
     content, problems = _read_files(folder)
     rows, row_problems = _read_all_rows(content)
     series, series_problems = _read_series(content, rows)

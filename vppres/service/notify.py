@@ -17,7 +17,7 @@ from email.message import EmailMessage
 from typing import Any
 from urllib.parse import SplitResult, parse_qs, unquote, urlsplit
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.text import visible
 from vppres.service.alarms import Notice
 
@@ -76,10 +76,8 @@ def target_of(text: str) -> Target:
     if parts.scheme not in kinds or not parts.hostname or (mail and "@" not in parts.path):
         cure = "Write https://HOST/PATH, or smtp://USER@HOST:PORT/TO?from=FROM."
         shown = f"{parts.scheme}://{parts.hostname or ''}"
-        raise InputError(
-            Problem(
-                "options", "is no address of a webhook or for mail", cure, None, "notify", shown
-            )
+        raise InputError.of(
+            "options", "is no address of a webhook or for mail", cure, field="notify", value=shown
         )
     return Target(parts.hostname, kinds[parts.scheme](parts))
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError, Problem, StorageError
+from vppres.core.errors import InputError, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
@@ -251,7 +251,7 @@ class Runner:
         elif time < self.clock.now():
             problem = ("does not go back", f"It is {written(self.clock.now())}.")
         if problem is not None:
-            raise InputError(Problem("clock", *problem, field="now", value=written(time)))
+            raise InputError.of("clock", *problem, field="now", value=written(time))
         self._thread.submit(self._set_clock, time).result()
 
     def _set_clock(self, time: pd.Timestamp) -> None:
@@ -363,7 +363,7 @@ class Runner:
         elif not self.rehearsal and time != self.begun(now):
             problem = ("is not the present step", f"That one began at {written(self.begun(now))}.")
         if problem is not None:
-            raise InputError(Problem("step", *problem, field="time", value=written(time)))
+            raise InputError.of("step", *problem, field="time", value=written(time))
 
     def _decided(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
         """The plan of the controller; by rule, whatever it is that fails."""
@@ -510,9 +510,7 @@ class Runner:
                 log.error("the last state of the controller is cut: the one before it is taken")
         if states:
             cure = "Put a copy of the database in its place, or remove it."
-            raise InputError(
-                Problem(self.store.place, "has no whole state of the controller", cure)
-            )
+            raise InputError.of(self.store.place, "has no whole state of the controller", cure)
         return None
 
     def _feed(self, time: pd.Timestamp) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
 from vppres.feeders.net.elements import in_service
 
@@ -47,7 +47,7 @@ def balanced(found: PhasePowers, name: str, wanted: bool) -> str:
         If it is not wanted.
     """
     if not wanted:
-        raise InputError(Problem(name, f"is not balanced: {found.what}", CURE))
+        raise InputError.of(name, f"is not balanced: {found.what}", CURE)
     return f"Balanced on request (--balance): {found.what}. {unbalance(found.p_kw)}"
 
 

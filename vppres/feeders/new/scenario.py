@@ -147,12 +147,10 @@ def _given_profiles(feeder: ImportedFeeder, options: NewScenarioOptions) -> list
         return read_profiles(str(options.profiles), reading)
     if feeder.profiles:
         return [*feeder.profiles]
-    raise InputError(
-        Problem(
-            feeder.name,
-            "has no series of its own",
-            "Give a folder with --profiles, or leave it out for the bundled day.",
-        )
+    raise InputError.of(
+        feeder.name,
+        "has no series of its own",
+        "Give a folder with --profiles, or leave it out for the bundled day.",
     )
 
 

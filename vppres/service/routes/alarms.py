@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.routes.guard import Guard
@@ -45,14 +45,12 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Let an alarm notify nobody up to a time, also if it is raised again before."""
         now = runner.clock.now()
         if body.until <= now:
-            raise InputError(
-                Problem(
-                    "alarm",
-                    "is over",
-                    f"Give a time after {written(now)}.",
-                    field="until",
-                    value=written(body.until),
-                )
+            raise InputError.of(
+                "alarm",
+                "is over",
+                f"Give a time after {written(now)}.",
+                field="until",
+                value=written(body.until),
             )
         return runner.alarms.shelve(number, body.until, actor, body.reason, now)
 
