@@ -8,7 +8,7 @@ value and cure; what fits comes out as arrays.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from numbers import Real
 from typing import Any
@@ -139,10 +139,8 @@ class Door:
 
     def values(self, field: str, given: Any, ids: Names, default: Floats) -> Floats:
         """One number for each item; the default where none was given, NaN where it is missing."""
-        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
-        positions = self._positions(field, list(named), ids)
         result = default.copy()
-        for (name, value), position in zip(named.items(), positions, strict=True):
+        for position, name, value in self._items(field, given, ids):
             number = self._number(field, value, name, now=True)
             if position >= 0:
                 result[position] = number
@@ -151,9 +149,7 @@ class Door:
     def flags(self, field: str, given: Any, ids: Names) -> Flags:
         """True or false for each item, true where nothing was given."""
         result = np.ones(len(ids), dtype=bool)
-        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
-        positions = self._positions(field, list(named), ids)
-        for (name, value), position in zip(named.items(), positions, strict=True):
+        for position, name, value in self._items(field, given, ids):
             if not isinstance(value, (bool, np.bool_)):
                 self.problem(
                     field,
@@ -186,10 +182,8 @@ class Door:
 
     def ages_h(self, field: str, given: Any, ids: Names, now: pd.Timestamp) -> Floats:
         """How long ago each item was read, in h; now where no time is given."""
-        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
-        positions = self._positions(field, list(named), ids)
         result = np.zeros(len(ids))
-        for (name, value), position in zip(named.items(), positions, strict=True):
+        for position, name, value in self._items(field, given, ids):
             moment = self.moment(field, value, f"{field} of {shown(name)}")
             if moment is not None and position >= 0:
                 result[position] = max((now - moment) / HOUR, 0.0)  # clocks may be ahead
@@ -208,6 +202,13 @@ class Door:
                     value=None if value is None else readable(value),
                 )
             )
+
+    def _items(self, field: str, given: Any, ids: Names) -> Iterator[tuple[int, Any, Any]]:
+        """Position, identifier and value of what was given for items; none of nothing."""
+        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
+        positions = self._positions(field, list(named), ids).tolist()
+        for (name, value), position in zip(named.items(), positions, strict=True):
+            yield position, name, value
 
     def _pairs(self, field: str, given: Any, wanted: str) -> list[tuple[Any, Any]]:
         """Identifiers and values, each identifier once."""
