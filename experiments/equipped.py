@@ -1,7 +1,7 @@
 """Islands of feeders with capacitors, taps and charging: ``python -m experiments.equipped``.
 
-Each day's resilience is held against a bound that no controller exceeds: the same day on a copper
-plate, planned at once with the outage known.
+Each day's resilience is held against a bound that no plan of physical mode exceeds: the same day on
+a copper plate, planned at once with the outage known, with the headroom of plans.
 """
 
 from __future__ import annotations
@@ -17,10 +17,13 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from experiments.islands import claims_of
 from experiments.random_feeders import random_scenario
 from experiments.seeds import Days, FirstSeed
+from vppres.control.converged import DEFAULT_HEADROOM
 from vppres.core.units import kw_at_1_pu_to_us
 from vppres.day.metrics import resilience
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
+from vppres.model.site import Site
+from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
@@ -30,20 +33,41 @@ OUTAGE = slice(6, 10)
 HORIZON_STEPS = 5
 SHARE_OF_BOUND = 0.9
 TAPS = (0.975, 1.0, 1.025)
+ANGLES = np.radians(np.arange(0, 61, 3))
 CAPACITOR_SHARE = (0.05, 1.5)
 """Smallest and largest capacitor, as a share of all batteries' inverters."""
 
 
 def equipped_day(seed: int) -> Scenario:
-    """A random feeder with a battery, two taps, charging lines and one to three capacitors."""
-    day = random_scenario(seed, n_steps=STEPS)
-    while not len(day.batteries):
-        seed += 1_000_000
+    """A random feeder with a battery, two taps, charging lines and one to three capacitors.
+
+    With grid it keeps its voltages without any device: what breaks them then is no matter of
+    islands.
+    """
+    while True:
         day = random_scenario(seed, n_steps=STEPS)
-    rng = np.random.default_rng([seed, 5])
-    limit_kw = np.full(STEPS, np.inf)
-    limit_kw[OUTAGE] = 0.0
-    return replace(day, network=equipped(day, rng), grid_limit_kw=limit_kw)
+        if len(day.batteries):
+            limit_kw = np.full(STEPS, np.inf)
+            limit_kw[OUTAGE] = 0.0
+            network = equipped(day, np.random.default_rng([seed, 5]))
+            day = replace(day, network=network, grid_limit_kw=limit_kw)
+            if within_limits(day):
+                return day
+        seed += 1_000_000
+
+
+def within_limits(day: Scenario) -> bool:
+    """Whether the voltages keep the plan's limits with grid, with all customers and with none."""
+    net = day.network
+    site = Site.of(day)
+    most = np.argmax(day.load_kw.sum(axis=1))
+    for share in (0.0, 1.0):
+        p_kw = -share * (site.customer_bus @ day.load_kw[most])
+        q_kvar = -share * (site.customer_bus @ day.load_kvar[most])
+        v_pu = ACPowerFlow(net).solve(p_kw, q_kvar).v_pu
+        if v_pu.min() < net.v_min_pu or v_pu.max() > net.v_max_pu:
+            return False
+    return True
 
 
 def equipped(day: Scenario, rng: np.random.Generator) -> Network:
@@ -83,7 +107,10 @@ def bound_of(day: Scenario) -> float:
             -so_far @ sp.diags_array(np.tile(1.0 / (b.eta_discharge * b.energy_kwh), T)),
         ]
     )
-    active_kw = np.tile(b.active_max_kw, 2 * T)
+    headroom_kva = np.where(b.formers, DEFAULT_HEADROOM * b.s_max_kva, 0.0)
+    in_island = np.where(day.outage[:, None], headroom_kva, 0.0)
+    power_kw = np.tile(np.maximum(b.active_max_kw - in_island, 0.0).ravel(), 2)
+    together_kva = float((b.s_max_kva - headroom_kva).sum() + day.pv.s_max_kva.sum())
     found = milp(
         -worth,
         constraints=[
@@ -93,13 +120,27 @@ def bound_of(day: Scenario) -> float:
                 np.tile(b.soc_min - b.soc_initial, T),
                 np.tile(b.soc_max - b.soc_initial, T),
             ),
+            *(
+                LinearConstraint(
+                    _seen_at(day, angle), ub=np.where(day.outage, together_kva, np.inf)
+                )
+                for angle in ANGLES
+            ),
         ],
-        bounds=Bounds(0.0, np.concatenate([np.ones(T * C), active_kw])),
+        bounds=Bounds(0.0, np.concatenate([np.ones(T * C), power_kw])),
         integrality=np.concatenate([np.ones(T * C), np.zeros(2 * T * B)]),
     )
     assert found.mip_dual_bound is not None  # HiGHS has one for every problem with binaries
     total = float(out.sum() * day.customers.weight.sum())
     return min(1.0, -found.mip_dual_bound / total)
+
+
+def _seen_at(day: Scenario, angle: float) -> sp.csr_array:
+    """Apparent power of those served, projected on an angle, where inverters have their sum."""
+    projected = np.cos(angle) * day.load_kw + np.sin(angle) * day.load_kvar
+    rows = sp.block_diag([step[None, :] for step in projected])
+    nothing = sp.csr_array((day.grid.n_steps, 2 * day.grid.n_steps * len(day.batteries)))
+    return sp.csr_array(sp.hstack([rows, nothing]))
 
 
 def row_of(seed: int) -> dict[str, object]:

@@ -346,6 +346,7 @@ def test_plan_that_cannot_be_carried_out_is_not_followed(tiny: Scenario) -> None
     for t in range(3):
         day.step(guard, t)
     day.state = replace(day.state, soc=tiny.batteries.soc_min)
+    day.battery_kw = None  # no measured power contradicts the readings
     day.step(guard, 3)
     assert fallbacks(day)[3] == "rule"
     assert day.recorder.records[3].customers["served"][0] == (
@@ -526,6 +527,25 @@ def test_a_reading_that_comes_late_counts_from_when_it_was_read(tiny: Scenario) 
     assert late.soc[0] == pytest.approx(0.75 - (5.0 + 20.0) / b.eta_discharge[0] / 100.0)
     older = late.after(np.array([0.8, 0.5]), np.array([0.25, 0.25]), 3.5, moved)
     assert older.soc == pytest.approx(late.soc) and not older.trusted.any()
+
+
+@pytest.mark.parametrize(("then", "believed"), [(0.3, True), (0.36, False)])
+def test_a_state_of_charge_that_jumps_is_believed_if_the_next_bears_it_out(
+    tiny: Scenario, then: float, believed: bool
+) -> None:
+    """Both batteries rest, as their meters say; the first one's reading falls from 0.5 to 0.3."""
+    rest = np.zeros(2)
+    eta = (tiny.batteries.eta_charge, tiny.batteries.eta_discharge)
+    moved = Moved.nothing(2)
+    soc = SocReckoning.start(Site.of(tiny)).after(np.array([0.5, 0.5]), np.zeros(2), 0.0, moved)
+    for hour, reading in ((1.0, 0.3), (2.0, then)):
+        moved = moved.ordered(hour - 1.0, rest, eta).seen(hour - 1.0, rest, eta)
+        soc = soc.after(np.array([reading, 0.5]), np.full(2, hour), hour, moved)
+        assert soc.trusted[1]
+        if hour == 1.0:
+            assert soc.jumped[0] and soc.soc[0] == pytest.approx(0.5)
+    assert soc.trusted[0] == believed
+    assert soc.soc[0] == pytest.approx(then if believed else 0.5)
 
 
 def test_frozen_soc_is_noticed_once_the_battery_has_moved(tiny: Scenario) -> None:

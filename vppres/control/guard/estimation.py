@@ -85,7 +85,7 @@ class Estimator:
         online = self._online(seen)
         self._reckon(seen)
         online &= ~self._soc.unknown
-        now, series_words = self.series.judged(seen, self._expected(seen), self._commanded)
+        now, series_words = self.series.judged(seen, *self._expected(seen), self._commanded)
         forecast = seen.forecast
         if series_words:
             forecast = replace(
@@ -157,18 +157,19 @@ class Estimator:
             if np.isnan(soc.soc[i]):
                 words.append(f"soc {names[i]} was never received")
                 continue
-            kind = "frozen" if soc.frozen[i] else "missing"
+            kind = "frozen" if soc.frozen[i] else "jumped" if soc.jumped[i] else "missing"
             words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
         return words
 
-    def _expected(self, seen: Observation) -> Readings:
-        """What the last forecast said of this step; failing that, the last known values."""
+    def _expected(self, seen: Observation) -> tuple[Readings, bool]:
+        """What the last forecast said of this step, and whether it did; else what is known last."""
         if self._last is None:
             ahead = seen.forecast
             if len(ahead.load_kw) > 1:
-                return Readings(ahead.load_kw[1], ahead.pv_kw[1])
-            return Readings(np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)))
+                return Readings(ahead.load_kw[1], ahead.pv_kw[1]), True
+            none = Readings(np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)))
+            return none, False
         before = self._last.forecast
         steps = seen.t0 - self._last.t0
         row = steps if steps < len(before.load_kw) else 0
-        return Readings(before.load_kw[row], before.pv_kw[row])
+        return Readings(before.load_kw[row], before.pv_kw[row]), row > 0

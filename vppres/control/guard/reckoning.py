@@ -17,6 +17,13 @@ Telemetry in whole per cent stands still while nearly 0.01 moves; as much again 
 efficiencies and meters are off by.
 """
 
+SOC_JUMP = 0.05
+"""A reading further than this from what measured power explains is not believed at once.
+
+A battery's own gauge may be set right, and then goes on from there. It is believed if the next
+reading bears it out; that of another battery, or one that drifts, does not.
+"""
+
 SOC_MARGIN = 0.05
 """A state of charge further outside the battery's limits than this is no measurement."""
 
@@ -43,8 +50,9 @@ class SocReckoning:
         What it would be by the power since the reading last moved.
     evident : array of bool
         Whether all power since then was measured: what was only ordered proves nothing.
-    trusted, frozen : array of bool
-        Whether there is a new reading that is trusted; whether it is not as it stands still.
+    trusted, frozen, jumped : array of bool
+        Whether there is a new reading that is trusted; whether it is not as it stands still, or as
+        it jumped.
     """
 
     site: Site
@@ -57,6 +65,7 @@ class SocReckoning:
     evident: Flags
     trusted: Flags
     frozen: Flags
+    jumped: Flags
 
     @classmethod
     def start(cls, site: Site) -> SocReckoning:
@@ -64,7 +73,9 @@ class SocReckoning:
         n = len(site.batteries)
         unknown = np.full(n, np.nan)
         none = np.zeros(n, dtype=bool)
-        return cls(site, 0.0, unknown, unknown, unknown, np.zeros(n), unknown, none, none, none)
+        return cls(
+            site, 0.0, unknown, unknown, unknown, np.zeros(n), unknown, none, none, none, none
+        )
 
     @property
     def unknown(self) -> Flags:
@@ -97,10 +108,14 @@ class SocReckoning:
         newer = plausible & ~(read_h <= self.read_h)  # also before the first
         # A reading just outside would leave a window without any feasible dispatch.
         inside = np.clip(np.clip(seen, b.soc_min, b.soc_max) + since.share, b.soc_min, b.soc_max)
-        still = newer & (seen == self.reading)
-        turned = newer & ~still
+        on_from_reading = np.abs(inside - self.reading - lately.share) <= SOC_TOLERANCE
+        borne_out = newer & self.jumped & on_from_reading
+        still = newer & (seen == self.reading) & ~borne_out
+        leaps = np.abs(inside - self.soc - lately.share) > SOC_JUMP
+        jumped = newer & ~still & ~borne_out & lately.evident & leaps
+        turned = newer & ~still & ~jumped
         frozen = still & evident & (np.abs(inside - reckoned) > SOC_TOLERANCE)
-        trusted = newer & ~frozen
+        trusted = newer & ~frozen & ~jumped
         carried = np.clip(self.soc + lately.share, b.soc_min, b.soc_max)
         return replace(
             self,
@@ -113,4 +128,5 @@ class SocReckoning:
             evident=evident | turned,
             trusted=trusted,
             frozen=frozen,
+            jumped=jumped,
         )

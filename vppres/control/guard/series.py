@@ -84,7 +84,7 @@ class SeriesJudge:
         self._usual = _Usual(np.full(len(site.customers), np.inf), np.zeros(len(site.customers)))
 
     def judged(
-        self, seen: Observation, expected: Readings, commanded: Commanded | None
+        self, seen: Observation, expected: Readings, foretold: bool, commanded: Commanded | None
     ) -> tuple[Readings, list[str]]:
         """Readings of the step with estimates where they must be, and what was estimated.
 
@@ -93,13 +93,15 @@ class SeriesJudge:
         seen : Observation
             The step's observation.
         expected : Readings
-            What the step before forecast of this one.
+            What was known of this step before it.
+        foretold : bool
+            Whether that was forecast, and is not the reading of a step before.
         commanded : Commanded or None
             What was decided for the step before.
         """
         read_kw = seen.forecast.load_kw[0]
         self._learn(seen, commanded)
-        self._far = far = self._far_now(read_kw, seen, expected)
+        self._far = far = self._far_now(read_kw, seen, expected) & foretold
         usable = Readings(np.where(far, expected.load_kw, read_kw), seen.forecast.pv_kw[0])
         now = _Step(seen.t0, usable, expected, read_kw)
         frozen = self._frozen_now(now, seen, commanded)
@@ -121,7 +123,7 @@ class SeriesJudge:
     def _far_now(self, read_kw: Floats, seen: Observation, expected: Readings) -> Flags:
         """Demand far from its forecasts, and from all that a step has shown to be right.
 
-        By more than meters are off by; where nothing is forecast nothing is far.
+        By more than meters are off by; where no demand was expected nothing is far.
         """
         ahead = np.vstack([expected.load_kw, seen.forecast.load_kw[1:]])
         most_kw = np.maximum(ahead.max(axis=0), self._usual.most_kw)
@@ -129,8 +131,7 @@ class SeriesJudge:
         far = (read_kw > FAR * most_kw) | (read_kw < least_kw / FAR)
         off_kw = np.abs(read_kw - expected.load_kw)
         matters = off_kw > BALANCE_KW + BALANCE_SHARE * float(expected.load_kw.sum())
-        foretold = (expected.load_kw > 0.0) & (len(seen.forecast.load_kw) > 1)
-        return np.asarray(far & matters & foretold)
+        return np.asarray(far & matters & (expected.load_kw > 0.0))
 
     def _learn(self, seen: Observation, commanded: Commanded | None) -> None:
         """Take up what was far if the import of its step says that it was right."""
