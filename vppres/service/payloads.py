@@ -136,7 +136,8 @@ class Readings(Body):
 class Telemetry(Body):
     """A batch of readings; to send it twice does no harm."""
 
-    series: list[Readings] = Field(min_length=1, max_length=MOST_SERIES)
+    # The mistakes of one series are told: to collect those of all takes seconds.
+    series: list[Readings] = Field(fail_fast=True, min_length=1, max_length=MOST_SERIES)
 
     @model_validator(mode="after")
     def _not_too_many(self) -> Telemetry:
