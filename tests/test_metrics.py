@@ -198,6 +198,8 @@ def test_summary_by_hand():
         ],
         "served_share": {"critical": 0.5, "high": None, "low": 0.25},
         "served_share_connected": {"critical": 1.0, "high": None, "low": 1.0},
+        "minutes_off_max": {"critical": 30.0, "high": None, "low": 60.0},
+        "minutes_off_gini": {"critical": 0.0, "high": None, "low": pytest.approx(1.0 / 6.0)},
         "cost_gbp": pytest.approx(0.5 * (0.1 * 100 + 0.4 * 103)),
         "import_kwh": 101.5,
         "export_kwh": 0.0,

@@ -14,7 +14,7 @@ from vppres.core.plain import json_safe
 from vppres.core.text import counted_steps
 from vppres.core.units import kva_to_a
 from vppres.day.inversions import inversion_words
-from vppres.day.reliability import reliability_figures
+from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory
 from vppres.io.digest import scenario_digest
@@ -60,6 +60,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),
+        **fairness_figures(trajectory),
         "solve_s": solve_times(trajectory),
         "gap_max": trajectory.steps["gap"].max(),
         **{name: trajectory.options[name] for name in OPTIONS},

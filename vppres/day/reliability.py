@@ -73,6 +73,45 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
     return of_customers.groupby(np.asarray(c.tier)).sum().reindex(present)
 
 
+def fairness_figures(run: Trajectory) -> dict[str, dict[str, float | None]]:
+    """How unlike customers of a tier are in the time that they were off supply.
+
+    Returns
+    -------
+    dict
+        By tier ``minutes_off_max``, minutes of the customer that was off longest, and
+        ``minutes_off_gini``, the Gini coefficient of the minutes: 0 where all were off alike, near
+        1 where one was off alone. None of a tier without customers; parts of a customer are one.
+    """
+    c = run.scenario.customers
+    off_h = (~_per_customer(run, "served").astype(bool)).sum(axis=0) * run.scenario.grid.dt_h
+    minutes = off_h * h_to_minutes(1.0) * _shares_of_a_customer(run)
+    parts = run.options.get("parts", {})
+    of_part = {f"{name}/{k}": name for name, n in parts.items() for k in range(1, int(n) + 1)}
+    names = [of_part.get(str(name), str(name)) for name in c.id]
+    of_customers = pd.DataFrame({"tier": c.tier, "minutes": minutes}, index=names)
+    found: dict[str, dict[str, float | None]] = {"minutes_off_max": {}, "minutes_off_gini": {}}
+    for tier in run.scenario.tiers:
+        off = of_customers[of_customers["tier"] == tier]["minutes"]
+        each = off.groupby(level=0).sum().to_numpy(float)
+        found["minutes_off_max"][tier] = float(each.max()) if len(each) else None
+        found["minutes_off_gini"][tier] = gini(each) if len(each) else None
+    return found
+
+
+def gini(values: Floats) -> float:
+    """Gini coefficient of values that are not negative; 0 where all are 0.
+
+    >>> gini(np.array([3.0, 3.0])), gini(np.array([0.0, 0.0, 0.0, 6.0]))
+    (0.0, 0.75)
+    """
+    total = float(values.sum())
+    if total == 0.0:
+        return 0.0
+    apart = np.abs(values[:, None] - values).sum()
+    return float(apart / (2.0 * len(values) * total))
+
+
 def _per_customer(run: Trajectory, column: str) -> Floats:
     """A column of the customers' table, shape (T, C)."""
     return run.customers[column].to_numpy().reshape(len(run.steps), -1)

@@ -35,6 +35,8 @@ class TierRow:
     interrupted: str
     interruptions: str
     minutes: str
+    longest: str
+    gini: str
     unserved: str
     share: str
 
@@ -54,7 +56,13 @@ def supply_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[TierRow]:
     """Interruptions, minutes lost and energy not supplied, by tier and in all."""
     table = reliability_by_tier(run)
     rows = [
-        _tier_row(str(tier), row, summary["served_share"].get(tier))
+        _tier_row(
+            str(tier),
+            row,
+            summary["served_share"].get(tier),
+            summary.get("minutes_off_max", {}).get(tier),
+            summary.get("minutes_off_gini", {}).get(tier),
+        )
         for tier, row in table.iterrows()
     ]
     if len(rows) > 1:
@@ -66,7 +74,13 @@ def supply_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[TierRow]:
     return rows
 
 
-def _tier_row(tier: str, row: pd.Series[Any], share: float | None) -> TierRow:
+def _tier_row(
+    tier: str,
+    row: pd.Series[Any],
+    share: float | None,
+    longest: float | None = None,
+    gini: float | None = None,
+) -> TierRow:
     customers = max(float(row["customers"]), 1e-9)
     return TierRow(
         tier,
@@ -74,6 +88,8 @@ def _tier_row(tier: str, row: pd.Series[Any], share: float | None) -> TierRow:
         number(row["interrupted"], ",.6g"),
         number(100.0 * row["interruptions"] / customers, ",.1f"),
         number(row["minutes_lost"] / customers, ",.1f"),
+        number(longest, ",.0f"),
+        number(gini, ".2f"),
         number(row["unserved_kwh"], ",.1f"),
         number(share, ".1%"),
     )

@@ -53,6 +53,13 @@ KEY_FIGURES = (
     ("gap_max", "Largest relative optimality gap", "", ".1e"),
 )
 
+OF_TIERS = (
+    ("served_share", "Share served in the outage", "", ".4f"),
+    ("minutes_off_max", "Longest time off supply of a customer", "min", ",.0f"),
+    ("minutes_off_gini", "Gini coefficient of the minutes off supply", "", ".3f"),
+)
+"""The same of figures that each tier has its own of."""
+
 OF_EXPORT = ("export_kwh", "export_revenue_gbp", "net_cost_gbp")
 """Keys of figures that say nothing where nothing was exported."""
 

@@ -13,7 +13,7 @@ from vppres.day.metrics import service_by_customer
 from vppres.day.trajectory import OPTIONS
 from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
-from vppres.report.key_figures import KEY_FIGURES, number
+from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
 from vppres.report.pages import page
 from vppres.report.plots.files import FIGURE_TEXTS, FIGURES
 from vppres.report.plots.palette import RUN_STYLES
@@ -93,7 +93,8 @@ def read_runs(folders: Sequence[Path]) -> dict[str, FinishedRun]:
 def compared_figures(runs: Runs) -> list[ComparedFigure]:
     """Key figures, served shares of all tiers and solve times of every run."""
     tiers = [
-        (f"served_share.{tier}", f"Share served in the outage, {tier}", "", ".4f")
+        (f"{key}.{tier}", f"{words}, {tier}", unit, form)
+        for key, words, unit, form in OF_TIERS
         for tier in _tiers(runs)
     ]
     flat = [flattened(run.summary) for run in runs.values()]

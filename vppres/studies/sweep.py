@@ -17,7 +17,7 @@ from vppres.core.errors import ReportError, SolveError, StorageError, Verificati
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Progress, run_day
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
-from vppres.report.key_figures import KEY_FIGURES
+from vppres.report.key_figures import KEY_FIGURES, OF_TIERS
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies.compare import flattened
@@ -174,7 +174,7 @@ def outcome_records(outcomes: Sequence[SweepRow]) -> dict[str, Any]:
 
 
 _KEYS = tuple(key for key, *_ in KEY_FIGURES)
-_PREFIXES = ("served_share.", "solve_s.")
+_PREFIXES = (*(f"{key}." for key, *_ in OF_TIERS), "solve_s.")
 
 
 def _outcomes(

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vppres.io.atomic import atomic_write_text
-from vppres.report.key_figures import KEY_FIGURES, number
+from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
 from vppres.report.pages import page
 from vppres.report.plots.palette import BLUE, TIER_STYLES
 from vppres.scenario.scenario import Scenario
@@ -124,7 +124,9 @@ def _columns(scenario: Scenario) -> list[tuple[str, str, str]]:
         if key in _ON_PAGE
     ]
     tiers = [
-        (f"served_share.{tier}", f"Served in the outage, {tier}", ".1%") for tier in scenario.tiers
+        (f"{key}.{tier}", f"{words}, {tier}" + (f" ({unit})" if unit else ""), form)
+        for key, words, unit, form in OF_TIERS
+        for tier in scenario.tiers
     ]
     return [
         ("resilience", "Resilience", ".4f"),
