@@ -115,6 +115,7 @@ def test_page_and_tables(tmp_path: Path) -> None:
     assert summary["issues"] == len(result.issues)
 
 
+@pytest.mark.nightly
 def test_the_command(tmp_path: Path) -> None:
     history = noise(30)
     times = history.times.strftime("%Y-%m-%dT%H:%MZ")
@@ -123,7 +124,7 @@ def test_the_command(tmp_path: Path) -> None:
         frame.insert(0, "time", times)
         frame.to_csv(tmp_path / f"{name}.csv", index=False)
     out = tmp_path / "out"
-    done = call("backtest", str(tmp_path), "--every", "23", "--horizon", "24", "--out", str(out))
+    done = call("backtest", str(tmp_path), "--every", "71", "--horizon", "12", "--out", str(out))
     assert done.exit_code == 0, done.output
     assert "Load: error (CRPS)" in done.output
     assert (out / "backtest.html").is_file()

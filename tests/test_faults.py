@@ -90,8 +90,10 @@ def test_solver_fault_is_named_and_the_next_step_is_as_planned(
     assert steps["fallback_reason"][0] == ""
 
 
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
-@pytest.mark.parametrize("kind", SOLVER_FAULTS)
+@pytest.mark.parametrize(
+    ("controller", "kind"),
+    [*(("mpc", kind) for kind in SOLVER_FAULTS), ("full-horizon", "infeasible")],
+)
 def test_solver_that_never_works_leaves_the_rule(
     tiny: Scenario, controller: str, kind: str
 ) -> None:

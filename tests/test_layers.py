@@ -46,18 +46,21 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = {
-    module_name(path): ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted(PACKAGE.rglob("*.py"))
-}
-ROOMS = sorted({module.partition(".")[0] for module in TREES} - {""})
+FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+ROOMS = sorted({module.partition(".")[0] for module in FILES} - {""})
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    """Syntax tree of a module."""
+    return ast.parse(FILES[module].read_text(encoding="utf-8"))
 
 
 @cache
 def imports(module: str) -> frozenset[str]:
     """Absolute names of everything a module imports, inside functions too."""
     found: set[str] = set()
-    for node in ast.walk(TREES[module]):
+    for node in ast.walk(tree_of(module)):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -69,14 +72,14 @@ def imports(module: str) -> frozenset[str]:
 def own_imports(module: str) -> set[str]:
     """The package's modules among the imports: ``vppres.model.data.Site`` is ``model.data``."""
     below = {name.removeprefix("vppres.") for name in imports(module) if name.startswith("vppres.")}
-    return {name if name in TREES else name.rpartition(".")[0] for name in below} - {module, ""}
+    return {name if name in FILES else name.rpartition(".")[0] for name in below} - {module, ""}
 
 
 def rooms_entered(room: str) -> set[str]:
     """Rooms that the modules of a room import."""
     return {
         other.partition(".")[0]
-        for module in TREES
+        for module in FILES
         if module.partition(".")[0] == room
         for other in own_imports(module)
     } - {room}
@@ -134,7 +137,7 @@ def test_modules_import_in_no_circle() -> None:
     # A package's face imports its parts and is loaded before them, which is no circle.
     graph = {
         module: {other for other in own_imports(module) if not other.startswith(f"{module}.")}
-        for module in TREES
+        for module in FILES
         if module
     }
     assert set(TopologicalSorter(graph).static_order()) >= set(graph)
@@ -155,7 +158,7 @@ def loaded_by(statement: str) -> set[str]:
 def test_what_is_true_loads_no_solver() -> None:
     rooms = {"plant", "contract", "physics", "scenario", "io", "forecasts"}
     assert rooms <= set(ROOMS)
-    modules = [name for name in TREES if name.partition(".")[0] in rooms]
+    modules = [name for name in FILES if name.partition(".")[0] in rooms]
     loaded = loaded_by("\n".join(f"import vppres.{name}" for name in modules))
     assert {f"vppres.{room}" for room in rooms} <= loaded
     assert {name for name in loaded if name.startswith(SOLVING)} == set()
@@ -170,7 +173,7 @@ def test_the_package_itself_loads_no_library() -> None:
 def test_library_has_one_home(library: str, homes: set[str]) -> None:
     importers = {
         module.partition(".")[0]
-        for module in TREES
+        for module in FILES
         if any(name.partition(".")[0] == library for name in imports(module))
     }
     assert importers == homes
@@ -179,8 +182,8 @@ def test_library_has_one_home(library: str, homes: set[str]) -> None:
 def test_only_the_command_line_prints() -> None:
     printing = {
         module.partition(".")[0]
-        for module, tree in TREES.items()
-        for node in ast.walk(tree)
+        for module in FILES
+        for node in ast.walk(tree_of(module))
         if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo")
     }
     assert printing == {"cli"}

@@ -242,8 +242,11 @@ def controlled(index: pd.Index) -> Any:
     return net
 
 
-@pytest.mark.parametrize("as_file", [False, True], ids=["net", "file"])
-@pytest.mark.parametrize("index", [DAY, DAY.tz_localize(None), pd.RangeIndex(24)])
+@pytest.mark.parametrize(
+    ("as_file", "index"),
+    [(False, DAY), (True, DAY.tz_localize(None)), (False, pd.RangeIndex(24))],
+    ids=["net", "file", "rows"],
+)
 def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path) -> None:
     net: Any = controlled(index)
     if as_file:

@@ -48,7 +48,7 @@ def played(controller: Controller, pieces: list[Scenario], ahead: int) -> Iterat
     ("options", "piece"),
     [
         ({"horizon_h": 3.0}, 5),
-        ({"horizon_h": 2.0, "mode": "physical"}, 12),
+        pytest.param({"horizon_h": 2.0, "mode": "physical"}, 12, marks=pytest.mark.nightly),
         ({"controller": "reserve"}, 9),
     ],
 )

@@ -116,10 +116,10 @@ SHARP = SolveLimits(gap_rel=1e-7, gap_abs=1e-6)
 
 @pytest.mark.monolith
 @pytest.mark.parametrize("physical", [False, True])
-def test_certificates_hold_against_the_monolith(physical: bool) -> None:
+def test_certificates_hold_against_the_monolith(nightly: bool, physical: bool) -> None:
     """One step of random feeders, with grid and without, weak ones too."""
     wrong = []
-    for seed in range(8):
+    for seed in range(8 if nightly else 4):
         scenario, data = random_window(seed, stressed=seed % 2 == 1)
         site = Site.of(scenario)
         if not len(site.batteries):

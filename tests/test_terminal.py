@@ -80,10 +80,10 @@ def test_no_service_is_given_up_for_the_end(method: str) -> None:
 
 @pytest.mark.monolith
 @pytest.mark.parametrize("physical", [False, True])
-def test_certificates_hold_against_the_monolith(physical: bool) -> None:
+def test_certificates_hold_against_the_monolith(nightly: bool, physical: bool) -> None:
     """Prices below and above those of the import, batteries alike and not, weak feeders too."""
     wrong = []
-    for seed in range(8):
+    for seed in range(8 if nightly else 4):
         scenario, data = random_window(seed, stressed=seed % 2 == 1)
         site = Site.of(scenario)
         if not len(site.batteries):

@@ -172,7 +172,7 @@ MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
             failing.Crashing,
             r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\.",
         ),
-        (failing.Hungry, MEMORY),
+        pytest.param(failing.Hungry, MEMORY, marks=pytest.mark.nightly),
         pytest.param(failing.HungryInC, MEMORY, marks=pytest.mark.nightly),
         pytest.param(
             failing.Leaving,
