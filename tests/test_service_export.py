@@ -82,7 +82,7 @@ def test_what_was_measured_stands_over_the_profile(tiny: Scenario, tmp_path: Pat
             export(service, tmp_path, "2026-11-20", "2026-11-20T05:00")
         with pytest.raises(InputError, match="does not end after it begins"):
             export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T12:00")
-        with pytest.raises(InputError, match="is no time"):
+        with pytest.raises(InputError, match="is not a time"):
             export(service, tmp_path, "noon", "2026-11-21")
         with pytest.raises(InputError, match="holds no state of a service"):
             export(service, tmp_path / "nowhere", "2026-11-20", "2026-11-21")

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from vppres.core.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 HistoryName = Annotated[
     str,
@@ -93,25 +90,3 @@ def require_both(warnings: Path | None, outages: Path | None) -> None:
         f"Give --{missing} FILE beside --{there}: one is scored against the other.",
         field=missing,
     )
-
-
-def moment(text: str | None) -> pd.Timestamp | None:
-    """A time of the command line; UTC where it says nothing else.
-
-    >>> moment("2017-04-01").isoformat()
-    '2017-04-01T00:00:00+00:00'
-    """
-    import pandas as pd
-
-    if text is None:
-        return None
-    time = pd.to_datetime(text, utc=True, errors="coerce")
-    if pd.isna(time):
-        raise InputError.of(
-            "options",
-            "is not a time",
-            "Write it like 2017-04-01 or 2017-04-01T12:00Z.",
-            field="from or to",
-            value=text,
-        )
-    return time

@@ -602,6 +602,7 @@ def backtest(
     """Score forecasts of load and PV power: tables and a page."""
     with plain_errors(debug):
         from vppres.io.atomic import check_target
+        from vppres.io.times import option_time
         from vppres.studies.backtest import Plan, forecasts_in, measured_in
         from vppres.studies.backtest import backtest as run_backtest
         from vppres.studies.backtest_page import backtest_findings, write_backtest
@@ -610,7 +611,8 @@ def backtest(
         cli_backtest.require_both(warnings, outages)
         measured = measured_in(history, zone)
         warned = warnings_scored(history, warnings, outages)
-        plan = Plan(horizon, every, cli_backtest.moment(first), cli_backtest.moment(last))
+        begin, end = (None if text is None else option_time(text) for text in (first, last))
+        plan = Plan(horizon, every, begin, end)
         check_target(out)  # before the work, not after it
         own = None if forecasts is None else forecasts_in(forecasts, measured)
         with progress_bar(quiet) as bar:

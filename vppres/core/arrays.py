@@ -66,3 +66,13 @@ def mean_of_known(values: Floats) -> Floats:
     total = np.where(known, values, 0.0).sum(axis=0)
     count = known.sum(axis=0)
     return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
+
+
+def spans_of(flags: Flags) -> list[tuple[int, int]]:
+    """Half-open ranges of what is true.
+
+    >>> spans_of(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))

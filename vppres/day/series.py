@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Floats, Names, spans_of
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
 
@@ -75,9 +75,4 @@ def per_step(run: Trajectory, values: pd.Series[Any], table: pd.DataFrame) -> Fl
 
 def outage_spans(run: Trajectory) -> list[tuple[int, int]]:
     """Half-open ranges of steps without grid."""
-    change = np.diff(run.steps["outage"].to_numpy(int), prepend=0, append=0)
-    return list(
-        zip(
-            np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True
-        )
-    )
+    return spans_of(run.steps["outage"].to_numpy(bool))

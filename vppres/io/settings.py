@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
+from vppres.core.arrays import spans_of
 from vppres.core.errors import Problem
 from vppres.core.units import minutes_to_h
 from vppres.io import schema
@@ -199,9 +199,8 @@ def _sound_tiers(document: dict[str, Any]) -> dict[str, float] | None:
 def outage_intervals(scenario: Scenario) -> list[dict[str, Any]]:
     """Runs of outage steps as half-open intervals."""
     grid = scenario.grid
-    edges = np.diff(np.concatenate([[0], scenario.outage.astype(int), [0]]))
     times = [*grid.times, grid.end]
     return [
         {"start": times[a].to_pydatetime(), "end": times[b].to_pydatetime()}
-        for a, b in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
+        for a, b in spans_of(scenario.outage)
     ]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags
+from vppres.core.errors import InputError
 
 _LONGEST_TIME = 64  # characters; a time has 35, and the search takes their square
 _OFFSET = re.compile(r"\d[T ]?.*(Z|[+-]\d{2}:?\d{2})$", re.IGNORECASE)
@@ -41,6 +42,32 @@ def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
     if unreadable[0] or not has_offset[0]:
         return None, *time_fault(text, bool(unreadable[0]))
     return times.iloc[0], "", ""
+
+
+def option_time(text: str, zone: str = "UTC") -> pd.Timestamp:
+    """A time of the command line; by the clocks of a zone if it says nothing else.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+
+    Examples
+    --------
+    >>> option_time("2017-04-01").isoformat()
+    '2017-04-01T00:00:00+00:00'
+    """
+    try:
+        time = pd.Timestamp(datetime.fromisoformat(text))
+    except ValueError:
+        raise InputError.of(
+            "options",
+            "is not a time",
+            "Write it like 2017-04-01 or 2017-04-01T12:00Z.",
+            field="from or to",
+            value=text,
+        ) from None
+    return time.tz_localize(zone) if time.tzinfo is None else time
 
 
 def iso(time: datetime) -> str:

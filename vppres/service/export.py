@@ -20,7 +20,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
 from vppres.day.recorder import Recorder, StepRecord
 from vppres.day.trajectory import Trajectory
-from vppres.live.door import moment_of
+from vppres.io.times import option_time
 from vppres.live.profile import Profile
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState
@@ -70,20 +70,12 @@ def export(service: Service, place: Path | str, begin: str, end: str) -> Traject
         For what is no time, and where nothing is stored.
     """
     grid = service.scenario.grid
-    times = [_moment(text, grid.zone) for text in (begin, end)]
+    times = [option_time(text, grid.zone) for text in (begin, end)]
     store = Store(place, Site.of(service.scenario).key, reading=True)
     try:
         return exported(service, store, *times)
     finally:
         store.close()
-
-
-def _moment(text: str, zone: str) -> pd.Timestamp:
-    found = moment_of(text)
-    if found is None:
-        cure = "Write ISO 8601, for example 2026-11-21 or 2026-11-21T18:00Z."
-        raise InputError(Problem("options", "is no time", cure, None, "from or to", text))
-    return found.tz_localize(zone) if found.tzinfo is None else found
 
 
 def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timestamp) -> Trajectory:

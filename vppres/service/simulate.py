@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, spans_of
 from vppres.day.outages import BELIEF, LOOKAHEAD_H
 from vppres.outlook.outlook import Announced, length_of, said_so_far
 from vppres.scenario.outage_warnings import OutageWarning
@@ -432,10 +432,7 @@ def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]
     """When which event is announced, for each outage of a scenario."""
     times = scenario.grid.times
     step = pd.Timedelta(minutes=scenario.grid.step_minutes)
-    out = np.concatenate([[False], scenario.outage, [False]])
-    starts = np.flatnonzero(~out[:-1] & out[1:]).tolist()
-    ends = np.flatnonzero(out[:-1] & ~out[1:]).tolist()
-    for number, (start, end) in enumerate(zip(starts, ends, strict=True), start=1):
+    for number, (start, end) in enumerate(spans_of(scenario.outage), start=1):
         body = {
             "type": "outage",
             "source": "simulation",

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, spans_of
 from vppres.day.metrics import horizon_h
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import TimeAxis, ValueAxis, range_of
@@ -196,9 +196,8 @@ class Curves:
     def _draw_band(self, canvas: Canvas, axis: ValueAxis, time: TimeAxis, band: Band) -> None:
         """Every stretch of steps in which both values are known."""
         known = np.isfinite(band.lower) & np.isfinite(band.upper)
-        ends = np.flatnonzero(np.diff(known, prepend=False, append=False))
         fill = canvas.hatched(band.color) if band.name else band.color
-        for first, last in zip(ends[::2], ends[1::2], strict=True):
+        for first, last in spans_of(known):
             edges = np.repeat(time.edges[first : last + 1], 2)[1:-1]
             upper = np.repeat(axis(band.upper[first:last]), 2)
             lower = np.repeat(axis(band.lower[first:last]), 2)
