@@ -26,7 +26,7 @@ from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 TRAITS = {
@@ -141,7 +141,7 @@ def _scenario(rng: Generator, name: str, traits: frozenset[str]) -> Scenario:
     return Scenario(
         name=name,
         title=f"Random day: {', '.join(sorted(traits))}",
-        controller=ControllerDefaults(mode=mode, voltage_limits=HARD),
+        controller=ControllerDefaults(mode=mode, voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-18", tz="UTC"), 60.0 / per_hour, len(hour)),
         network=_network(rng, n_buses, customers, load_kw, traits),
         customers=customers,

@@ -15,7 +15,7 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 DRAWINGS = 5
@@ -90,7 +90,7 @@ def small_day(rng: Generator, seed: int) -> Scenario:
     return Scenario(
         name=f"random-{seed}",
         title="Random feeder",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19T07:00", tz="UTC"), 60.0, SMALL_STEPS),
         network=_tree(rng, n_buses, peak_kw),
         customers=Customers(

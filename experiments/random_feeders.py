@@ -15,7 +15,7 @@ from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 BASE_KV = 11.0
@@ -51,7 +51,7 @@ def random_scenario(seed: int, stressed: bool = False, n_steps: int | None = Non
     return Scenario(
         name=f"random-{seed}",
         title="Random feeder",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), float(rng.choice([15, 30, 60])), steps),
         network=_network(rng, n_buses, customers, load_kw.max(axis=0), stressed),
         customers=customers,

@@ -36,7 +36,7 @@ from vppres.model.tie_breakers import TieBreakerModel
 from vppres.model.variables import Variables
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Status
@@ -154,7 +154,7 @@ def scenario() -> Scenario:
     return Scenario(
         name="hand",
         title="Two lines",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 30.0, STEPS),
         network=Network(
             [1, 2],

@@ -29,7 +29,7 @@ from vppres.report.finished import read_finished, rewrite_report
 from vppres.report.run_folder import write_run
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
@@ -61,7 +61,7 @@ def island(
     return Scenario(
         name="island",
         title="One battery, two customers",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
         network=Network([1, 2], [2, 3], [0.01, r_ohm], [0.01, 0.01], slack_bus=1, base_kv=1.0),
         customers=Customers(

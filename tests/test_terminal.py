@@ -25,7 +25,7 @@ from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.site import Site
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
@@ -168,7 +168,10 @@ def test_the_price_is_above_every_import_and_export() -> None:
 
 def test_a_scenario_may_ask_for_it(tiny: Scenario, tmp_path: Path) -> None:
     asked = replace(
-        tiny, controller=ControllerDefaults(mode="paper", voltage_limits=HARD, soc_end=0.35)
+        tiny,
+        controller=ControllerDefaults(
+            mode="paper", voltage_limits=HARD, ratings=REPORT, soc_end=0.35
+        ),
     )
     write_scenario(asked, tmp_path / "asked")
     read = read_scenario(tmp_path / "asked")

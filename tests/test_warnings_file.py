@@ -12,7 +12,7 @@ from vppres.core.errors import InputError
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 
 HEADER = (
     "issued_at,onset_earliest,onset_likely,onset_latest,probability,"
@@ -71,7 +71,9 @@ def test_what_is_written_reads_back_equal(tiny: Scenario, tmp_path: Path) -> Non
         outage_statistics=OutageStatistics(
             "equipment", saifi_per_year=3.0, estimate_p90=2.5, notice_h=1.0, notice_share=0.7
         ),
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, outages="belief"),
+        controller=ControllerDefaults(
+            mode="paper", voltage_limits=HARD, ratings=REPORT, outages="belief"
+        ),
     )
     write_scenario(day, tmp_path / "day")
     read = read_scenario(tmp_path / "day")

@@ -18,7 +18,7 @@ from vppres.core.arrays import Floats, Names
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 FOLDER = Path(__file__).parent
@@ -95,7 +95,9 @@ def homes(start: pd.Timestamp, hours: int = 24, outage: tuple[int, int] | None =
         temperature_c=np.full(hours, 20.0),
         grid_limit_kw=limit_kw,
         objective=ObjectiveWeights(lambda_curt=LAMBDA_CURT),
-        controller=ControllerDefaults(mode="paper", soc_end=0.5, voltage_limits=HARD),
+        controller=ControllerDefaults(
+            mode="paper", soc_end=0.5, voltage_limits=HARD, ratings=REPORT
+        ),
         export_limit_kw=np.asarray(np.inf),
         export_price_gbp_per_kwh=np.full(hours, EXPORT_PRICE),
         history=History(

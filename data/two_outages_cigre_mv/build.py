@@ -22,7 +22,7 @@ from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
 from vppres.io import write_scenario
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
 
 NAME = "two-outages-cigre-mv"
@@ -88,7 +88,7 @@ def build(seed: int = SEED) -> Scenario:
         day,
         name=NAME,
         title=TITLE,
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         network=_series_only(day.network),
         customers=replace(day.customers, power_factor=np.round(day.customers.power_factor, 6)),
         export_limit_kw=np.zeros(()),

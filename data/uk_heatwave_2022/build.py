@@ -19,7 +19,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.units import mw_to_kw
 from vppres.io import write_scenario
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, ObjectiveWeights, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 NAME = "uk-heatwave-2022"
@@ -85,7 +85,7 @@ def build(
             published.LAMBDA_GRID, published.LAMBDA_CURT, published.LAMBDA_L, published.LAMBDA_Q
         ),
         controller=ControllerDefaults(
-            "mpc", published.HORIZON_H, mode="paper", voltage_limits=HARD
+            "mpc", published.HORIZON_H, mode="paper", voltage_limits=HARD, ratings=REPORT
         ),
     )
 

@@ -15,7 +15,7 @@ from vppres.day.recorder import Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 OPTIONS = {
@@ -67,7 +67,7 @@ def small_scenario(outage: bool = True, step_minutes: float = 30.0) -> Scenario:
     return Scenario(
         name="small",
         title="Small day",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), step_minutes, 4),
         network=Network([1, 2, 3], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0),
         customers=Customers(
@@ -194,7 +194,7 @@ def day_scenario(n_customers: int = 32) -> Scenario:
     return Scenario(
         name="day",
         title="Synthetic heatwave day",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60, 24),
         network=Network(
             bus - 1,

@@ -13,7 +13,7 @@ from vppres.contract.export import Export
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 CHECKER_TOLERANCE = 1e-5
@@ -32,7 +32,7 @@ def two_buses(
     return Scenario(
         name="two-buses",
         title="Two buses",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60.0, steps),
         network=Network([1], [2], [r_ohm], [r_ohm], slack_bus=1, base_kv=11.0),
         customers=Customers(

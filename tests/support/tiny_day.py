@@ -8,7 +8,7 @@ import pandas as pd
 from experiments.usual_battery import USUAL_BATTERY
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import HARD, ControllerDefaults, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 
@@ -17,7 +17,7 @@ def tiny_scenario() -> Scenario:
     return Scenario(
         name="tiny",
         title="Four buses, six hours",
-        controller=ControllerDefaults(mode="paper", voltage_limits=HARD),
+        controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19T10:00:00Z"), 60.0, 6),
         network=Network(
             [1, 2, 2], [2, 3, 4], [0.3, 0.4, 0.5], [0.2, 0.3, 0.4], slack_bus=1, base_kv=11.0

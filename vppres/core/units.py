@@ -38,6 +38,15 @@ def kva_to_a(s_kva: ArrayLike, v_kv: ArrayLike) -> Floats:
     return np.asarray(np.asarray(s_kva, dtype=float) / (np.sqrt(3.0) * np.asarray(v_kv)))
 
 
+def a_to_kva(current_a: ArrayLike, v_kv: ArrayLike) -> Floats:
+    """Balanced apparent power in kVA of a line current in A, the other way round.
+
+    >>> round(float(a_to_kva(5.2486, 11.0)), 2)
+    100.0
+    """
+    return np.asarray(np.sqrt(3.0) * np.asarray(current_a, dtype=float) * np.asarray(v_kv))
+
+
 def ohm_to_pu2_per_kw(z_ohm: ArrayLike, base_kv: float) -> Floats:
     """Impedance to the coefficient of LinDistFlow: change of V² (pu²) for each kW of flow.
 

@@ -23,6 +23,9 @@ from vppres.scenario.remarks import darkness, unknown_phases
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
 MPC = "mpc"
+AT_RATING = 0.95
+"""Loading from which a line counts as at its rating: plans count with the lowest voltage."""
+
 OFF_SHOWN = 5
 """Customers named in one sentence."""
 
@@ -122,7 +125,24 @@ def off_with_grid(trajectory: Trajectory) -> str:
         f"Off with the grid on: {len(names)} of {len(trajectory.scenario.customers)} customers, "
         f"{len(rows) * dt_h:g} customer hours. Most important first: "
         f"{', '.join(names[:OFF_SHOWN])}{more}.{_why_off(trajectory, rows)}"
+        f"{_at_rating(trajectory, rows)}"
     )
+
+
+def _at_rating(trajectory: Trajectory, off: pd.DataFrame) -> str:
+    """Lines at their rating while customers were off."""
+    net = trajectory.scenario.network
+    if not net.has_ratings:
+        return ""
+    then = trajectory.steps["time"].isin(off["time"]).to_numpy(bool)
+    full = (np.nan_to_num(line_loading(trajectory))[then] > AT_RATING).sum(axis=0)
+    lines = [
+        f"{net.from_bus[line]} to {net.to_bus[line]}"
+        for line in np.argsort(-full, kind="stable")
+        if full[line]
+    ]
+    more = f" and {len(lines) - OFF_SHOWN} more" if len(lines) > OFF_SHOWN else ""
+    return f" Lines at their rating then: {', '.join(lines[:OFF_SHOWN])}{more}." if lines else ""
 
 
 def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:

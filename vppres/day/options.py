@@ -65,6 +65,8 @@ class RunOptions:
     voltage_limits : {"soft", "hard"} or None
         Whether voltage limits give way, with grid, to what the feeder has without control; None
         uses the scenario's.
+    ratings : {"limit", "report"} or None
+        Whether plans keep the currents of lines within their ratings; None uses the scenario's.
     headroom : float or None
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
         an island; None uses the scenario's.
@@ -104,6 +106,7 @@ class RunOptions:
     pv_check: PVCheck = default_of("pv_check")
     mode: str | None = None
     voltage_limits: str | None = None
+    ratings: str | None = None
     headroom: float | None = None
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
@@ -159,6 +162,7 @@ class RunOptions:
             headroom=scenario.headroom.share if self.headroom is None else self.headroom,
             priority=scenario.priority.rule if self.priority is None else self.priority,
             voltage_limits=self.voltage_limits or own.voltage_limits,
+            ratings=self.ratings or own.ratings,
             soc_end=own.soc_end if self.soc_end is None else self.soc_end,
             outages=own.outages if self.outages is None else self.outages,
         )

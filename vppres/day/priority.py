@@ -8,7 +8,7 @@ from typing import Any
 
 from vppres.model.site import Site
 from vppres.scenario.priority import STRICT, Ranks
-from vppres.scenario.scenario import SOFT, Scenario
+from vppres.scenario.scenario import LIMIT, SOFT, Scenario
 
 
 def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
@@ -22,7 +22,8 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
         Of the run, as they are recorded.
     """
     soft = options.get("voltage_limits") == SOFT
-    site = replace(Site.of(scenario), soft_voltages=soft)
+    rated = options.get("ratings") == LIMIT and scenario.network.has_ratings
+    site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))
 

@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.scenario.assets import PV, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.scenario import HARD, ControllerDefaults, Headroom, Priority, Scenario
+from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Headroom, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
 # What is said of a scenario and changes no result.
@@ -63,6 +63,9 @@ def _canonical(value: Any) -> Any:
                 for f in fields(value)
                 if f.name.startswith(_OF_RESTORATION) and getattr(value, f.name) is None
             }
+        # So are ratings that are reported only.
+        if isinstance(value, ControllerDefaults) and value.ratings == REPORT:
+            left_out = left_out | {"ratings"}
         names = [f.name for f in fields(value) if f.name not in left_out]
         return {name: _canonical(getattr(value, name)) for name in names}
     if isinstance(value, pd.Timestamp):

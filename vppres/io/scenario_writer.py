@@ -94,6 +94,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
             "horizon_h": float(scenario.controller.horizon_h),
             "mode": scenario.controller.mode,
             "voltage_limits": scenario.controller.voltage_limits,
+            "ratings": scenario.controller.ratings,
         },
     }
     if scenario.controller.outages != ControllerDefaults.outages:

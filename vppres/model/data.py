@@ -85,6 +85,8 @@ class WindowData:
     own_u_pu2 : array, shape (W, N), optional
         Squared referred voltages that the feeder has without control, to which its limits give way;
         NaN where they do not. None, the paper, has hard limits.
+    flow_max_kva : array, shape (W, L), optional
+        Largest flow of each line; None, the paper, has no ratings.
     """
 
     load_kw: Floats
@@ -103,6 +105,7 @@ class WindowData:
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
     own_u_pu2: Floats | None = None
+    flow_max_kva: Floats | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -183,6 +186,7 @@ class WindowData:
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
+            flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:

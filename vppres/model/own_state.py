@@ -48,17 +48,20 @@ def with_own_state(site: Site, data: WindowData) -> WindowData:
     return giving_way(site, data)[-1]
 
 
-def _own_u_pu2(site: Site, data: WindowData) -> Floats:
-    """Squared referred voltages without control, (W, N)."""
+def u_without_sun_pu2(site: Site, data: WindowData) -> Floats:
+    """Squared referred voltages with everyone served and PV power behind the meters, (W, N)."""
+    return _from_grid(site, data)[0]
+
+
+def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats]:
+    """Voltages without exports, (W, N), import then in kW, (W,), and PV power left, (W, P)."""
     net = site.network
     load_kw = data.all_cold().load_kw
     load_kvar = load_kw * site.customers.q_per_p
     usable_kw = np.minimum(data.pv_kw, site.pv.s_max_kva)
     own_kw = np.minimum(site.behind_meter(load_kw), usable_kw)
-    spare_kw = usable_kw - own_kw
     p_kw = bus_injections(site, {"pv": own_kw, "customers": -load_kw})
     q_kvar = bus_injections(site, {"customers": -load_kvar})
-    exported = bus_injections(site, {"pv": spare_kw})
     if data.drawn is not None:
         p_kw = p_kw - data.drawn.kw
         q_kvar = q_kvar - data.drawn.kvar
@@ -68,9 +71,17 @@ def _own_u_pu2(site: Site, data: WindowData) -> Floats:
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
-    more = -voltage_drop_pu2(net, lossless_flows(net, exported), np.zeros_like(rise))
-    raised = more @ net.downstream
-    taken = _share(data.export_max_kw(site) - p_kw.sum(axis=1), spare_kw.sum(axis=1))
+    return np.asarray(u), -p_kw.sum(axis=1), usable_kw - own_kw
+
+
+def _own_u_pu2(site: Site, data: WindowData) -> Floats:
+    """Squared referred voltages without control, (W, N)."""
+    net = site.network
+    u, imported_kw, spare_kw = _from_grid(site, data)
+    exported = bus_injections(site, {"pv": spare_kw})
+    flows = lossless_flows(net, exported)
+    raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream
+    taken = _share(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
     allowed = _share(net.u_max_pu2 - u, raised).min(axis=1)
     return np.asarray(u + np.minimum(taken, allowed)[:, None] * raised)
 

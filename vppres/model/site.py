@@ -25,7 +25,7 @@ class Site:
 
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
     With ``soft_voltages`` the limits of the voltages give way, with grid, to what the feeder has
-    without control.
+    without control. With ``rated`` the currents of lines stay within their ratings.
     """
 
     network: Network
@@ -36,6 +36,7 @@ class Site:
     dt_h: float
     ranks: Ranks | None = None
     soft_voltages: bool = False
+    rated: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -69,7 +70,7 @@ class Site:
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         ranks = () if self.ranks is None else (self.ranks,)
-        rules = " soft" if self.soft_voltages else ""
+        rules = " soft" * self.soft_voltages + " rated" * self.rated
         return f"{self.dt_h}{rules} " + content_key(
             self.weights, self.network, self.customers, self.pv, self.batteries, *ranks
         )

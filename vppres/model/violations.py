@@ -55,6 +55,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _grid,
         _balances,
         _voltages,
+        _ratings,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -188,3 +189,11 @@ def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
         "lowest voltage": _most(VOLTAGE_TOLERANCE_PU2, (lowest - u)[limited]),
         "highest voltage": _most(VOLTAGE_TOLERANCE_PU2, (u - highest)[limited]),
     }
+
+
+def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Flows of the lines."""
+    if data.flow_max_kva is None:
+        return {}
+    over_kva = np.hypot(d.p_flow_kw, d.q_flow_kvar) - data.flow_max_kva
+    return {"line rating": _most(_power_tolerance(site, data), over_kva)}

@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.option_table import default_of
+from vppres.scenario.scenario import LIMIT
 
 # A parameter of a numpydoc docstring: one name or several, a type, and an indented text.
 _PARAMETER = re.compile(r"^(?P<names>[\w, ]+) : [^\n]+\n(?P<text>(?:    [^\n]+\n?)+)", re.MULTILINE)
@@ -71,7 +72,7 @@ def simplifications(run: Trajectory) -> list[str]:
         "ignored.",
         "The optimisation uses a linearised network; voltages, currents and losses in this "
         "report are from the AC power flow of the actual step.",
-        "Line ratings are reported, not enforced."
+        _ratings(options)
         if day.network.has_ratings
         else "No line has a rating: the report has currents, but no overloads.",
         "Forecasts are the actual load and PV power: no forecast errors."
@@ -92,6 +93,13 @@ def simplifications(run: Trajectory) -> list[str]:
             "mismatch; frequency and transients are not simulated."
         )
     return [*sentences, *day.batteries.notes]
+
+
+def _ratings(options: Mapping[str, Any]) -> str:
+    """What ratings of lines meant to the plans."""
+    if options.get("ratings") == LIMIT:
+        return "Plans keep the currents of lines within their ratings where a dispatch does."
+    return "Line ratings are reported, not enforced."
 
 
 def data_words(run: Trajectory) -> list[tuple[str, str]]:

@@ -32,6 +32,12 @@ SOFT = "soft"
 HARD = "hard"
 """Voltage limits that customers are switched off for."""
 
+LIMIT = "limit"
+"""Ratings of lines that plans keep."""
+
+REPORT = "report"
+"""Ratings of lines that are reported only."""
+
 
 @dataclass(frozen=True)
 class ObjectiveWeights:
@@ -65,6 +71,7 @@ class ControllerDefaults:
     soc_end: float | None = default_of("soc_end")
     outages: str = default_of("outages")
     voltage_limits: str = default_of("voltage_limits")
+    ratings: str = default_of("ratings")
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
 from vppres.model.data import WindowData
 from vppres.model.own_state import giving_way, with_own_state
+from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
@@ -33,6 +34,7 @@ from vppres.solve.fleet.rungs import (
 )
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
+from vppres.solve.network.rated import decided_within, served_within
 from vppres.solve.network.terms import all_terms_in_network
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
@@ -127,7 +129,23 @@ class WindowSolver:
             found = solve_apart(data, limits, self._solve)
         else:
             found = self._solve(data, limits)
+        found = self._rated(data, found, deadline)
         return self._within(tighter, found, deadline)
+
+    def _rated(self, data: WindowData, found: WindowSolution, deadline: Deadline) -> WindowSolution:
+        """An answer within the ratings of the lines, where one is exceeded and there is any."""
+        if not self.site.rated or deadline.passed:
+            return found
+        limited = with_ratings(self.site, data)
+        if not overloaded(limited, found.dispatch).any():
+            return found
+        limits = self.limits.at_most(deadline.left_s)
+        kept = decided_within(self._task(limited, limits))
+        if kept is None:
+            return found
+        return replace(
+            kept, solve_s=found.solve_s + kept.solve_s, solver_s=found.solver_s + kept.solver_s
+        )
 
     def _within(
         self, tighter: list[WindowData], found: WindowSolution, deadline: Deadline
@@ -215,7 +233,16 @@ class WindowSolver:
             keep_with_turns(task, before)
         if not task.certificate.answered:
             keep_dispatch_in_network(task, served, before)
-        return task.solution() if task.certificate.answered else None
+        if not task.certificate.answered:
+            return None
+        found = task.solution()
+        limited = with_ratings(self.site, data) if self.site.rated else data
+        if not overloaded(limited, found.dispatch).any():
+            return found
+        kept = served_within(self._task(limited, limits), served)
+        # A plan that exceeded ratings already has no set within them.
+        exceeded = before is None or overloaded(limited, before, MOVED_SHARE).any()
+        return found if kept is None and exceeded else kept
 
     @one_at_a_time
     def least_slack(self, data: WindowData) -> float:

@@ -259,7 +259,9 @@ def _add_lines(net: Any, lines: list[dict[str, Any]], at: dict[str, int]) -> Non
         [at[line["start"]] for line in lines],
         [at[line["end"]] for line in lines],
         length_km=[line["length"] for line in lines],
-        max_i_ka=[line["amps"] / A_PER_KA for line in lines],
+        max_i_ka=[
+            NO_LIMIT_KA if line["amps"] is None else line["amps"] / A_PER_KA for line in lines
+        ],
         r_ohm_per_km=[ohm_per_km(line, "r") for line in lines],
         x_ohm_per_km=[ohm_per_km(line, "x") for line in lines],
         c_nf_per_km=[

@@ -289,12 +289,17 @@ def _lines() -> Iterator[dict[str, Any]]:
             "end": end,
             "closed": closed,
             "length": dss.Lines.Length(),
-            "amps": dss.Lines.NormAmps(),
+            "amps": _rated_amps(dss.Lines.NormAmps()),
             "phases": dss.Lines.Phases(),
             "r": [float(r) for r in dss.Lines.RMatrix()],
             "x": [float(x) for x in dss.Lines.XMatrix()],
             "c": [float(c) for c in dss.Lines.CMatrix()],
         }
+
+
+def _rated_amps(amps: float) -> float | None:
+    """The rating of a line, None where it is what OpenDSS gives to lines without one."""
+    return None if amps == DEFAULT_AMPS else float(amps)
 
 
 def _transformers() -> Iterator[dict[str, Any]]:
@@ -428,8 +433,8 @@ def _notes() -> Iterator[str]:
     unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
     if unrated:
         yield (
-            f"{len(unrated)} of {len(phases)} lines are rated at {DEFAULT_AMPS:g} A, which "
-            "OpenDSS also gives to lines without a rating."
+            f"{len(unrated)} of {len(phases)} lines have {DEFAULT_AMPS:g} A, which OpenDSS gives "
+            "to lines without a rating: they have none here."
         )
     held = [_set_point(name) for name in list(_of("regcontrol"))]
     if held:

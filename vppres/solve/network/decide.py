@@ -151,7 +151,7 @@ class InNetwork:
             return None
         known.service_bound = self.master.unit * outcome.bound
         known.bound_service(known.service_bound)
-        found = self._cheapest(served)
+        found = self.cheapest(served)
         if found is None:
             return None
         self._bound_cost(found)
@@ -174,7 +174,7 @@ class InNetwork:
         fewer = known.worth(self.master.unit * (units - 1.0), known.cost.least_gbp)
         as_much = known.worth(known.service_bound, outcome.bound)
         known.bound_by(max(found.value, fewer, as_much))
-        other = None if served is None else self._cheapest(served)
+        other = None if served is None else self.cheapest(served)
         return other if other is not None and other.value > found.value else found
 
     def _bound_cost(self, found: Candidate) -> None:
@@ -235,7 +235,7 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
 
-    def _cheapest(self, served: Flags) -> Candidate | None:
+    def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
         outcome, dispatch = self.master.cheapest(served, task.answer_by())

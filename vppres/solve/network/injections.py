@@ -27,6 +27,10 @@ SOLVER_KVA = 5e-7
 inverter of 1 W would be asked for ever."""
 
 
+FLOW = 1e-6
+"""Share of its limit by which a line's flow may exceed it: the tolerance of a linear solver."""
+
+
 @dataclass(frozen=True, eq=False)
 class Demand:
     """What customers draw if they are served.
@@ -432,41 +436,65 @@ class Injections:
 
     def _voltage_row(self, t: int, bus: int, sign: float) -> Rows:
         """A lower (1) or upper (-1) limit, in thousandths of pu²."""
-        at = self.at
-        reach = self.reactance
-        r, x = reach.row(bus)
+        r, x = self.reactance.row(bus)
         empty = self._referred(self._empty_u)[t, bus]
         if self.reference[t] > 0:
             r, x = (
                 per - of_held
-                for per, of_held in zip((r, x), reach.row(int(self.reference[t])), strict=True)
+                for per, of_held in zip(
+                    (r, x), self.reactance.row(int(self.reference[t])), strict=True
+                )
             )
+        columns, values = self._sum_of_injections(t, r, x)
+        limit = self._u_limits_pu2[0 if sign > 0 else 1][t, bus]
+        scale = 1e3 * sign
+        return Rows.of(columns, scale * values, scale * (limit - empty), np.inf, self.size)
+
+    def _sum_of_injections(self, t: int, per_kw: Floats, per_kvar: Floats) -> tuple[Wholes, Floats]:
+        """Columns (1, k) and values (k,) of a sum of what a step's buses are given, (N,) each."""
+        at = self.at
+        reach = self.reactance
         columns = np.concatenate(
             [at[name][t] for name in (*self.demands, "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
         )
         values = np.concatenate(
             [
                 *(
-                    -r[reach.customer] * demand.net_kw[t] - x[reach.customer] * demand.kvar[t]
+                    -per_kw[reach.customer] * demand.net_kw[t]
+                    - per_kvar[reach.customer] * demand.kvar[t]
                     for demand in self.demands.values()
                 ),
-                r[reach.battery],
-                -r[reach.battery],
-                x[reach.battery],
-                r[reach.pv],
-                x[reach.pv],
+                per_kw[reach.battery],
+                -per_kw[reach.battery],
+                per_kvar[reach.battery],
+                per_kw[reach.pv],
+                per_kvar[reach.pv],
             ]
         )
-        limit = self._u_limits_pu2[0 if sign > 0 else 1][t, bus]
         used = np.abs(values) > 0.0
-        scale = 1e3 * sign
-        return Rows.of(
-            columns[used][None, :],
-            scale * values[used],
-            scale * (limit - empty),
-            np.inf,
-            self.size,
-        )
+        return columns[used][None, :], values[used]
+
+    def flow_rows(self, x: Floats) -> list[Rows]:
+        """Tangents of the lines' flows that exceed their limits, as shares of these."""
+        most = self.data.flow_max_kva
+        if most is None:
+            return []
+        net = self.site.network
+        p, q = self._injected(x)
+        p_flow = lossless_flows(net, p - self.drawn.kw)
+        q_flow = lossless_flows(net, q - self.drawn.kvar)
+        size = np.hypot(p_flow, q_flow)
+        found = []
+        for t, line in zip(*np.nonzero(size > most * (1.0 + FLOW)), strict=True):
+            cos, sin = p_flow[t, line] / size[t, line], q_flow[t, line] / size[t, line]
+            fed = net.downstream[[int(line)]].toarray()[0]
+            columns, values = self._sum_of_injections(int(t), -cos * fed, -sin * fed)
+            drawn = fed @ (cos * self.drawn.kw[t] + sin * self.drawn.kvar[t])
+            limit = most[t, line]
+            found.append(
+                Rows.of(columns, values / limit, -np.inf, (limit - drawn) / limit, self.size)
+            )
+        return found
 
     def disc_rows(
         self, x: Floats, tolerance: float, inside: float = 0.0, few: int = 0
@@ -543,7 +571,8 @@ class Injections:
             return None
         found = x.copy()
         found[places] = q + moved * room / np.where(total > 0.0, total, 1.0)
-        return None if self.voltage_rows(found, tolerance_pu2) else found
+        carried = not self.voltage_rows(found, tolerance_pu2) and not self.flow_rows(found)
+        return found if carried else None
 
     @property
     def _grid_q_max_kvar(self) -> Floats:

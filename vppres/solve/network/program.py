@@ -210,7 +210,7 @@ class NetworkProgram:
                 return answer
             before = answer.value
             x = self.columns(answer)
-            voltages = self.model.voltage_rows(x, VOLTAGE_PU2)
+            voltages = self.model.voltage_rows(x, VOLTAGE_PU2) + self.model.flow_rows(x)
             tangents = self.model.disc_rows(x, over, inside, few)
             if not voltages and not tangents:
                 return answer

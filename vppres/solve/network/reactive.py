@@ -18,7 +18,11 @@ from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import WindowData
 from vppres.model.numerics import require_dpp, write
 from vppres.model.objective import squares_of_list
+from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
+
+ANY_KVAR = 1e6
+"""Reactive flow that no line has: a limit for those without a rating."""
 
 
 class ReactiveModel:
@@ -49,6 +53,7 @@ class ReactiveModel:
         self.Q_batt_max = cp.Parameter(batteries, name="Q_batt_max", nonneg=True)
         self.Q_grid_max = cp.Parameter(name="Q_grid_max", nonneg=True)
         self.u_min, self.u_max = (cp.Parameter(net.n_buses, name=n) for n in ("u_min", "u_max"))
+        self.Q_flow_max = cp.Parameter(net.n_lines, name="Q_flow_max", nonneg=True)
         self.held = cp.Parameter(net.n_buses, name="held", nonneg=True)
         self.u_held = cp.Parameter(name="u_held", nonneg=True)
         self.problem = cp.Problem(self._objective(), self._constraints())
@@ -84,6 +89,7 @@ class ReactiveModel:
             100.0 * (self.u[1:] - self.u[net.parent] + drop) == 100.0 * self.rise,
             self.u >= self.u_min,
             self.u <= self.u_max,
+            *self._ratings(),
             self.Q_pv <= self.Q_pv_max,
             self.Q_pv >= -self.Q_pv_max,
             self.Q_batt <= self.Q_batt_max,
@@ -91,6 +97,12 @@ class ReactiveModel:
             self.Q_grid <= self.Q_grid_max,
             self.Q_grid >= -self.Q_grid_max,
         ]
+
+    def _ratings(self) -> list[cp.Constraint]:
+        """What the ratings of lines leave beside their active flows."""
+        if not self.site.rated:
+            return []
+        return [self.Q_flow <= self.Q_flow_max, self.Q_flow >= -self.Q_flow_max]
 
     def fill(self, data: WindowData, dispatch: Dispatch, t: int) -> None:
         """Write step ``t`` of a dispatch; a limit that it misses by a tolerance gives way."""
@@ -112,6 +124,9 @@ class ReactiveModel:
         write(self.rise, data.delta_pu2[t] - 2.0 * net.r_pu2_per_kw * dispatch.p_flow_kw[t])
         of_pv_kw = dispatch.pv_self_kw[t] + dispatch.pv_export_kw[t]
         write(self.Q_pv_max, _left(site.pv.s_max_kva, of_pv_kw, dispatch.pv_q_kvar[t]))
+        rated_kva = np.broadcast_to(limit_kva(data), dispatch.p_flow_kw.shape)[t]
+        q_flow_max = _left(rated_kva, dispatch.p_flow_kw[t], dispatch.q_flow_kvar[t])
+        write(self.Q_flow_max, np.minimum(q_flow_max, ANY_KVAR))
         net_kw = dispatch.charge_kw[t] - dispatch.discharge_kw[t]
         write(self.Q_batt_max, _left(rating, net_kw, dispatch.batt_q_kvar[t]))
         write(self.Q_grid_max, data.grid_q_max_kvar(site)[t])

@@ -1,0 +1,80 @@
+"""Currents of lines stay within their ratings, or the run names the line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vppres.day.metrics import cautions, line_current_a, line_loading
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.feeders import import_network
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import new_scenario
+from vppres.report.findings import findings
+from vppres.scenario.scenario import LIMIT, REPORT, Scenario
+
+OUTAGE = (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T16:00Z"))
+
+
+def ran(day: Scenario, ratings: str, mode: str = "physical") -> Trajectory:
+    return run_day(day, RunOptions(horizon_h=8.0, ratings=ratings, mode=mode))
+
+
+@cache
+def narrow_feeder(batteries: bool, steps: slice = slice(4, 6)) -> Scenario:
+    """33 buses whose lines are rated at 85% of what the evening draws without control."""
+    rules = NewScenarioOptions(
+        step_minutes=240.0,
+        outages=(OUTAGE,),
+        add_batteries=batteries,
+        pv="sized" if batteries else "none",
+        draw_tiers=True,
+    )
+    day = new_scenario(import_network("case33bw"), rules)
+    alone = run_day(day.between(4, 6), RunOptions(controller="idle"))
+    most_a = line_current_a(alone).max(axis=0)
+    return replace(day, network=replace(day.network, i_max_a=0.85 * most_a + 1.0)).between(
+        steps.start, steps.stop
+    )
+
+
+@pytest.mark.parametrize("batteries", [False, pytest.param(True, marks=pytest.mark.nightly)])
+def test_currents_stay_within_ratings(batteries: bool) -> None:
+    day = narrow_feeder(batteries)
+    assert line_loading(ran(day, REPORT)).max() > 1.0
+    kept = ran(day, LIMIT)
+    assert line_loading(kept).max() <= 1.0
+    assert (kept.steps["fallback"] == "none").all()
+    assert kept.customers["served"].mean() > 0.7
+    if not kept.customers["served"].all():
+        assert "Lines at their rating then: " in cautions(kept)[0]
+
+
+def test_ratings_that_bind_nothing_change_nothing() -> None:
+    day = narrow_feeder(batteries=False)
+    wide = replace(day, network=replace(day.network, i_max_a=1e4 * np.ones(32)))
+    limited, reported = (ran(wide, ratings) for ratings in (LIMIT, REPORT))
+    pd.testing.assert_frame_equal(limited.customers, reported.customers)
+    pd.testing.assert_frame_equal(limited.lines, reported.lines)
+
+
+def test_a_rating_that_no_dispatch_keeps_is_named() -> None:
+    day = narrow_feeder(batteries=False)
+    fixed = replace(
+        day.network,
+        drawing_bus=np.array([33], dtype=object),
+        p_fixed_kw=np.array([500.0]),
+        p_shunt_kw=np.zeros(1),
+        q_shunt_kvar=np.zeros(1),
+        q_fixed_kvar=np.zeros(1),
+        island=np.ones(1, dtype=bool),
+        i_max_a=np.full(32, 15.0),
+    )
+    run = ran(replace(day, network=fixed), LIMIT)
+    assert any(words.startswith("Lines above their rating") for words in findings(run))

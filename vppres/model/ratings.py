@@ -1,0 +1,44 @@
+"""Ratings of lines and transformers as limits of the flows in a window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats
+from vppres.core.units import a_to_kva
+from vppres.model.data import WindowData
+from vppres.model.own_state import u_without_sun_pu2
+from vppres.model.site import Site
+
+KEPT_SHARE = 1e-3
+"""Share of a rating that plans leave free: what passes that agree may still be off by."""
+
+MOVED_SHARE = 0.05
+"""Share of a rating by which losses and voltages of another pass may move a flow that kept it."""
+
+
+def with_ratings(site: Site, data: WindowData) -> WindowData:
+    """A window whose flows keep the currents of its lines within their ratings.
+
+    A current is larger the lower the voltage: what counts is the voltage at the sending end with
+    everyone served and no sun, and in an island the lowest that plans allow.
+    """
+    net = site.network
+    v_pu = net.v_pu(u_without_sun_pu2(site, data))
+    v_pu = np.where(data.dark[:, None], net.v_min_pu, v_pu)
+    most_kva = a_to_kva(net.i_max_a, v_pu[:, net.parent] * net.base_kv)
+    return replace(data, flow_max_kva=(1.0 - KEPT_SHARE) * most_kva)
+
+
+def overloaded(data: WindowData, dispatch: Dispatch, by: float = 0.0) -> Flags:
+    """Lines whose flow is above what the window allows by more than a share of it, (W, L)."""
+    size = np.hypot(dispatch.p_flow_kw, dispatch.q_flow_kvar)
+    return np.asarray(size > limit_kva(data) * (1.0 + by))
+
+
+def limit_kva(data: WindowData) -> Floats | float:
+    """Largest flow of each line, (W, L); infinite where nothing limits it."""
+    return np.inf if data.flow_max_kva is None else data.flow_max_kva
