@@ -434,3 +434,18 @@ def test_documentation_lists_what_is_not_shared_with_run(command: str) -> None:
     shared = [name for name in option_names("run") if name not in alone]
     assert sorted(own + shared) == sorted(option_names(command))
     assert shared == [name for name in option_names(command) if name not in own]
+
+
+def test_the_state_of_a_service_does_not_depend_on_where_it_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, other = tmp_path / "site", tmp_path / "other"
+    for folder in (site, other):
+        folder.mkdir()
+    monkeypatch.chdir(tmp_path)
+    here = cli._state_place("site", "feeder", None)
+    monkeypatch.chdir(other)
+    assert cli._state_place("../site", "feeder", None) == here == str(tmp_path / "feeder.live")
+    assert cli._state_place("uk-heatwave-2022", "uk", None) == str(other / "uk.live")
+    assert cli._state_place("../site", "feeder", "state") == str(other / "state")
+    assert cli._state_place("../site", "feeder", "postgresql://a@b/c") == "postgresql://a@b/c"

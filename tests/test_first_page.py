@@ -17,6 +17,7 @@ from tests.support.made_up_runs import small_run, small_scenario, without_device
 from vppres.core.errors import InputError, ReportError
 from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_by_tier, reliability_figures
+from vppres.day.series import off_kw
 from vppres.io import read_scenario, write_scenario
 from vppres.report.clock import Clock
 from vppres.report.events import events_of
@@ -24,11 +25,17 @@ from vppres.report.findings import findings
 from vppres.report.finished import priced, read_finished
 from vppres.report.first_page import (
     energy_rows,
-    first_notes,
+    foundations,
+    further_notes,
     limit_rows,
     price_sentence,
     supply_rows,
     who_and_why,
+)
+from vppres.report.operating_order import (
+    off_sentence,
+    operating_order,
+    shown_orders,
 )
 from vppres.report.pdf import BROWSERS, find_browser, write_pdf
 from vppres.report.run_folder import write_run
@@ -133,13 +140,44 @@ def test_price_follows_the_scenario(tmp_path: Path) -> None:
     assert "London Economics" in price_sentence(summarise(small_run()))
 
 
-def test_notes_of_the_import_are_on_the_first_page() -> None:
-    source = Source.of("net.json", "pandapower", [f"Note {i}." for i in range(6)])
-    run = small_run(replace(small_scenario(), source=source))
-    told = first_notes(run)
-    assert told[0].startswith("Made from net.json (pandapower).")
-    assert told[-1] == "2 more under Assumptions and provenance."
-    assert first_notes(small_run()) == []
+def test_what_the_result_rests_on_is_on_the_first_page() -> None:
+    """Each note once: those that do not fit are with the assumptions."""
+    notes = [f"Note {i}." for i in range(10)]
+    run = small_run(
+        replace(small_scenario(), source=Source.of("net.json", "pandapower", notes)),
+    )
+    run = replace(run, options={**run.options, "mode": "physical", "headroom": 0.1})
+    told = foundations(run)
+    formers = [words for words in told if words.startswith("The island is formed by ")]
+    assert len(formers) == 1 and "10% of the rating stays free as headroom." in formers[0]
+    assert any(words.startswith("The controller knows begin and end") for words in told)
+    assert any(words.startswith("Made from net.json (pandapower).") for words in told)
+    assert [*(words for words in told if words.startswith("Note")), *further_notes(run)] == notes
+    calm = small_run(small_scenario(outage=False))
+    assert foundations(calm) == []
+
+
+def test_the_operating_order_switches_each_customer_when_its_supply_changes(
+    tmp_path: Path,
+) -> None:
+    run = small_run()
+    order = operating_order(run)
+    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1).copy()
+    on = dict.fromkeys(run.scenario.customers.id, True)
+    for t, time in enumerate(run.steps["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ")):
+        for row in order[order["time"] == time].itertuples():
+            on[row.customer] = row.action == "close"
+            assert row.off_kw == pytest.approx(off_kw(run)[t])
+        assert list(on.values()) == served[t].tolist()
+    write_run(run, tmp_path / "run", figures=False)
+    written = pd.read_csv(tmp_path / "run" / "operating_order.csv")
+    assert written["customer"].tolist() == order["customer"].tolist()
+    lines = shown_orders(run)
+    assert len(lines) == order["time"].nunique()
+    assert lines[0] == "19 Jul 00:30: open c, b. Off then: 60.0 kW."
+    assert off_sentence(run).startswith("Off supply: ")
+    kept = replace(run, customers=run.customers.assign(served=True))
+    assert operating_order(kept).empty and off_sentence(kept) == "" and shown_orders(kept) == []
 
 
 def test_darkness_is_read_first() -> None:

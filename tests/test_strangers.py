@@ -428,9 +428,7 @@ def test_controllers_are_left_out_and_not_imported(house: Path) -> None:
     file = house / "net.json"
     file.write_text(made_of({"x": frame(controller)}))
     assert "pandapower.control.canary" not in sys.modules
-    assert import_network(file).notes == (
-        "Controllers and protection of the source do not act; --profiles source takes its series.",
-    )
+    assert import_network(file).notes == ("Controllers and protection of the source do not act.",)
 
 
 # MATLAB's files, and what is never opened

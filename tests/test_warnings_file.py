@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, Problem
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -144,6 +144,26 @@ def test_bad_rows_are_named_with_their_cure(tiny_folder: Path, rows: str, messag
         read_scenario(with_warnings(tiny_folder, f"{HEADER}{rows}\n"))
     assert message in str(caught.value)
     assert len(caught.value.problems) == 1
+
+
+def test_all_mistakes_are_told_at_once(tiny_folder: Path) -> None:
+    """Also what contradicts in a row with a cell that cannot be read."""
+    header = "issued_at,onset_earliest,onset_likely,probability,duration_p10_h,duration_p50_h\n"
+    rows = [
+        "yesterday,,2022-07-19T12:00Z,0.7,5,4",
+        "2022-07-19T05:00Z,2022-07-19T14:00Z,2022-07-19T12:00Z,1.7,5,4",
+        "2022-07-19T05:00Z,2022-07-19T14:00Z,,0.7,5,x",
+        "2022-07-19T05:00,,,0.7,,4",
+    ]
+    with pytest.raises(InputError) as caught:
+        read_scenario(with_warnings(tiny_folder, header + "\n".join(rows) + "\n"))
+    found = [(p.row, p.field) for p in caught.value.problems if isinstance(p, Problem)]
+    assert sorted(found) == [
+        (2, "issued_at"),
+        (3, "duration_p50_h"), (3, "onset_likely"), (3, "probability"),
+        (4, "duration_p50_h"), (4, "onset_likely"),
+        (5, "issued_at"),
+    ]  # fmt: skip
 
 
 def test_many_bad_rows_are_folded(tiny_folder: Path) -> None:

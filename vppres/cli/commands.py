@@ -42,10 +42,11 @@ from vppres.cli.tables import (
     comparison_table,
     content_of,
     figures_table,
+    order_told,
     phases_table,
     problem_record,
     recheck_lines,
-    remarks_text,
+    remarks_told,
     simulation_lines,
     sweep_table,
     validation_text,
@@ -170,8 +171,8 @@ def run(
         for caution in summary["cautions"]:
             typer.secho(f"- {caution}", fg=typer.colors.RED)
         Console().print(figures_table(summary, day.title))
-        if told := remarks_text(day, str(options.mode)):
-            typer.echo(told)
+        for line in (*order_told(done), *remarks_told(done)):
+            typer.echo(line)
         if too_long:
             typer.echo(
                 f"Without figures and report: {day.grid.n_steps} steps are more than the "
@@ -476,7 +477,7 @@ def serve(
             from vppres.service.runner import Service
         day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
-        folder = state or f"{day.name}.live"
+        folder = _state_place(scenario, day.name, state)
         if add_token is not None:
             typer.echo(service.add_token(served, folder, add_token, token_days))
             return
@@ -486,6 +487,23 @@ def serve(
         names = tuple(name or ())
         address = service.Address(host, port, behind_proxy, names, certificate, key)
         service.serve(served, folder, address, typer.echo, notify or ())
+
+
+def _state_place(scenario: str, name: str, state: str | None) -> str:
+    """Where a service keeps its state: as given, beside the scenario's folder, or here.
+
+    A folder is named in full, so that a start from another directory finds the same one, or shows
+    that it does not. That of a scenario folder does not depend on the directory of the start.
+    """
+    from vppres.io.find import packaged_scenarios
+
+    if state is not None:
+        address = state.startswith("postgresql://")
+        return state if address else str(Path(state).resolve())
+    if scenario in packaged_scenarios():
+        return str(Path(f"{name}.live").resolve())
+    folder = Path(scenario).resolve()
+    return str(folder.with_name(f"{name}.live"))
 
 
 @app.command(
@@ -518,7 +536,7 @@ def export(
         check_target(out)
         day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj))
-        run = past.export(served, state or f"{day.name}.live", begin, end)
+        run = past.export(served, _state_place(scenario, day.name, state), begin, end)
         if explain:
             run = _explained(run)
         summary = _written(run, out, False, ())

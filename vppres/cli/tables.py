@@ -14,6 +14,7 @@ from vppres.core.errors import Problem
 from vppres.core.text import visible
 
 if TYPE_CHECKING:
+    from vppres.day.trajectory import Trajectory
     from vppres.scenario.scenario import Scenario
     from vppres.studies.compare import ComparedFigure
     from vppres.studies.sweep import SweepRow
@@ -98,15 +99,23 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
 
-def remarks_text(day: Scenario, mode: str) -> str:
+def order_told(run: Trajectory) -> list[str]:
+    """What is off over time, and the operating order, a line for each time."""
+    from vppres.report.operating_order import off_sentence, shown_orders
+
+    said = off_sentence(run)
+    return [visible(line) for line in ([said, *shown_orders(run)] if said else [])]
+
+
+def remarks_told(run: Trajectory) -> list[str]:
     """What to know beside the figures of a run, a line each; of very many the first."""
+    from vppres.report.first_page import island_words
     from vppres.scenario.remarks import remarks
 
-    words = remarks(day, mode)
-    more = (
-        [f"{len(words) - REMARKS_SHOWN} more in the report."] if len(words) > REMARKS_SHOWN else []
-    )
-    return "\n".join(f"- {remark}" for remark in [*words[:REMARKS_SHOWN], *more])
+    words = [*island_words(run), *remarks(run.scenario, str(run.options["mode"]))]
+    more = len(words) - REMARKS_SHOWN
+    rest = [f"{more} more in the report."] if more > 0 else []
+    return [f"- {remark}" for remark in [*words[:REMARKS_SHOWN], *rest]]
 
 
 def error_panel(message: str) -> Panel:

@@ -37,6 +37,12 @@ def demand_kw(run: Trajectory) -> Floats:
     return per_step(run, run.customers["p_load_kw"], run.customers)
 
 
+def off_kw(run: Trajectory) -> Floats:
+    """Demand of customers that are off supply, shape (T,)."""
+    off = ~run.customers["served"].astype(bool)
+    return per_step(run, run.customers["p_load_kw"] * off, run.customers)
+
+
 def pv_available_kw(run: Trajectory) -> Floats:
     """Power that all PV systems could give, shape (T,)."""
     return per_step(run, run.pv["available_kw"], run.pv)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import pandas as pd
+from pydantic import ValidationError
 
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
@@ -12,7 +16,7 @@ from vppres.scenario.outage_warnings import OutageWarning
 
 
 def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[Problem]]:
-    """The sound messages of a table by line, and the problems of the others."""
+    """The sound messages of a table by line, and all problems of the others."""
     rows, problems = read_rows(table, schema.WarningRow)
     found: dict[int, OutageWarning] = {}
     wrong: list[Problem] = []
@@ -21,13 +25,49 @@ def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[P
         try:
             found[line] = OutageWarning(**dict(row))
         except InputError as error:
-            told = [problem for problem in error.problems if isinstance(problem, Problem)]
-            wrong += [_located(problem, table.file, line) for problem in told]
+            wrong += _located(error, table.file, line)
+    if table is not None:
+        wrong += _beside(table, rows, problems)
     return found, problems + few(range(len(wrong)), lambda i: wrong[i])
 
 
-def _located(problem: Problem, file: str, line: int) -> Problem:
-    """A problem of a message as one of its row."""
-    value = problem.value
-    text = value.isoformat() if isinstance(value, pd.Timestamp) else value
-    return Problem(file, problem.message, problem.cure, row=line, field=problem.field, value=text)
+def _beside(table: Table, rows: Mapping[int, Any], problems: list[Problem]) -> list[Problem]:
+    """What else is wrong in rows that have a cell that cannot be read."""
+    wrong: list[Problem] = []
+    for line in map(int, table.frame.index):
+        unread = {problem.field for problem in problems if problem.row == line}
+        names = [name for name in table.names if name in schema.WarningRow.model_fields]
+        cells = {name: table.column(name) for name in names if name not in unread}
+        given = {name: texts[line] for name, texts in cells.items() if line in texts}
+        if line in rows or "issued_at" not in given:
+            continue
+        try:
+            OutageWarning(**dict(schema.WarningRow.model_validate(given)))
+        except InputError as error:
+            # That a cell is missing is no mistake of its own if it could not be read.
+            found = _located(error, table.file, line)
+            wrong += [problem for problem in found if problem.field not in unread]
+        except ValidationError:  # beyond the first problems of a table
+            continue
+    return wrong
+
+
+def _located(error: InputError, file: str, line: int) -> list[Problem]:
+    """The problems of a message as those of its row."""
+    return [
+        Problem(
+            file,
+            problem.message,
+            problem.cure,
+            row=line,
+            field=problem.field,
+            value=_text(problem.value),
+        )
+        for problem in error.problems
+        if isinstance(problem, Problem)
+    ]
+
+
+def _text(value: Any) -> Any:
+    """A value as its cell has it."""
+    return value.isoformat() if isinstance(value, pd.Timestamp) else value

@@ -23,7 +23,7 @@ from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
 NAMES_SHOWN = 5
 REASONS_SHOWN = 4
-NOTES_SHOWN = 4
+NOTES_SHOWN = 8
 
 
 @dataclass(frozen=True)
@@ -224,14 +224,32 @@ def money_sentence(summary: Mapping[str, Any]) -> str:
     return f"{text}."
 
 
-def first_notes(run: Trajectory) -> list[str]:
-    """Where the feeder comes from, how exact it is, and the first notes of its import."""
+def foundations(run: Trajectory) -> list[str]:
+    """Assumptions that carry the result: what forms the island, headroom, outages, the source."""
     source = run.scenario.source
-    if not source:
-        return []
-    more = len(source.notes) - NOTES_SHOWN
-    rest = [f"{more} more under Assumptions and provenance."] if more > 0 else []
-    return [str(source), *source.notes[:NOTES_SHOWN], *rest]
+    said = [*island_words(run), *([str(source)] if source else [])]
+    return [*said, *source.notes[:NOTES_SHOWN]]
+
+
+def further_notes(run: Trajectory) -> tuple[str, ...]:
+    """Notes of the source beyond those of the first page."""
+    return run.scenario.source.notes[NOTES_SHOWN:]
+
+
+def island_words(run: Trajectory) -> Iterator[str]:
+    """What an outage's supply rests on."""
+    day, options = run.scenario, run.options
+    if not day.outage.any():
+        return
+    b = day.batteries
+    formers = [str(name) for name in b.id[b.formers]]
+    if options.get("mode") == "physical" and formers:
+        headroom = float(options.get("headroom") or 0.0)
+        kept = f" {headroom:.0%} of the rating stays free as headroom." if headroom else ""
+        kva = float(b.s_max_kva[b.formers].sum())
+        yield f"The island is formed by {named(formers, NAMES_SHOWN)} ({kva:,.0f} kVA).{kept}"
+    if options.get("outages", "known") == "known":
+        yield "The controller knows begin and end of each outage as soon as its horizon reaches it."
 
 
 def _duration(hours: float) -> str:

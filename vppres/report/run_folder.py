@@ -16,6 +16,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
 from vppres.report.clock import Clock
+from vppres.report.operating_order import ORDER_FILE, operating_order
 from vppres.report.pages import page
 from vppres.report.plots.files import SVG, save_figures
 from vppres.report.sections import SECTIONS
@@ -66,6 +67,7 @@ def write_run(
         write_tables(trajectory, aside)
         if spans_days(trajectory):
             daily_figures(trajectory).to_parquet(aside / DAYS_FILE, index=False)
+        operating_order(trajectory).to_csv(aside / ORDER_FILE, index=False, float_format="%.6g")
         write_scenario(trajectory.scenario, aside / "scenario")
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
         failure = _illustrate(trajectory, summary, aside, kinds) if figures else None

@@ -75,7 +75,7 @@ SETTINGS = frozenset(
 )
 """What may stand beside an object: others go to the readers of pandas as options of their own."""
 
-NOTE = "Controllers and protection of the source do not act; --profiles source takes its series."
+NOTE = "Controllers and protection of the source do not act."
 
 
 def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...], list[dict[str, Any]]]:

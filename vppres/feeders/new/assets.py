@@ -382,8 +382,7 @@ def _told_batteries(own: Batteries, added: Batteries) -> Iterator[str]:
         yield f"{_amount(added)} invented, sized by the customers' peak loads."
     if not len(own) and not len(added):
         yield (
-            "No battery: the source has none, and none was added (--add-batteries). Without one no "
-            "island has a grid."
+            "No battery: the source has none, and none was added. Without one no island has a grid."
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.day.series import battery_power_kw
+from vppres.day.series import battery_power_kw, off_kw
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import TimeAxis
 from vppres.report.plots.canvas import Canvas, text_px
@@ -36,12 +36,13 @@ class Strip:
 
 
 def timeline(run: Trajectory) -> Chart:
-    """Strips of the grid, the batteries, the PV power and the customers not served."""
+    """Strips of the grid, the batteries, the PV power, and what is off supply."""
     makers: list[Callable[[Trajectory], Strip]] = [
         _grid_strip,
         _battery_strip,
         _sun_strip,
         _service_strip,
+        _off_strip,
     ]
     if "phase" in run.steps:
         makers.insert(0, _phase_strip)
@@ -88,6 +89,16 @@ def _service_strip(run: Trajectory) -> Strip:
     return Strip(
         "Off supply",
         [(UNSERVED if n else SERVED, "", str(n) if n and counted else "") for n in missing],
+    )
+
+
+def _off_strip(run: Trajectory) -> Strip:
+    """Demand of customers that are off supply, in kW where there is room."""
+    off = off_kw(run)
+    counted = len(off) <= MAX_COUNTED_STEPS
+    return Strip(
+        "kW off",
+        [(UNSERVED if kw else SERVED, "", f"{kw:.0f}" if kw and counted else "") for kw in off],
     )
 
 

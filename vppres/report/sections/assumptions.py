@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from vppres.report.assumptions import data_words, option_words, simplifications
+from vppres.report.first_page import further_notes
 from vppres.report.sections.base import Run, Section, section
 
 
@@ -18,6 +19,6 @@ def assumptions_section(run: Run) -> Section:
             "options": options,
             "changed": any(option.default for option in options),
             "summary": run.summary,
-            "source": run.trajectory.scenario.source,
+            "notes": further_notes(run.trajectory),
         },
     )

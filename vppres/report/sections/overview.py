@@ -6,13 +6,14 @@ from vppres.report.events import opening_of
 from vppres.report.findings import findings
 from vppres.report.first_page import (
     energy_rows,
-    first_notes,
+    foundations,
     limit_rows,
     money_sentence,
     price_sentence,
     supply_rows,
     who_and_why,
 )
+from vppres.report.operating_order import off_sentence, shown_orders
 from vppres.report.sections.base import Run, Section, section
 
 
@@ -24,13 +25,18 @@ def overview_section(run: Run) -> Section:
         "Summary",
         {
             "findings": findings(trajectory),
-            "sentences": [*opening_of(trajectory, run.summary), *who_and_why(trajectory)],
+            "sentences": [
+                *opening_of(trajectory, run.summary),
+                *filter(None, [off_sentence(trajectory)]),
+                *who_and_why(trajectory),
+            ],
             "strip": run.figure("timeline"),
             "supply": supply_rows(trajectory, run.summary),
             "energy": energy_rows(trajectory, run.summary),
             "limits": limit_rows(trajectory),
             "money": money_sentence(run.summary),
             "price": price_sentence(run.summary),
-            "notes": first_notes(trajectory),
+            "foundations": foundations(trajectory),
+            "orders": shown_orders(trajectory),
         },
     )

@@ -1,0 +1,89 @@
+"""The operating order of a run: which customers are switched when, and what is off then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags
+from vppres.day.series import off_kw
+from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
+from vppres.report.events import named
+
+ORDER_FILE = "operating_order.csv"
+OPEN, CLOSE = "open", "close"
+ORDERS_SHOWN = 12
+NAMES_SHOWN = 24
+
+
+def operating_order(run: Trajectory) -> pd.DataFrame:
+    """Every switching of a customer, in order of time; the most important first.
+
+    Returns
+    -------
+    DataFrame
+        ``time``, ``action`` (``open``: off supply, ``close``: on supply again), ``customer``,
+        ``bus`` and ``tier``, the customer's demand ``demand_kw`` in that step, and ``off_kw``, the
+        demand of all customers that are off then. Before the first step all are on supply.
+    """
+    c = run.scenario.customers
+    served = served_of(run)
+    before = np.vstack([np.ones_like(served[:1]), served[:-1]])
+    step, item = np.nonzero(served != before)
+    closes = served[step, item]
+    order = np.lexsort((-c.weight[item], closes, step))
+    step, item, closes = step[order], item[order], closes[order]
+    demand_kw = run.customers["p_load_kw"].to_numpy(float).reshape(served.shape)
+    written = run.steps["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_list()
+    return pd.DataFrame(
+        {
+            "time": [written[t] for t in step],
+            "action": np.where(closes, CLOSE, OPEN),
+            "customer": c.id[item].astype(str),
+            "bus": c.bus[item].astype(str),
+            "tier": c.tier[item].astype(str),
+            "demand_kw": demand_kw[step, item],
+            "off_kw": off_kw(run)[step],
+        }
+    )
+
+
+def order_lines(run: Trajectory) -> Iterator[str]:
+    """The operating order in sentences, one for each time: names, and what is off then."""
+    clock = Clock.of(run)
+    for time, rows in operating_order(run).groupby("time", sort=True):
+        said = [
+            f"{action} {named(list(names), NAMES_SHOWN)}"
+            for action, names in rows.groupby("action", sort=True)["customer"]
+        ]
+        off = float(rows["off_kw"].iloc[0])
+        yield f"{clock.words(pd.Timestamp(str(time)))}: {'; '.join(said)}. Off then: {off:,.1f} kW."
+
+
+def shown_orders(run: Trajectory) -> list[str]:
+    """The operating order for a page or a terminal; of a long one the beginning."""
+    lines = list(order_lines(run))
+    more = len(lines) - ORDERS_SHOWN
+    return lines[:ORDERS_SHOWN] + ([f"{more} more times in {ORDER_FILE}."] if more > 0 else [])
+
+
+def served_of(run: Trajectory) -> Flags:
+    """Which customers are on supply, shape (T, C)."""
+    return run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+
+
+def off_sentence(run: Trajectory) -> str:
+    """What is off over time, in a sentence; empty if nothing ever is."""
+    off = off_kw(run)
+    if not off.any():
+        return ""
+    clock, t = Clock.of(run), int(off.argmax())
+    without = off > 0.0
+    hours = float(without.sum()) * run.scenario.grid.dt_h
+    return (
+        f"Off supply: {off[without].mean():,.1f} kW on average over {hours:g} h, at most "
+        f"{off[t]:,.1f} kW at {clock.at(t)}."
+    )
