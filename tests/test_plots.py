@@ -160,8 +160,10 @@ def test_the_strips_tell_outage_service_and_phases():
         "Batteries",
         "PV power",
         "Off supply",
+        "kW off",
     ]
-    assert [look[2] for look in strips.strips[-1].looks] == ["", "2", "2", ""]
+    assert [look[2] for look in strips.strips[-2].looks] == ["", "2", "2", ""]
+    assert [look[2] for look in strips.strips[-1].looks] == ["", "60", "50", ""]
     named = replace(run, steps=run.steps.assign(phase=["ready", "hold", "hold", "ready"]))
     found = texts(timeline(named))
     assert found.count("ready") == 2

@@ -69,6 +69,7 @@ def test_the_run_folder_is_whole(folder: Path) -> None:
         "customers.parquet",
         "figures",
         "lines.parquet",
+        "operating_order.csv",
         "options.json",
         "pv.parquet",
         "report.html",

@@ -42,7 +42,7 @@ FIGURE_TEXTS = {
     "service_by_tier": "Supply of each customer in each step, and the share of each tier.",
     "line_loadings": "The most loaded line of each step, from the AC power flow.",
     "solve_times": "Time from forecast to decision, and relative gap (below 1e-9 at the bottom).",
-    "timeline": "The day at a glance; numbers count customers off supply.",
+    "timeline": "The day at a glance; numbers are customers off supply, and their kW.",
     "feeder_maps": "A row per bus with its AC voltage, and a row per line with its loading or "
     "current; dashed: the outage.",
     "outage_belief": "Forecast probability of an outage in each step, some hours before, and the "
