@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags
+from vppres.core.text import named
 from vppres.day.series import off_kw
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
-from vppres.report.events import named
 
 ORDER_FILE = "operating_order.csv"
 OPEN, CLOSE = "open", "close"
