@@ -7,7 +7,6 @@ process of its own that may be killed: shadow prices have to be solved for.
 from __future__ import annotations
 
 import json
-import math
 import os
 import pickle
 import resource
@@ -21,6 +20,7 @@ import pandas as pd
 
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats
+from vppres.core.plain import json_safe
 from vppres.day.forecasting import PAPER
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN
@@ -155,14 +155,13 @@ def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
 def _prices(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """What one more kWh in each battery would be worth."""
     return [
-        {"asset": row["item"], **{name: _number(row[name]) for name in ("weighted_h", "gbp")}}
+        {
+            "asset": row["item"],
+            **{name: json_safe(float(row[name])) for name in ("weighted_h", "gbp")},
+        }
         for row in rows
         if row["constraint"] == "stored_energy"
     ]
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def unsolved(plan: Mapping[str, Any], why_no_price: str) -> dict[str, Any]:

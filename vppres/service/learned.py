@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
+from vppres.core.plain import json_safe
 from vppres.live.controller import Controller
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.scenario.history import History
@@ -29,7 +30,9 @@ def measured_in(controller: Controller) -> Measured | None:
     last = controller.measured
     if last is None:
         return None
-    return Measured(seconds(last.start), _known(last.load_kw[0]), _known(last.pv_kw[0]))
+    return Measured(
+        seconds(last.start), json_safe(last.load_kw[0].tolist()), json_safe(last.pv_kw[0].tolist())
+    )
 
 
 def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | None:
@@ -110,13 +113,11 @@ def _read(
     )
     known = np.isfinite(np.hstack([load_kw, pv_kw])).any(axis=1)
     return [
-        Measured(seconds(grid.times[t]), _known(load_kw[t]), _known(pv_kw[t]))
+        Measured(
+            seconds(grid.times[t]), json_safe(load_kw[t].tolist()), json_safe(pv_kw[t].tolist())
+        )
         for t in np.flatnonzero(known).tolist()
     ]
-
-
-def _known(row: Floats) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in row]
 
 
 def _laid(places: list[int], rows: Iterable[list[float | None]], n_steps: int) -> Floats:

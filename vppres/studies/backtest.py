@@ -13,6 +13,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, mean_of_known
 from vppres.core.errors import InputError
+from vppres.core.plain import json_safe
 from vppres.day.forecasting import history_before
 from vppres.forecasts.interface import Forecaster, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
@@ -239,7 +240,7 @@ class Backtest:
 
     def summary(self) -> dict[str, Any]:
         """All tables as JSON can hold them."""
-        return {
+        found = {
             "forecaster": self.forecaster,
             "issues": len(self.issues),
             "first_issue": self.issues[0].isoformat(),
@@ -253,9 +254,9 @@ class Backtest:
                 if self.history.pv_kw.shape[1]
                 else 0.0,
             },
-            "crps": _records(self.ranges()),
-            "energy": _records(self.energy()),
-            "drift": _records(self.drift()),
+            "crps": self.ranges().to_dict("records"),
+            "energy": self.energy().to_dict("records"),
+            "drift": self.drift().to_dict("records"),
             "each_to_total": {
                 quantity: float(
                     np.nanmean(self.mean("each", quantity))
@@ -269,6 +270,8 @@ class Backtest:
                 for quantity in self.quantities
             },
         }
+        safe: dict[str, Any] = json_safe(found)
+        return safe
 
 
 def backtest(
@@ -357,15 +360,3 @@ def forecasts_in(file: str | Path, history: History) -> Forecaster:
         for words, values in (("customer", history.load_kw), ("system", history.pv_kw))
     )
     return read_quantiles(file, load_ids, pv_ids)
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table; what is not known is None."""
-    rows = table.to_dict("records")
-    return [
-        {
-            str(name): None if isinstance(value, float) and np.isnan(value) else value
-            for name, value in row.items()
-        }
-        for row in rows
-    ]

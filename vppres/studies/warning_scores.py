@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 from vppres.core.arrays import Floats
+from vppres.core.plain import json_safe
 from vppres.io.find import is_scenario, load_scenario
 from vppres.io.outage_log import read_outage_log, read_warning_file
 from vppres.outlook.durations import Z90
@@ -155,8 +156,8 @@ class WarningScores:
             "came": self.n_came,
             "unannounced": len(self.unannounced),
             "late": self.late,
-            "brier": _or_none(self.brier),
-            "brier_of_share": _or_none(self.brier_of_share),
+            "brier": json_safe(self.brier),
+            "brier_of_share": json_safe(self.brier_of_share),
             "reliability": self.reliability.to_dict("records"),
             "duration_pit": self.duration_pit.tolist(),
             "restoration": self.restoration.summary(),
@@ -296,11 +297,6 @@ def _said(pairs: Sequence[WarnedOutage]) -> tuple[Floats, Floats]:
     given = [pair for pair in pairs if pair.warning.probability is not None]
     said = np.array([pair.warning.probability for pair in given], dtype=float)
     return said, np.array([pair.came is not None for pair in given], dtype=float)
-
-
-def _or_none(value: float) -> float | None:
-    """A number, None where it is not known."""
-    return None if np.isnan(value) else value
 
 
 def warnings_scored(
