@@ -15,6 +15,7 @@ from vppres.explain.words import (
     SCARCE,
     TOO_LITTLE,
     figure,
+    hours,
     money,
     one_more,
     pounds,
@@ -27,6 +28,9 @@ limit, not the import price, is what drove a battery there."""
 
 RULES = ("idle", "reserve")
 """Controllers that follow a rule, whatever would be worth more."""
+
+FIRST = {True: "customers with more weight per kW", False: "others first in strict order"}
+"""Whom a scarce unit goes to, where customers are weighed and in strict order."""
 
 UNEXPLAINED = Reason(
     "unexplained", "", "Not supplied: neither shadow prices nor the record give a reason."
@@ -60,14 +64,14 @@ def why_not_served(step: Step, customer: int) -> Reason:
             "switching_rule",
             binding,
             "Not supplied: a switching rule keeps it off; "
-            f"supplying it would be worth {figure(gain)} weighted customer hours.",
+            f"supplying it would be worth {hours(gain, step.site.ranks)}.",
         )
     if step.recorded.options["controller"] in RULES and gain > WORTH:
         return Reason(
             "rule",
             binding,
             f"Not supplied: the fixed rule of controller {step.recorded.options['controller']} "
-            f"leaves it off; supplying it would be worth {figure(gain)} weighted customer hours.",
+            f"leaves it off; supplying it would be worth {hours(gain, step.site.ranks)}.",
         )
     if not binding:
         return _nothing_scarce(step)
@@ -87,15 +91,15 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
         return rationed
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
     compare = (
-        f"supplying it would cost others {figure(weight - gain)} weighted customer hours, "
-        f"its own value is {figure(weight)}"
+        f"supplying it would cost others {hours(weight - gain, step.site.ranks)}, its own value "
+        f"is {hours(weight, step.site.ranks) if step.site.ranks else figure(weight)}"
     )
     if _someone_ranks_higher(step, customer):
         return Reason(
             "priority",
             binding,
             _sentence(
-                f"Not supplied: {SCARCE[binding]} goes to customers with more weight per kW; "
+                f"Not supplied: {SCARCE[binding]} goes to {FIRST[step.site.ranks is None]}; "
                 f"{compare}",
                 one_more(step, binding),
             ),
@@ -215,7 +219,7 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
             "energy",
             "energy",
             "Discharges: supplies customers; a kWh kept for later would be worth "
-            f"{figure(worth)} weighted customer hours.",
+            f"{hours(worth, step.site.ranks)}.",
         )
     return Reason("supply", "", "Discharges: supplies customers; no limit binds.")
 

@@ -129,9 +129,7 @@ class Recorded:
         A correction saw its own step alone. The full horizon planned with the forecast of the first
         step; of that, the window has as many steps as ``horizon_h`` asks for.
         """
-        length = 1 if self.flag(t, "corrected") else self.n_seen
-        steps = range(t, min(t + length, self.n_steps))
-        told = replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
+        told = self.observation(t)
         data = WindowData.of(told, self.site, self.options.get("centre", "lossless"))
         empty = self.site.batteries.soc_min
         seen = replace(
@@ -140,6 +138,12 @@ class Recorded:
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
         return with_own_state(self.site, seen)
+
+    def observation(self, t: int) -> Observation:
+        """What the controller was told of that window."""
+        length = 1 if self.flag(t, "corrected") else self.n_seen
+        steps = range(t, min(t + length, self.n_steps))
+        return replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
 
     def held(self, t: int, n_steps: int) -> Held:
         """Who was served stays served in the step; batteries that moved keep their mode.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
-from vppres.explain.words import SCARCE, figure, money, one_more
+from vppres.explain.words import SCARCE, figure, hours, money, one_more
 
 
 def why_step(step: Step) -> Reason:
@@ -63,8 +63,8 @@ def _worth(step: Step) -> str:
     if headroom <= WORTH:
         return worth
     return (
-        f"{worth} One more kWh of battery capacity would add {figure(headroom)} weighted "
-        "customer hours in the outage."
+        f"{worth} One more kWh of battery capacity would add "
+        f"{hours(headroom, step.site.ranks)} in the outage."
     )
 
 

@@ -8,6 +8,10 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.text import in_pounds
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
+from vppres.scenario.priority import Ranks
+
+LEAST_SHARE = 0.01
+"""Share of a customer hour of a tier from which a value is told in that tier: a kW of 100."""
 
 SCARCE: dict[Binding, str] = {
     "energy": "stored energy",
@@ -110,7 +114,20 @@ def one_more(step: Step, binding: Binding) -> str:
         "grid": (p.grid, "one more kW from the grid"),
     }
     value, what = offers.get(binding, (0.0, ""))
-    return f"{what} would add {figure(value)} weighted customer hours" if value > WORTH else ""
+    return f"{what} would add {hours(value, step.site.ranks)}" if value > WORTH else ""
+
+
+def hours(value: float, ranks: Ranks | None) -> str:
+    """Service in words: weighted customer hours, in strict order those of the tier it is about.
+
+    >>> hours(0.21, None)
+    '0.21 weighted customer hours'
+    """
+    if ranks is None:
+        return f"{figure(value)} weighted customer hours"
+    about = np.flatnonzero(ranks.worth * LEAST_SHARE <= value)
+    tier = int(about[0]) if len(about) else len(ranks.tiers) - 1
+    return f"{figure(value / ranks.worth[tier])} customer hours of tier {ranks.tiers[tier]}"
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:

@@ -8,9 +8,11 @@ from operator import itemgetter
 
 import pandas as pd
 
+from vppres.day.priority import ranks_of
 from vppres.day.trajectory import Trajectory
-from vppres.explain.words import DRIVERS, figure, money
+from vppres.explain.words import DRIVERS, hours, money
 from vppres.report.clock import Clock
+from vppres.scenario.priority import Ranks
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Tables:
     explanations: pd.DataFrame
     shadow_prices: pd.DataFrame
     dt_h: float
+    ranks: Ranks | None
 
     @classmethod
     def of(
@@ -52,7 +55,8 @@ class Tables:
             "shadow_prices": shadow_prices,
         }
         rows = {name: table[table["time"].isin(times)] for name, table in tables.items()}
-        return cls(**rows, dt_h=run.scenario.grid.dt_h)
+        ranks = ranks_of(run.scenario, run.options)
+        return cls(**rows, dt_h=run.scenario.grid.dt_h, ranks=ranks)
 
 
 def episodes(
@@ -123,11 +127,11 @@ def _batteries(tables: Tables) -> str:
 
 def _worth(tables: Tables) -> list[str]:
     """What one more unit would have bought, as ranges over the steps."""
-    stored = _range(tables.shadow_prices, "stored_energy", "weighted_h")
+    stored = _range(tables, "stored_energy", "weighted_h")
     sentences = []
     if stored:
-        sentences.append(f"One more stored kWh would have added {stored} weighted customer hours.")
-    elif saved := _range(tables.shadow_prices, "stored_energy", "gbp"):
+        sentences.append(f"One more stored kWh would have added {stored}.")
+    elif saved := _range(tables, "stored_energy", "gbp"):
         sentences.append(f"One more stored kWh would have saved {saved}.")
     for name, what in (
         ("energy_ceiling", "One more kWh of battery capacity"),
@@ -135,24 +139,24 @@ def _worth(tables: Tables) -> list[str]:
         ("battery_inverter", "One more kVA of a battery's inverter"),
         ("voltage_floor", "A voltage limit 0.001 pu lower"),
     ):
-        if value := _range(tables.shadow_prices, name, "weighted_h"):
+        if value := _range(tables, name, "weighted_h"):
             sentences.append(
-                f"{what} would have added {value} weighted customer hours"
-                f"{_where(tables.shadow_prices, name)}."
+                f"{what} would have added {value}{_where(tables.shadow_prices, name)}."
             )
     return sentences
 
 
-def _range(prices: pd.DataFrame, name: str, column: str) -> str:
+def _range(tables: Tables, name: str, column: str) -> str:
     """Smallest to largest positive worth over the steps, of the best item of each; else empty."""
+    prices = tables.shadow_prices
     best = prices[prices["constraint"] == name].groupby("time")[column].max()
     best = best[best > 0]
     if best.empty:
         return ""
-    text = money if column == "gbp" else figure
-    low = text(float(best.min()))
-    high = text(float(best.max()))
-    return low if low == high else f"{low} to {high}"
+    ends = float(best.min()), float(best.max())
+    low, high = (money(end) if column == "gbp" else hours(end, tables.ranks) for end in ends)
+    unit = " weighted customer hours"
+    return low if low == high else f"{low.removesuffix(unit)} to {high}"
 
 
 def _where(prices: pd.DataFrame, name: str) -> str:
