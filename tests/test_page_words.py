@@ -116,3 +116,15 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         off = told(http, tmp_path)
         assert off["verdict"][1].endswith("There is no grid: supply is uncertain.")
         assert "supplied" not in off["verdict"][1]
+
+
+def test_a_tier_order_that_is_not_kept_is_on_the_page(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        decided(http, clock, NOON, soc=0.85)
+        assert runner.last is not None
+        runner.last["solve"]["inverted"] = "hospital is off supply, while homes have 50.0 kW"
+        found = told(http, tmp_path)["attention"]
+    words = "Tier order is not kept: hospital is off supply, while homes have 50.0 kW."
+    assert ["warning", words] in found

@@ -11,7 +11,7 @@ import pytest
 from experiments.random_feeders import WEIGHT, Window, random_window
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario
-from vppres import RunOptions, run_day
+from vppres import Controller, Measurement, RunOptions, run_day
 from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
@@ -203,3 +203,25 @@ def test_an_inversion_needs_energy_and_power(
         customers["served"] = False
     changed = replace(run, batteries=batteries, customers=customers)
     assert bool(inversions(changed)) == inverted
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        (
+            "weights",
+            {
+                "inverted": "c0 (critical, 60.0 kW) is off supply, while c1, c2, c3 of lower "
+                "tiers have 60.0 kW"
+            },
+        ),
+        ("strict", {"levels": "critical 2/2, low 0/0"}),
+    ],
+)
+def test_live_controllers_tell_order_and_levels(rule: str, told: dict[str, str]) -> None:
+    day = hospital_and_homes()
+    controller = Controller.of(day, RunOptions(priority=rule, isolate=False))
+    points = controller.step(Measurement(controller.times[0], soc={"b0": 0.85}))
+    assert {
+        name: points.solve[name] for name in ("levels", "inverted") if name in points.solve
+    } == told

@@ -10,6 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
+from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KW = 1e-3
 NAMES = 3
@@ -124,3 +125,32 @@ def inversion_words(run: Trajectory) -> list[str]:
         f"energy of lower tiers would have sufficed. At {time:%H:%M} UTC {off} was off supply, "
         f"while {lower} had up to {worst.lower_kw:,.1f} kW."
     ]
+
+
+def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:
+    """The most important customer off supply whose demand lower tiers take now, in a sentence.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Customers and tiers.
+    served, load_kw : array, shape (C,)
+        Who is supplied in a step, and everyone's demand.
+
+    Returns
+    -------
+    str
+        Empty if there is none. What is saved for later steps is not looked at.
+    """
+    c = scenario.customers
+    rank = {tier: k for k, tier in enumerate(scenario.tiers)}
+    position = np.array([rank[tier] for tier in c.tier])
+    on = np.asarray(served, dtype=bool)
+    for customer in sorted(np.flatnonzero(~on), key=lambda i: (position[i], -load_kw[i])):
+        lower = on & (position > position[customer])
+        lower_kw = float(load_kw[lower].sum())
+        if lower.any() and lower_kw >= load_kw[customer]:
+            off = f"{c.id[customer]} ({c.tier[customer]}, {load_kw[customer]:,.1f} kW)"
+            others = named(c.id[lower], NAMES)
+            return f"{off} is off supply, while {others} of lower tiers have {lower_kw:,.1f} kW"
+    return ""

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.notebook import facts_html
+from vppres.day.inversions import inverted_now
 from vppres.day.recorder import StepRecord
 from vppres.day.trajectory import Feeder
 from vppres.feeders.actuate import Feeding
@@ -55,7 +56,9 @@ class SetPoints:
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
         none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later, and
-        ``outage_messages``, which of several messages about one outage counts.
+        ``outage_messages``, which of several messages about one outage counts. In strict order
+        ``levels`` has what was supplied of each tier and what could be at most; ``inverted`` names
+        a customer off supply whose demand lower tiers take.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nobody.
     foreseen : Foreseen
@@ -92,7 +95,7 @@ class SetPoints:
             pv=_pv(scenario, step.pv),
             buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
             import_kw=float(step.steps["p_grid_kw"]),
-            solve=_solve(step.steps),
+            solve=_solve(step.steps) | _priority(scenario, step),
             feeding=Feeding.of(
                 scenario,
                 bool(scenario.outage[step.t]),
@@ -186,6 +189,18 @@ def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
         if name in figures:
             solve[name] = figures[name]
     return {**solve, "reason": figures["correction_reason"]}
+
+
+def _priority(scenario: Scenario, step: StepRecord) -> dict[str, str]:
+    """Bounds of the tiers in strict order, and in an outage a tier order that is not kept."""
+    columns = step.customers
+    inverted = (
+        inverted_now(scenario, columns["served"] > 0.5, columns["p_load_kw"])
+        if scenario.outage[step.t]
+        else ""
+    )
+    found = {"levels": str(step.steps.get("levels", "")), "inverted": inverted}
+    return {name: words for name, words in found.items() if words}
 
 
 def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:

@@ -72,6 +72,8 @@ def plan_of(
             "seconds": _number(solve["solve_s"]),
             "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
             "outage_messages": str(solve.get("outage_messages", "")) or None,
+            "levels": solve.get("levels"),
+            "inverted": solve.get("inverted"),
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,

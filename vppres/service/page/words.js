@@ -210,6 +210,7 @@ export function attention(view) {
   const say = (level, text) => found.push([level, text]);
   if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of)}.`);
   if (plan?.solve) {
+    if (plan.solve.inverted) say(WARNING, `Tier order is not kept: ${plan.solve.inverted}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
     if (plan.solve.outage_messages) say(NOTE, `Several messages speak of one outage: ${plan.solve.outage_messages}.`);
     if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
