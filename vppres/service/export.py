@@ -8,6 +8,7 @@ answer: nobody measures all of it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,11 +72,8 @@ def export(service: Service, place: Path | str, begin: str, end: str) -> Traject
     """
     grid = service.scenario.grid
     times = [option_time(text, grid.zone) for text in (begin, end)]
-    store = Store(place, Site.of(service.scenario).key, reading=True)
-    try:
+    with closing(Store(place, Site.of(service.scenario).key, reading=True)) as store:
         return exported(service, store, *times)
-    finally:
-        store.close()
 
 
 def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timestamp) -> Trajectory:

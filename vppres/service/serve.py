@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ssl
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,15 +111,11 @@ def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> 
     if clock is None:
         played = service.rehearsal or service.paced
         clock = SetClock(service.scenario.grid.start) if played else SystemClock()
-    store = Store(folder, Site.of(service.scenario).key)
-    try:
-        runner = Runner(service, store, clock)
-        try:
-            yield runner
-        finally:
-            runner.close()
-    finally:
-        store.close()
+    with (
+        closing(Store(folder, Site.of(service.scenario).key)) as store,
+        closing(Runner(service, store, clock)) as runner,
+    ):
+        yield runner
 
 
 def add_token(service: Service, folder: Path | str, text: str, days: float | None = None) -> str:
@@ -131,11 +127,8 @@ def add_token(service: Service, folder: Path | str, text: str, days: float | Non
         If the text is no name with scopes, or the service runs.
     """
     secret, token = new_token(text, days)
-    store = Store(folder, Site.of(service.scenario).key)
-    try:
+    with closing(Store(folder, Site.of(service.scenario).key)) as store:
         store.add_token(token, SystemClock().now())
-    finally:
-        store.close()
     return secret
 
 
@@ -147,16 +140,13 @@ def remove_token(service: Service, folder: Path | str, name: str) -> None:
     InputError
         If there is no such token, or the service runs.
     """
-    store = Store(folder, Site.of(service.scenario).key)
-    try:
+    with closing(Store(folder, Site.of(service.scenario).key)) as store:
         if not store.remove_token(name, SystemClock().now()):
             known = [token.name for token in store.tokens()]
             cure = did_you_mean(name, known, "There is none.")
             raise InputError.of(
                 "tokens", "is not the name of a token", cure, field="name", value=name
             )
-    finally:
-        store.close()
 
 
 def serve(

@@ -106,6 +106,7 @@ class Panel(Protocol):
     @property
     def right_px(self) -> float:
         """What it needs at the right of its frame, in px."""
+        return 0.0
 
     @property
     def shaded(self) -> bool:
@@ -116,9 +117,11 @@ class Panel(Protocol):
 
     def entries(self) -> Iterable[Entry]:
         """Its entries in the legend."""
+        return ()
 
     def readings(self) -> list[dict[str, Any]]:
         """What a pointer reads: name, color and the value of each step or instant as text."""
+        return []
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.report.plots.axes import TimeAxis, ValueAxis
 from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
-from vppres.report.plots.chart import EDGE_PX, Entry, Frame
+from vppres.report.plots.chart import EDGE_PX, Frame, Panel
 from vppres.report.plots.palette import GREY, blend
 
 MAX_NAMED_ROWS = 70
@@ -21,7 +21,7 @@ KEY_PX, KEY_COLOURS = 14.0, 64
 
 
 @dataclass(frozen=True, eq=False)
-class HeatMap:
+class HeatMap(Panel):
     """Values of rows over the time of a run.
 
     Parameters
@@ -94,10 +94,6 @@ class HeatMap:
             canvas.text(left + KEY_PX + 6, place, name)
         at = frame.right + self.right_px - 0.9 * FONT_PX
         canvas.text(at, (frame.top + frame.bottom) / 2, self.scale, anchor="middle", turned=True)
-
-    def entries(self) -> Iterable[Entry]:
-        """None: the key says it."""
-        return ()
 
     def readings(self) -> list[dict[str, Any]]:
         """Least and largest value of each step."""

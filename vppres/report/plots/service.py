@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -104,7 +103,7 @@ def tile_rows(run: Trajectory) -> TileRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Tiles:
+class Tiles(Panel):
     """A tile per row and step, grouped by tier; crosses carry the message without colour."""
 
     axis: str
@@ -189,7 +188,3 @@ class Tiles:
         """What the colours mean."""
         yield Entry("supplied", fill=SERVED)
         yield Entry("off supply (x)", fill=UNSERVED)
-
-    def readings(self) -> list[dict[str, Any]]:
-        """The panel of shares below says it in numbers."""
-        return []

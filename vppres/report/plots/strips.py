@@ -13,7 +13,7 @@ from vppres.day.series import battery_power_kw, off_kw
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import TimeAxis
 from vppres.report.plots.canvas import Canvas, text_px
-from vppres.report.plots.chart import Chart, Entry, Frame
+from vppres.report.plots.chart import Chart, Entry, Frame, Panel
 from vppres.report.plots.palette import BLACK, GREEN, GREY, ORANGE, SERVED, UNSERVED, WHITE, blend
 
 MAX_COUNTED_STEPS = 50
@@ -103,7 +103,7 @@ def _off_strip(run: Trajectory) -> Strip:
 
 
 @dataclass(frozen=True, eq=False)
-class Strips:
+class Strips(Panel):
     """Strips below each other, each with a box for steps that look alike."""
 
     strips: Sequence[Strip]
@@ -118,11 +118,6 @@ class Strips:
     def left_px(self) -> float:
         """What the names take."""
         return max(text_px(strip.name) for strip in self.strips) + 8.0
-
-    @property
-    def right_px(self) -> float:
-        """Nothing stands at the right."""
-        return 0.0
 
     def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
         """Boxes and texts."""
@@ -161,7 +156,3 @@ class Strips:
         yield Entry("charging", fill=GREEN, hatch=BLACK)
         yield Entry("discharging", fill=ORANGE, hatch=BLACK, kind="dots")
         yield Entry("customers off supply", fill=UNSERVED)
-
-    def readings(self) -> list[dict[str, Any]]:
-        """None: the figures below have the values."""
-        return []
