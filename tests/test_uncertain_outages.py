@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from vppres.day.run_files import read_run
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
+from vppres.explain.recorded import Recorded
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.report.plots.files import figure_names
@@ -25,6 +27,7 @@ from vppres.report.plots.outages import outage_belief
 from vppres.report.run_folder import write_run
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.solve.ladder import WindowSolver
 
 HOUR = pd.Timedelta(hours=1)
 NEVER = OutageStatistics(saifi_per_year=0.0)
@@ -310,6 +313,45 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
     later, now = zip(*rationed.str.findall(r"£([0-9.]+)").tolist(), strict=True)
     assert (np.array(later, dtype=float) >= np.array(now, dtype=float)).all()
     assert not words.str.contains("neither shadow prices nor the record").any()
+
+
+def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Scenario) -> None:
+    run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
+    believed = believed_outages(run.scenario, run.options)
+    assert run.explanations is not None
+    words = run.explanations[run.explanations["item"] == "step"]["words"].tolist()
+    recorded = Recorded(run)
+    b, c = tiny.batteries, tiny.customers
+    other = WindowSolver(recorded.site, method="monolithic")
+    told = [t for t in range(6) if "is kept until" in words[t]]
+    assert {1, 2, 3} <= set(told)
+    for t in told:
+        found = re.search(
+            r"([0-9]+)% is kept until (\S+) because .* (\S+) with ([0-9]+)%; it costs (?:£([0-9]+)|"
+            r"nothing) in this step; it covers hospital for ([0-9.]+) h",
+            words[t],
+        )
+        assert found is not None
+        share, end, until, chance, gbp, hours = found.groups()
+        held = recorded.soc_end[t] - b.soc_min
+        kwh = float(b.energy_kwh @ held)
+        assert int(share) == round(100 * kwh / float(b.energy_kwh @ (b.soc_max - b.soc_min)))
+        times = [f"{time:%H:%M}" for time in (*tiny.grid.times, tiny.grid.end)]
+        assert end == times[t + 1]
+        assert int(chance) == round(100 * believed[t, times.index(until) - 1])
+        needed = float(run.scenario.load_kw[t:, 0].mean())
+        assert float(hours) == pytest.approx(kwh * float(b.eta_discharge[0]) / needed, rel=0.05)
+        # The same step without a value of what is left.
+        window = recorded.seen(t)
+        assert window.stored_value is not None
+        alone = other.solve(replace(window.first(1), stored_value=None)).dispatch
+        served = recorded.served[t]
+        lost = float((alone.served[0].astype(float) - served) @ c.weight)
+        price = float(tiny.price_gbp_per_kwh[t])
+        imported = 0.0 if run.scenario.outage[t] else recorded.imported_kw(t)
+        costs = window.stored_value.gbp_per_service * lost
+        costs += price * (imported - float(alone.p_grid_kw[0]))
+        assert float(gbp or 0.0) == pytest.approx(max(costs, 0.0), abs=0.6)
 
 
 @pytest.mark.parametrize("seed", [1, 3])

@@ -17,12 +17,13 @@ from vppres.contract.stored_value import Ending
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
-from vppres.day.outages import BELIEF, GridSeen, OutageView
+from vppres.day.outages import BELIEF, GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of
 from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
 from vppres.scenario.rules import SwitchingRules
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
 
 MOVE_KW = 1.0
@@ -206,6 +207,16 @@ class Recorded:
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         return self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
+
+    @cached_property
+    def believed(self) -> Floats:
+        """Probability of an outage in each step as it was believed at each, (T, T)."""
+        return believed_outages(self.scenario, self.options)
+
+    @cached_property
+    def solver(self) -> WindowSolver:
+        """Solves windows of the run again, for what-ifs."""
+        return WindowSolver(self.site)
 
     @cached_property
     def _view(self) -> OutageView:

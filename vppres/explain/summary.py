@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from vppres.explain.kept import why_kept
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
 from vppres.explain.words import SCARCE, figure, hours, money, one_more
 
 
 def why_step(step: Step) -> Reason:
+    """What drove a step as a whole, and why it keeps energy."""
+    reason = _driven(step)
+    kept = "" if step.dark or step.fallback else why_kept(step)
+    return replace(reason, words=f"{reason.words} {kept}".rstrip())
+
+
+def _driven(step: Step) -> Reason:
     """What drove a step as a whole."""
     if step.dark:
         return Reason("dark", "", f"{_headline(step)} The island is blacked out: {step.dark}.")

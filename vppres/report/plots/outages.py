@@ -13,9 +13,6 @@ from vppres.report.plots.palette import BLACK, BLUE, VERMILLION, Style
 LEADS = {1.0: Style(BLUE, "", 2.6), 3.0: Style(BLUE, "7 3", 1.8), 6.0: Style(BLUE, "2 3", 1.4)}
 """How many hours before a step its probability is shown, and how."""
 
-WIDE = 30.0
-"""Ratio of worths from which they are drawn on a logarithmic scale."""
-
 
 def has_beliefs(run: Trajectory) -> bool:
     """Whether a run believed something of outages ahead."""
@@ -50,7 +47,6 @@ def _worth(run: Trajectory) -> Curves:
     """What one more stored kWh was worth, and what one costs."""
     worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
     price = run.steps["price_gbp_per_kwh"].to_numpy(float)
-    least = min(float(np.nanmin(worth)), float(price.min()))
     return Curves(
         "GBP per kWh",
         [
@@ -58,5 +54,4 @@ def _worth(run: Trajectory) -> Curves:
             Curve("import price", price, Style(BLACK, "2 3", 1.3)),
         ],
         130.0,
-        logarithmic=bool(least > 0.0 and np.nanmax(worth) > WIDE * least),
     )

@@ -1,0 +1,126 @@
+"""Why energy is kept for a possible outage: how much, how likely, its cost and what it covers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import SolveError
+from vppres.core.text import in_pounds
+from vppres.explain.step import Step
+from vppres.explain.words import figure
+
+POSSIBLE = 0.2
+"""Probability from which a step of an outage counts as one that energy is kept for."""
+
+LEAST_GBP = 0.5
+"""Amounts below it are no pound."""
+
+NAMED = 2
+"""Customers that are named; of more their number and tier."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Energy that is kept in a step.
+
+    Parameters
+    ----------
+    share : float
+        What batteries hold after it, of what they may.
+    end : pandas.Timestamp
+        End of the step.
+    likely_to : pandas.Timestamp
+        Latest time, of those with a probability of ``POSSIBLE``, up to which there is an outage.
+    probability : float
+        Its probability.
+    gbp : float
+        What the step would cost less if nothing were kept: import, and supply at the value of lost
+        load.
+    covers : str
+        The most important customers.
+    hours : float
+        For how long the energy supplies them alone.
+    """
+
+    share: float
+    end: pd.Timestamp
+    likely_to: pd.Timestamp
+    probability: float
+    gbp: float
+    covers: str
+    hours: float
+
+    def words(self, out: bool, zone: str) -> str:
+        """The same in a sentence; times by the clocks at the site."""
+        end, until = (f"{one.tz_convert(zone):%H:%M}" for one in (self.end, self.likely_to))
+        may = "the outage may last to" if out else "an outage is possible up to"
+        costs = in_pounds(self.gbp, ",.0f") if self.gbp >= LEAST_GBP else "nothing"
+        return (
+            f"{self.share:.0%} is kept until {end} because {may} {until} with "
+            f"{self.probability:.0%}; it costs {costs} in this step; it covers {self.covers} for "
+            f"{figure(self.hours)} h."
+        )
+
+
+def why_kept(step: Step) -> str:
+    """Why a step keeps energy for a possible outage; empty if it does not."""
+    kept = kept_in(step)
+    return "" if kept is None else kept.words(step.outage, step.scenario.grid.zone)
+
+
+def kept_in(step: Step) -> Kept | None:
+    """Energy that a step keeps for a possible outage; None if it keeps none, or for the price."""
+    window = step.levels.window
+    worth = step.later_worth_gbp
+    if window.stored_value is None or worth is None:
+        return None
+    if not step.outage and worth <= step.dearest_gbp:
+        return None
+    ahead = step.recorded.believed[step.t, step.t + 1 :]
+    possible = np.flatnonzero(np.nan_to_num(ahead) >= POSSIBLE)
+    b = step.site.batteries
+    held_kwh = float(b.energy_kwh @ (step.recorded.soc_end[step.t] - b.soc_min))
+    most_kwh = float(b.energy_kwh @ (b.soc_max - b.soc_min))
+    first = step.site.customers.tier == step.scenario.tiers[0]
+    needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
+    gbp = _costs_gbp(step)
+    if not len(possible) or gbp is None or held_kwh <= 0.01 * most_kwh or needed_kw <= 0.0:
+        return None
+    last = int(possible[-1])
+    length = pd.Timedelta(minutes=step.scenario.grid.step_minutes)
+    now = step.scenario.grid.times[step.t]
+    return Kept(
+        share=held_kwh / most_kwh,
+        end=now + length,
+        likely_to=now + (last + 2) * length,
+        probability=float(ahead[last]),
+        gbp=gbp,
+        covers=_named([str(name) for name in step.site.customers.id[first]], step),
+        hours=held_kwh * float(b.eta_discharge.mean()) / needed_kw,
+    )
+
+
+def _costs_gbp(step: Step) -> float | None:
+    """What the step would cost less if nothing were kept: solved again without the value."""
+    window = step.levels.window.first(1)
+    value = step.levels.window.stored_value
+    assert value is not None
+    try:
+        alone = step.recorded.solver.solve(replace(window, stored_value=None)).dispatch
+    except SolveError:
+        return None
+    dt_h = step.site.dt_h
+    weight = step.site.customers.weight
+    lost = float((alone.served[0].astype(float) - step.served) @ weight) * dt_h
+    imported_kw = 0.0 if step.outage else step.recorded.imported_kw(step.t)
+    spent = step.price_gbp_per_kwh * (imported_kw - float(alone.p_grid_kw[0])) * dt_h
+    return max(value.gbp_per_service * lost + spent, 0.0)
+
+
+def _named(names: list[str], step: Step) -> str:
+    if len(names) <= NAMED:
+        return " and ".join(names)
+    return f"the {len(names)} customers of tier {step.scenario.tiers[0]}"
