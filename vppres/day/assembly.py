@@ -19,6 +19,7 @@ from vppres.control.planner import Planner
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
+from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of
 from vppres.model.site import Site
 from vppres.scenario.priority import STRICT
@@ -34,6 +35,7 @@ def make_controller(
     faults: FaultInjector | None = None,
     grid: TimeGrid | None = None,
     make_solver: Callable[[Site], WindowSolver] | None = None,
+    own: Own | None = None,
 ) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
@@ -49,6 +51,8 @@ def make_controller(
         Steps that there may be, where they are not the scenario's.
     make_solver : callable, optional
         Makes the solver of a site; that of the options if not given.
+    own : Own, optional
+        What replaces the controller that the options name, or the weights of its customers.
 
     Raises
     ------
@@ -66,21 +70,32 @@ def make_controller(
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:
+        if own is not None and own.controller is not None:
+            return own.controller(part)
         return _plain_controller(part, grid, scenario.tiers, options, solver_of)
 
-    if not options.guard:
-        return controller_of(site)
+    def decider_of(whole: Site) -> Decider:
+        if not options.guard:
+            return controller_of(whole)
+        return GuardedController(controller_of, solver_of, whole, _guard_options(scenario, options))
+
+    if own is None or own.weights is None:
+        return decider_of(site)
+    return ByStepWeights(decider_of, site, scenario, options, own)
+
+
+def _guard_options(scenario: Scenario, options: RunOptions) -> GuardOptions:
+    """What the guard holds decisions to."""
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
     v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
     physical = options.mode == "physical"
-    guard = GuardOptions(
+    return GuardOptions(
         scenario.tiers,
         options.protect_critical,
         options.centre,
         Tolerances(v_pu=v_pu, losses=physical),
         physical=physical,
     )
-    return GuardedController(controller_of, solver_of, site, guard)
 
 
 def _solver_maker(options: RunOptions) -> Callable[[Site], WindowSolver]:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
@@ -16,12 +18,15 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
-from vppres.day.forecasting import basis_of, forecasts_of
+from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
+from vppres.day.own import Own
 from vppres.day.recorder import Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
+from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
+from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
@@ -38,6 +43,10 @@ def run_day(
     options: RunOptions | None = None,
     progress: Progress | None = None,
     faults: FaultPlan | None = None,
+    *,
+    controller: Callable[[Site], Decider] | None = None,
+    forecaster: Forecaster | None = None,
+    weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None,
 ) -> Trajectory:
     """Run a scenario from its first step to its last.
 
@@ -51,6 +60,14 @@ def run_day(
         Called as ``progress(steps done, steps in all)`` after every step.
     faults : FaultPlan, optional
         Faults of the day; none if not given.
+    controller : callable, optional
+        Makes a controller of your own of a site, ``controller(site)``; a class with
+        ``horizon_steps(t0)`` and ``decide(observation)``, for example. The guard checks it too.
+    forecaster : Forecaster, optional
+        Your own, with ``forecast(history, issued_at, steps)``.
+    weights : callable or array, optional
+        The customers' weights of each step: an array of shape (T, C), or a function of the
+        observation, shape (C,).
 
     Returns
     -------
@@ -64,19 +81,25 @@ def run_day(
         If a window has no solution and the guard is off.
     """
     options = (options or RunOptions()).on(scenario)
+    own = Own(controller, forecaster, weights)
+    own.check(options)
     check_scenario(scenario)
     divided = split_sheddable(scenario)
     injector = None if faults is None else FaultInjector(faults, divided)
-    controller = make_controller(divided, options, injector)
-    run = Day(divided, options, injector).run(controller, progress)
-    return replace(run, options={**run.options, **parts_record(scenario)})
+    decider = make_controller(divided, options, injector, own=own)
+    run = Day(divided, options, injector, forecaster).run(decider, progress)
+    return replace(run, options={**run.options, **parts_record(scenario), **own.record()})
 
 
 class Day:
     """State of a run between two steps."""
 
     def __init__(
-        self, scenario: Scenario, options: RunOptions, faults: FaultInjector | None = None
+        self,
+        scenario: Scenario,
+        options: RunOptions,
+        faults: FaultInjector | None = None,
+        forecaster: Forecaster | None = None,
     ) -> None:
         self.scenario = scenario
         self.options = options.on(scenario)
@@ -91,7 +114,11 @@ class Day:
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
-        self.forecaster = forecasts_of(scenario, self.options, errors)
+        self.forecaster: Forecasts = (
+            forecasts_of(scenario, self.options, errors)
+            if forecaster is None
+            else MeasuredForecasts(scenario, forecaster)
+        )
         self.ac = ACPowerFlow(scenario.network)
         islanded = scenario.network.islanded
         self.island_ac = self.ac if islanded is scenario.network else ACPowerFlow(islanded)

@@ -1,0 +1,116 @@
+"""A controller, a forecaster and weights of one's own in a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import vppres
+from vppres.contract.decision import Decision
+from vppres.contract.observation import Observation
+from vppres.control.baselines import IdleController
+from vppres.control.mpc import MPCController
+from vppres.day.options import RunOptions
+from vppres.forecasts.interface import LoadAndPV
+from vppres.model.site import Site
+from vppres.scenario.history import History
+from vppres.scenario.scenario import Scenario
+
+HERE = RunOptions(horizon_h=1.0)
+PLAN = ["charge_kw", "discharge_kw", "q_kvar", "soc_end"]
+
+
+def test_a_controller_of_ones_own_decides_each_step(tiny: Scenario) -> None:
+    """One that does what the package's does gives its run, to the last bit, and is asked once."""
+    asked: list[int] = []
+
+    class Idle(IdleController):
+        def __init__(self, site: Site) -> None:
+            super().__init__(site, tiny.tiers)
+
+        def decide(self, observation: Observation) -> Decision:
+            asked.append(observation.t0)
+            return super().decide(observation)
+
+    options = replace(HERE, guard=False)
+    run = vppres.run_day(tiny, options, controller=Idle)
+    same = vppres.run_day(tiny, replace(options, controller="idle"))
+    assert asked == list(range(tiny.grid.n_steps))
+    for name in ("customers", "batteries", "pv"):
+        pd.testing.assert_frame_equal(run.tables[name], same.tables[name])
+    assert run.options["own"]["controller"].endswith("Idle")
+
+
+def test_a_forecaster_of_ones_own_is_asked_for_what_comes(tiny: Scenario) -> None:
+    seen: list[int] = []
+
+    class Nothing:
+        def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+            seen.append(len(history.load_kw))
+            load_kw = np.zeros((1, steps, len(tiny.customers)))
+            return LoadAndPV(
+                issued_at, history.step_minutes, load_kw, np.zeros((1, steps, len(tiny.pv)))
+            )
+
+    run = vppres.run_day(tiny, HERE, forecaster=Nothing())
+    # Of what was measured by then, and nothing later; the last step has nothing ahead.
+    assert seen == list(range(1, tiny.grid.n_steps))
+    assert run.options["own"]["forecaster"].endswith("Nothing")
+    paper = replace(HERE, errors=vppres.ForecastErrors(load_bias=0.1))
+    with pytest.raises(vppres.InputError, match="forecaster: makes its own errors"):
+        vppres.run_day(tiny, paper, forecaster=Nothing())
+
+
+@pytest.mark.parametrize("priority", ["weights", "strict"])
+def test_weights_of_the_scenario_change_nothing(tiny: Scenario, priority: str) -> None:
+    options = replace(HERE, priority=priority)
+    plain = vppres.run_day(tiny, options)
+    run = vppres.run_day(tiny, options, weights=lambda _: tiny.customers.weight)
+    pd.testing.assert_frame_equal(plain.batteries[PLAN], run.batteries[PLAN])
+    assert (plain.customers["served"] == run.customers["served"]).all()
+
+
+def test_weights_decide_who_is_on(tiny: Scenario) -> None:
+    """In the outage the one that weighs most is on longest, whichever it is."""
+    dark = tiny.grid.times[tiny.outage]
+    for favourite in ("hospital", "homes"):
+        weight = np.where(tiny.customers.id == favourite, 100.0, 0.01)
+        by_step = np.tile(weight, (tiny.grid.n_steps, 1))
+        run = vppres.run_day(tiny, replace(HERE, priority="weights"), weights=by_step)
+        on = run.customers[run.customers["time"].isin(dark)].groupby("id")["served"].mean()
+        assert on[favourite] == on.max() > 0.0
+
+
+def test_what_a_controller_remembers_goes_on_with_other_weights(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before: list[bool] = []
+    really = MPCController._before
+
+    def noted(self: Any, observation: Observation) -> Any:
+        found = really(self, observation)
+        before.append(found is not None)
+        return found
+
+    monkeypatch.setattr(MPCController, "_before", noted)
+    rows = tiny.customers.weight * (1.0 + np.arange(tiny.grid.n_steps) % 2)[:, np.newaxis]
+    vppres.run_day(tiny, replace(HERE, priority="weights"), weights=rows)
+    assert before == [False, *[True] * (tiny.grid.n_steps - 1)]
+
+
+@pytest.mark.parametrize(
+    "row", [[1.0, 2.0], [1.0, 2.0, 0.0], [1.0, 2.0, np.nan], [[1.0, 2.0, 3.0]]]
+)
+def test_what_are_no_weights_is_refused(tiny: Scenario, row: Any) -> None:
+    with pytest.raises(vppres.InputError, match="weights of step 0: must be 3 numbers above 0"):
+        vppres.run_day(tiny, HERE, weights=lambda _: row)
+
+
+def test_weights_need_the_controller_that_plans_anew(tiny: Scenario) -> None:
+    options = replace(HERE, controller="full-horizon")
+    with pytest.raises(vppres.InputError, match="are for the controller mpc"):
+        vppres.run_day(tiny, options, weights=tiny.customers.weight)

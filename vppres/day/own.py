@@ -1,0 +1,164 @@
+"""Parts of one's own in a run: a controller, a forecaster, or weights that change by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vppres.contract.decision import Decider, Decision
+from vppres.contract.forecast import ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.control.remembered import memory_of, put_back
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.day.priority import site_of
+from vppres.forecasts.interface import Forecaster
+from vppres.model.site import Site
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+
+MPC = "mpc"
+
+
+@dataclass(frozen=True, eq=False)
+class Own:
+    """What replaces parts of a run.
+
+    Parameters
+    ----------
+    controller : callable, optional
+        Makes a controller of a site, ``controller(site)``; a class will do. What it makes has
+        ``horizon_steps(t0)`` and ``decide(observation)``.
+    forecaster : Forecaster, optional
+        Has ``forecast(history, issued_at, steps)``.
+    weights : callable or array, optional
+        The customers' weights of each step: an array of shape (T, C), or a function of the
+        observation that gives them, shape (C,).
+    """
+
+    controller: Callable[[Site], Decider] | None = None
+    forecaster: Forecaster | None = None
+    weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None
+
+    def check(self, options: RunOptions) -> None:
+        """Refuse what would have no effect.
+
+        Raises
+        ------
+        InputError
+            With the cure.
+        """
+        if self.weights is not None and (self.controller is not None or options.controller != MPC):
+            raise InputError.of(
+                "run_day",
+                "are for the controller mpc, which plans anew in each step",
+                "Leave out the weights, or use controller = 'mpc' of RunOptions.",
+                field="weights",
+            )
+        if self.forecaster is not None and options.errors != ForecastErrors():
+            raise InputError.of(
+                "run_day",
+                "makes its own errors, so that none can be given",
+                "Leave out biases and errors.",
+                field="forecaster",
+            )
+
+    def record(self) -> dict[str, Any]:
+        """What is its own, by name, for the run's options."""
+        given = {"controller": self.controller, "forecaster": self.forecaster}
+        found = {name: _name(part) for name, part in given.items() if part is not None}
+        if self.weights is not None:
+            found["weights"] = _name(self.weights) if callable(self.weights) else "by step"
+        return {"own": found} if found else {}
+
+    def weights_at(self, observation: Observation, n_customers: int) -> Floats:
+        """The weights of a step, checked.
+
+        Raises
+        ------
+        InputError
+            If they are no weights of the customers.
+        """
+        given = self.weights
+        row = given(observation) if callable(given) else np.asarray(given)[observation.t0]
+        found = np.asarray(row, dtype=float)
+        if found.shape != (n_customers,) or not np.isfinite(found).all() or (found <= 0.0).any():
+            raise InputError.of(
+                f"weights of step {observation.t0}",
+                f"must be {n_customers} numbers above 0, one for each customer",
+                "Give one row for each step, in the order of scenario.customers.",
+            )
+        return found
+
+
+class ByStepWeights:
+    """A controller whose customers have other weights from step to step.
+
+    For each set of weights there is a controller, with its guard and compiled problems; what one
+    remembers of the step before goes on to the next.
+
+    Parameters
+    ----------
+    decider_of : callable
+        Makes the controller of a site.
+    site : Site
+        The site.
+    scenario : Scenario
+        Its tiers, of which the order of strict priority follows.
+    options : RunOptions
+        Of the run.
+    own : Own
+        Has the weights.
+    """
+
+    def __init__(
+        self,
+        decider_of: Callable[[Site], Decider],
+        site: Site,
+        scenario: Scenario,
+        options: RunOptions,
+        own: Own,
+    ) -> None:
+        self.decider_of = decider_of
+        self.site = site
+        self.scenario = scenario
+        self.options = options
+        self.own = own
+        self._last = decider_of(site)
+        self._controllers: dict[bytes, Decider] = {}
+
+    def horizon_steps(self, t0: int) -> range:
+        """Those of its controllers."""
+        return self._last.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The decision with the weights of the step."""
+        weight = self.own.weights_at(observation, len(self.site.customers))
+        key = weight.tobytes()
+        if key not in self._controllers:
+            self._controllers[key] = self.decider_of(self._weighed(weight))
+        chosen = self._controllers[key]
+        if chosen is not self._last:
+            given = {Site: self.site, SwitchingRules: self.options.switching}
+            put_back(chosen, memory_of(self._last, given), given, "controller")
+        self._last = chosen
+        return chosen.decide(observation)
+
+    def _weighed(self, weight: Floats) -> Site:
+        """The site with other weights, in the run's order of the tiers."""
+        customers = replace(self.scenario.customers, weight=weight)
+        other = site_of(replace(self.scenario, customers=customers), self.options.as_record())
+        return replace(
+            self.site, customers=other.customers, weights=other.weights, ranks=other.ranks
+        )
+
+
+def _name(part: Any) -> str:
+    """How a part is called where it was defined."""
+    named = part if hasattr(part, "__qualname__") else type(part)
+    return f"{named.__module__}.{named.__qualname__}"
