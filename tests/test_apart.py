@@ -120,6 +120,7 @@ def test_under_rules_nothing_stored_is_searched_with_all_terms(idle: bool) -> No
     assert check.worst[1] < CHECKER_TOLERANCE
 
 
+@pytest.mark.daily
 @pytest.mark.monolith
 def test_random_windows_without_batteries_equal_the_monolith(nightly: bool) -> None:
     cases = [case for case in (random_window(*key) for key in RANDOM) if not len(case.data.soc)]

@@ -56,6 +56,7 @@ def agrees(net: Any, feeder: Any, run: Trajectory, t: int) -> None:
     assert np.abs(found - expected).max() < TOLERANCE_PU
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("mode", [pytest.param("paper", marks=pytest.mark.nightly), "physical"])
 def test_every_step_agrees_with_the_record(mode: str) -> None:
     net = crowded_net()

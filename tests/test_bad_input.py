@@ -1341,6 +1341,7 @@ def edited(text: str, place: float, extent: float | int, what: str) -> str:
     return text if last < 0 else with_row(text, round(place * last), round(extent * last), what)
 
 
+@pytest.mark.daily
 def test_any_mutation_is_read_or_refused_with_reasons(
     valid_texts: dict[str, str], tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:

@@ -51,6 +51,7 @@ def test_start_loads_no_heavy_library(argument: str) -> None:
     assert done.stdout.splitlines()[-1] == "loaded []"
 
 
+@pytest.mark.daily
 def test_a_run_with_its_report_loads_what_it_needs(tiny_folder: Path, tmp_path: Path) -> None:
     code = (
         "import sys\nfrom vppres.cli.commands import app\n"
@@ -125,6 +126,7 @@ def test_scenarios_lists_one_name_per_line(monkeypatch: pytest.MonkeyPatch) -> N
     assert (result.exit_code, result.stdout) == (0, "flood\nheat\n")
 
 
+@pytest.mark.daily
 def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     result = call(

@@ -325,6 +325,7 @@ def test_compare_by_hand(two_runs: list[Path], tmp_path: Path) -> None:
     assert figures["served_share.low"]["values"] == pytest.approx([0.25, 0.75])
 
 
+@pytest.mark.daily
 def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path) -> None:
     result = call("compare", *two_runs, "--out", tmp_path / "pages")
     assert result.exit_code == 0

@@ -571,6 +571,7 @@ def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
 # Garbage.
 
 
+@pytest.mark.daily
 def test_garbage_is_refused_by_name_or_answered_within_ratings(nightly: bool) -> None:
     outcomes = [run_one(seed, 30) for seed in range(10 if nightly else 2)]
     assert [text for outcome in outcomes for text in outcome.wrong] == []

@@ -98,6 +98,7 @@ def full_horizon(packaged_day: Scenario) -> Trajectory:
 # Service.
 
 
+@pytest.mark.daily
 def test_tie_breakers_of_every_step_end_accurately(ideal: IdealDay) -> None:
     # One that does not sends the step to the network's stages, whose reactive power is arbitrary.
     assert not ideal.steps["stages"].str.contains("inaccurate|numerical").any()

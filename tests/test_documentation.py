@@ -66,7 +66,17 @@ NOT_RUN = {
 }
 
 # Pages that take long, and whose commands are those of other pages or tests.
-NIGHTLY = {"islands.md", "tutorial.md", "compare.md", "reproduce.md", "solver.md", "sweep.md"}
+NIGHTLY = {
+    "by-hand.md",
+    "compare.md",
+    "islands.md",
+    "networks.md",
+    "reproduce.md",
+    "solver.md",
+    "sweep.md",
+    "tutorial.md",
+    "uncertain-outages.md",
+}
 
 # The same command on another page; one of them runs it.
 RUN_ON_ANOTHER_PAGE = {
@@ -140,6 +150,7 @@ def cases() -> Iterator[Any]:
             yield pytest.param(page, id=str(page.relative_to(ROOT)), marks=marks)
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("page", list(cases()))
 def test_blocks_of_the_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -605,6 +605,7 @@ def test_reported_trip_takes_the_battery_out_of_the_plan(tiny: Scenario) -> None
 # Days without faults.
 
 
+@pytest.mark.daily
 def test_guard_changes_no_decision_of_a_day_without_faults(nightly: bool) -> None:
     outcomes = [run_one(seed) for seed in range(1000, 1040 if nightly else 1006)]
     assert [f"day {o.seed}, {text}" for o in outcomes for text in o.changed] == []

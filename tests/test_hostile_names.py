@@ -84,6 +84,7 @@ def test_a_tier_is_drawn_under_its_own_name(hostile_run: Trajectory) -> None:
     assert FORMULA in [text.text for text in drawn.iter("{http://www.w3.org/2000/svg}text")]
 
 
+@pytest.mark.daily
 def test_the_page_of_a_run_holds_no_tag_of_others(hostile_run: Trajectory, tmp_path: Path) -> None:
     write_run(hostile_run, tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

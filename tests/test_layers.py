@@ -110,6 +110,7 @@ def test_the_top_of_the_package_can_be_taken_in_at_a_glance() -> None:
     assert len(entries) <= MOST_ENTRIES
 
 
+@pytest.mark.daily
 def test_rooms_stand_on_few_floors_without_a_circle() -> None:
     assert max(measured_floors().values()) <= MOST_LAYERS
 

@@ -390,6 +390,7 @@ def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> No
     assert counts().unit == pytest.approx(0.001)
 
 
+@pytest.mark.daily
 @pytest.mark.monolith
 def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenario) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)

@@ -310,6 +310,7 @@ def packaged_day() -> Trajectory:
     return run_day(read_scenario(find_scenario("uk-heatwave-2022")), RunOptions(mode="physical"))
 
 
+@pytest.mark.daily
 def test_packaged_day_costs_the_losses_and_no_more(packaged_day: Trajectory) -> None:
     found = resilience(packaged_day)
     assert found is not None and PAPER_R - 0.01 <= found <= PAPER_R

@@ -59,6 +59,7 @@ def misses(rows: list[Row]) -> list[str]:
     return [f"{row.id} {row.quantity}: {row.ours}. {row.reason}" for row in rows if not row.holds]
 
 
+@pytest.mark.daily
 def test_resilience_and_cost_against_the_horizon(days: Days) -> None:
     jobs = [*(ideal.mpc(h) for h in IDEAL["horizons_h"]), ideal.FULL_HORIZON]
     results = days(jobs)

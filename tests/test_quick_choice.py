@@ -9,6 +9,7 @@ import pytest
 from tests.support import durations
 from tests.support.durations import (
     COLLECTED,
+    LONG_S,
     QUICK_CASE_S,
     USUAL_S,
     function_of,
@@ -33,11 +34,18 @@ def test_quick_runs_take_two_cases_of_short_functions_that_were_measured() -> No
 
 
 def test_usual_runs_take_the_first_random_cases_that_fit_and_one_at_least() -> None:
-    names = ["windows", "windows", "day", "day", "windows", "page", "page", "never measured"]
-    seconds = {"windows": 0.4 * USUAL_S, "day": 1.1 * USUAL_S, "page": 1.1 * USUAL_S}
-    random = [name in ("windows", "day") for name in names]
-    chosen = [True, True, True, False, False, True, True, True]
-    assert usual_choice(names, seconds, random) == chosen
+    names = ["windows", "windows", "page", "page", "windows", "never measured"]
+    seconds = {"windows": 0.4 * USUAL_S, "page": 0.9 * LONG_S}
+    random = [name == "windows" for name in names]
+    chosen = [True, True, True, True, False, True]
+    assert usual_choice(names, seconds, random, [False] * len(names)) == chosen
+
+
+def test_usual_runs_leave_long_functions_for_the_night_unless_they_are_daily() -> None:
+    names = ["day", "published", "published"]
+    seconds = dict.fromkeys(names, 1.1 * LONG_S)
+    daily = [name == "published" for name in names]
+    assert usual_choice(names, seconds, [False] * 3, daily) == [False, True, True]
 
 
 @pytest.mark.parametrize("seed", [0])

@@ -68,6 +68,7 @@ def test_no_set_loses_fewer_units(seed: int) -> None:
         assert fewest_lost(one, load_kw.sum(axis=1), losses, min(lost) - 1) is None
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("stressed", [False, True])
 def test_binaries_counts_and_the_recursion_agree(
     monkeypatch: pytest.MonkeyPatch, nightly: bool, stressed: bool

@@ -62,6 +62,7 @@ def rated(run: Trajectory, i_max_a: list[float]) -> Trajectory:
 # ---------------------------------------------------------------------------------------- the file
 
 
+@pytest.mark.daily
 def test_the_run_folder_is_whole(folder: Path) -> None:
     assert sorted(file.name for file in folder.iterdir()) == [
         "batteries.parquet",

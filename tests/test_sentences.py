@@ -207,6 +207,7 @@ def wrong_numbers(seed: int, stressed: bool, options: RunOptions) -> tuple[int, 
     return told, wrong
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize(("seed", "stressed"), DAYS)
 def test_every_number_of_a_random_day_is_true(seed: int, stressed: bool) -> None:
     told, wrong = wrong_numbers(seed, stressed, RunOptions(horizon_h=1.0))

@@ -45,6 +45,7 @@ from vppres.service.serve import opened
 from vppres.service.store import Store
 
 
+@pytest.mark.daily
 def test_the_packaged_day_over_http_is_the_run(tmp_path: Path) -> None:
     """To the last bit; the service is ended and begun again before the outage."""
     day = vppres.load_scenario("uk-heatwave-2022")

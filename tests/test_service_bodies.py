@@ -144,6 +144,7 @@ messages = st.one_of(
 )
 
 
+@pytest.mark.daily
 @pytest.mark.filterwarnings("ignore:overflow", "ignore:divide", "ignore:invalid")
 def test_whatever_is_said_the_step_is_decided(
     tiny: Scenario, tmp_path_factory: pytest.TempPathFactory

@@ -81,6 +81,7 @@ def stormy(tiny: Scenario, tmp_path: Path) -> Any:
         yield runner, http, decided(http, clock, NOON, soc=0.25)
 
 
+@pytest.mark.daily
 def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     runner, http, plan = stormy
     answer = http.get("/v1/explanations")

@@ -409,6 +409,7 @@ def test_hostile_pandapower_files(name: str, house: Path) -> None:
     assert reason in message
 
 
+@pytest.mark.daily
 def test_honest_pandapower_files(house: Path) -> None:
     file = house / "net.json"
     file.write_text(

@@ -163,6 +163,7 @@ LATE = r"SolverLostError: The solver's process did not answer within \d+\.\d s a
 MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize(
     ("factory", "words"),
     [

@@ -4,8 +4,9 @@
 
 - ``pytest --quick``: functions of short cases, and of each the first two cases. It is an allow
   list: what was never measured does not run.
-- ``pytest``: all functions but those marked nightly. Of one with random cases (a parameter ``seed``)
-  the first cases that together cost at most ``USUAL_S``.
+- ``pytest``: functions of cases of at most ``LONG_S``, and longer ones that are marked daily; none
+  that is marked nightly. Of one with random cases (a parameter ``seed``) the first cases that
+  together cost at most ``USUAL_S``.
 - ``pytest --nightly``: everything.
 
 ``pytest --measure`` adds the functions that the list lacks, in one process. A function that is not
@@ -27,6 +28,8 @@ QUICK_CASE_S = 0.3
 """CPU time of a case up to which a function is quick."""
 QUICK_CASES = 2
 """Cases of a quick function that run."""
+LONG_S = 2.0
+"""CPU time of a case above which a function is left for the night, unless it is marked daily."""
 USUAL_S = 3.0
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
@@ -72,14 +75,18 @@ def quick_choice(names: list[str], seconds: dict[str, float]) -> list[bool]:
     return chosen
 
 
-def usual_choice(names: list[str], seconds: dict[str, float], random: list[bool]) -> list[bool]:
+def usual_choice(
+    names: list[str], seconds: dict[str, float], random: list[bool], daily: list[bool]
+) -> list[bool]:
     """Whether each case, given by the name of its function, belongs to the usual run."""
     spent: dict[str, float] = defaultdict(float)
     chosen = []
-    for name, drawn in zip(names, random, strict=True):
+    for name, drawn, always in zip(names, random, daily, strict=True):
+        case_s = seconds.get(name, 0.0)
         first = name not in spent
-        spent[name] += seconds.get(name, 0.0)
-        chosen.append(first or not drawn or spent[name] <= USUAL_S)
+        spent[name] += case_s
+        short = always or case_s <= LONG_S
+        chosen.append(short and (first or not drawn or spent[name] <= USUAL_S))
     return chosen
 
 
@@ -87,6 +94,11 @@ def is_random(item: pytest.Item) -> bool:
     """Whether a case is drawn by a seed: one of many that test the same."""
     call = getattr(item, "callspec", None)
     return call is not None and "seed" in call.params
+
+
+def marked(items: list[pytest.Item], marker: str) -> list[bool]:
+    """Whether each case has a marker."""
+    return [item.get_closest_marker(marker) is not None for item in items]
 
 
 class Durations:
@@ -119,9 +131,10 @@ class Durations:
         if self.quick:
             chosen = quick_choice(names, seconds)
         else:
-            chosen = usual_choice(names, seconds, [is_random(item) for item in items])
-        long = [item.get_closest_marker("nightly") is not None for item in items]
-        return [takes and not nightly for takes, nightly in zip(chosen, long, strict=True)]
+            random = [is_random(item) for item in items]
+            chosen = usual_choice(names, seconds, random, marked(items, "daily"))
+        nightly = marked(items, "nightly")
+        return [takes and not night for takes, night in zip(chosen, nightly, strict=True)]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
