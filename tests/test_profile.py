@@ -72,9 +72,9 @@ def test_outages_do_not_repeat_and_limits_do(tiny: Scenario) -> None:
 def test_steps_begin_when_they_begin(tiny: Scenario) -> None:
     profile = Profile.of(london(tiny))
     now = pd.Timestamp("2026-11-21T20:47:11Z")
-    assert profile.step_at(now) == pd.Timestamp("2026-11-21T20:30Z")
+    assert profile.scenario.grid.begun(now) == pd.Timestamp("2026-11-21T20:30Z")
     before = pd.Timestamp("2020-01-01T00:15Z")
-    assert profile.step_at(before) == pd.Timestamp("2020-01-01T00:00Z")
+    assert profile.scenario.grid.begun(before) == pd.Timestamp("2020-01-01T00:00Z")
     with pytest.raises(InputError, match=r"T20:47:11.00:00: is not the beginning"):
         profile.steps(now, 2)
     with pytest.raises(InputError, match=r"hours = 3.0: does not fill a day"):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-import pandas as pd
 
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
@@ -97,7 +96,7 @@ def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
         raise InputError.of(
             "options", "needs a file of quantiles", cure, field="forecaster", value=FILE
         )
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     return read_quantiles(file, scenario.customers.id, scenario.pv.id, lag=step)
 
 

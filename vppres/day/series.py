@@ -67,9 +67,7 @@ def line_values(run: Trajectory, rated: bool) -> Floats:
 def edges_of(run: Trajectory) -> Names:
     """Beginning of every step and the end of the last, as datetimes in UTC, shape (T + 1,)."""
     grid = run.scenario.grid
-    times = pd.date_range(
-        grid.start, periods=len(run.steps) + 1, freq=pd.Timedelta(minutes=grid.step_minutes)
-    )
+    times = pd.date_range(grid.start, periods=len(run.steps) + 1, freq=grid.step)
     return np.asarray(times.tz_convert(UTC).to_pydatetime())
 
 

@@ -320,7 +320,7 @@ def _assemble(
     assert grid is not None
     limit_kw = series.grid_limit_kw.copy()
     one_limit_kw = file.network.export_limit_kw
-    step = pd.Timedelta(minutes=grid.step_minutes)
+    step = grid.step
     for outage in file.outages:
         begins = round((pd.Timestamp(outage.start) - grid.start) / step)
         ends = round((pd.Timestamp(outage.end) - grid.start) / step)

@@ -129,7 +129,7 @@ def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem
     """Outages that end before they begin, leave the day, or cut a step."""
     problems = []
     day = f"The day is {iso(grid.start)} to {iso(grid.end)}, in steps of {grid.step_minutes:g} min."
-    step = pd.Timedelta(minutes=grid.step_minutes)
+    step = grid.step
     for i, outage in enumerate(outages, start=1):
         if outage.end <= outage.start:
             problems.append(

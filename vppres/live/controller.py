@@ -267,7 +267,7 @@ class Controller:
     def _believed(self, seen_last: int, said_last: int) -> Floats:
         """Probability of an outage in the steps from the one on that was seen last."""
         scenario = self.scenario
-        step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+        step = scenario.grid.step
         then = scenario.grid.start + seen_last * step
         told = [
             replace(one, issued_at=min(one.issued_at, then))

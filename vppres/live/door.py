@@ -70,7 +70,7 @@ class Door:
         self.problems = list[Problem]()
         self.left_out = list[str]()
         self._start = pd.Timestamp(grid.start)
-        self._length = pd.Timedelta(minutes=grid.step_minutes)
+        self._length = grid.step
         self._counts: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
         self.t = int(self._steps("time", [time])[0])

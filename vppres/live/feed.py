@@ -119,7 +119,7 @@ def extended(
             f"cannot be read: {type(error).__name__}, {readable(error)}",
             "Give plain DataFrames and Series, indexed by time.",
         ) from error
-    kept = round((start - scenario.grid.start) / pd.Timedelta(minutes=scenario.grid.step_minutes))
+    kept = round((start - scenario.grid.start) / scenario.grid.step)
     rows: dict[str, Any] = {
         name: np.concatenate([_rows(scenario, name)[:kept], new[name]]) for name in new
     }
@@ -169,7 +169,7 @@ def _start(scenario: Scenario, feed: Feed, earliest: int, replacing: bool) -> pd
     elif not replacing:
         message = f"overlaps with what is known until {grid.end.isoformat()}"
         cure = "Leave out those steps, or give replacing=True."
-    elif (first - grid.start) % pd.Timedelta(minutes=grid.step_minutes) != pd.Timedelta(0):
+    elif (first - grid.start) % grid.step != pd.Timedelta(0):
         message = "is not the beginning of a step"
         cure = f"Steps last {grid.step_minutes:g} min and begin at {grid.start.isoformat()}."
     else:
@@ -215,7 +215,7 @@ def _length(grid: TimeGrid, feed: Feed, start: pd.Timestamp) -> int:
     """Steps from the start to the last time of the demand."""
     moments = [moment_of(time) for time in feed.load_kw.index]
     last = max(m for m in moments if m is not None and m.tzinfo is not None)
-    steps = int((last - start) // pd.Timedelta(minutes=grid.step_minutes)) + 1
+    steps = int((last - start) // grid.step) + 1
     if steps > MOST_STEPS:
         raise InputError.of(
             WHERE,
@@ -249,4 +249,4 @@ def _rows(scenario: Scenario, name: str) -> Floats:
 
 
 def _time(grid: TimeGrid, step: int) -> pd.Timestamp:
-    return grid.start + step * pd.Timedelta(minutes=grid.step_minutes)
+    return grid.start + step * grid.step

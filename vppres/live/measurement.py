@@ -320,7 +320,7 @@ def _among(ids: Names, named: Sequence[str]) -> Flags:
 def _now(door: Door, measured: Measurement) -> pd.Timestamp:
     """The moment of the decision, within its step."""
     now = door.moment("now", measured.now) or door.begun
-    if not door.begun <= now < door.begun + pd.Timedelta(minutes=door.grid.step_minutes):
+    if not door.begun <= now < door.begun + door.grid.step:
         door.problem("now", "lies outside the step", "Give a time within it.", "now", measured.now)
     return now
 

@@ -98,7 +98,7 @@ class Profile:
 
     def check_start(self, time: pd.Timestamp) -> None:
         """Raise an InputError if no step begins at a time."""
-        begun = self.step_at(time)
+        begun = self.scenario.grid.begun(time)
         if begun != time:
             raise InputError.of(
                 "site",
@@ -108,12 +108,6 @@ class Profile:
                 field="time",
                 value=time.isoformat(),
             )
-
-    def step_at(self, time: pd.Timestamp) -> pd.Timestamp:
-        """Beginning of the step that covers a time; steps go on from the scenario's both ways."""
-        grid = self.scenario.grid
-        length = pd.Timedelta(minutes=grid.step_minutes)
-        return grid.start + ((time - grid.start) // length) * length
 
 
 def _minutes(times: pd.DatetimeIndex, zone: str, weekly: bool) -> Wholes:

@@ -165,13 +165,7 @@ def _restored(
     before = None
     if state["before"] is not None:
         row = from_plain(int, state["now"]["past"]["t"], f"{WHERE}.now.past.t") - forgotten
-        then = (
-            None
-            if history is None
-            else history.before(
-                known.grid.start + row * pd.Timedelta(minutes=known.grid.step_minutes)
-            )
-        )
+        then = None if history is None else history.before(known.grid.start + row * known.grid.step)
         past = start.read(state["before"]["past"], then, given, f"{WHERE}.before.past")
         before = state["before"]["memory"], past
     now = start.read(state["now"]["past"], history, given, f"{WHERE}.past")

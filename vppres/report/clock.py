@@ -57,7 +57,7 @@ class Clock:
 
     def at(self, t: int) -> str:
         """Beginning of step ``t``, or the end of the last."""
-        return self.words(self.grid.start + t * pd.Timedelta(minutes=self.grid.step_minutes))
+        return self.words(self.grid.start + t * self.grid.step)
 
     @property
     def heading(self) -> str:

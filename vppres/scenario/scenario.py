@@ -242,7 +242,7 @@ class Scenario:
         """
         grid = replace(
             self.grid,
-            start=self.grid.start + first * pd.Timedelta(minutes=self.grid.step_minutes),
+            start=self.grid.start + first * self.grid.step,
             n_steps=last - first,
         )
         rows: dict[str, Any] = {name: value[first:last] for name, value in self.series.items()}

@@ -105,19 +105,23 @@ class TimeGrid:
         return minutes_to_h(self.step_minutes)
 
     @property
+    def step(self) -> pd.Timedelta:
+        """Step length."""
+        return pd.Timedelta(minutes=self.step_minutes)
+
+    @property
     def times(self) -> pd.DatetimeIndex:
         """Beginning of every step, length ``n_steps``."""
-        return pd.date_range(
-            self.start,
-            periods=self.n_steps,
-            name="time",
-            freq=pd.Timedelta(minutes=self.step_minutes),
-        )
+        return pd.date_range(self.start, periods=self.n_steps, name="time", freq=self.step)
 
     @property
     def end(self) -> pd.Timestamp:
         """End of the last step."""
-        return self.start + self.n_steps * pd.Timedelta(minutes=self.step_minutes)
+        return self.start + self.n_steps * self.step
+
+    def begun(self, time: pd.Timestamp) -> pd.Timestamp:
+        """Beginning of the step that covers a time; steps go on beyond both ends."""
+        return self.start + ((time - self.start) // self.step) * self.step
 
     def local(self, time: pd.Timestamp) -> pd.Timestamp:
         """A time as the clocks on the feeder show it.

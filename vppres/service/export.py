@@ -106,7 +106,7 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
             )
         )
     scenario, soc = as_it_was(scenario, stored, store)
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     warnings = [
         one
         for one in warnings_ever(store.events_ever(), scenario.grid.start, step)
@@ -122,8 +122,8 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
 def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
     """The site with the steps of a time, as its profile or its own days have them."""
     profile = Profile.of(service.scenario)
-    first = profile.step_at(start.tz_convert("UTC"))
-    step = pd.Timedelta(minutes=service.scenario.grid.step_minutes)
+    first = service.scenario.grid.begun(start.tz_convert("UTC"))
+    step = service.scenario.grid.step
     n_steps = -((first - end) // step)
     if n_steps <= 0:
         cure = f"Give an end after {written(first)}, the beginning of its first step."
@@ -170,7 +170,7 @@ def _announced(
     price = scenario.price_gbp_per_kwh.copy()
     limit_kw = scenario.grid_limit_kw.copy()
     versions = list(store.events_ever().values())
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     for t, (time, plan) in enumerate(zip(scenario.grid.times, stored, strict=True)):
         expected = (plan or {}).get("expected") or {}
         if "price_gbp_per_kwh" in expected:

@@ -51,7 +51,7 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
     rows = store.measured(since)
     if not rows:
         # The present step may have been decided before this forecaster was chosen.
-        rows = _read(store, scenario, since, now + pd.Timedelta(minutes=scenario.grid.step_minutes))
+        rows = _read(store, scenario, since, now + scenario.grid.step)
         store.put_measured(rows)
     before = scenario.history
     if before is not None:
@@ -59,7 +59,7 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
     if not rows:
         return before
     start = moment(rows[0].time)
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     n_steps = round((moment(rows[-1].time) - start) / step) + 1
     places = [round((moment(row.time) - start) / step) for row in rows]
     load_kw = _laid(places, [row.load_kw for row in rows], n_steps)
@@ -82,7 +82,7 @@ class InSteps:
     """
 
     def __init__(self, store: Store, grid: TimeGrid) -> None:
-        step = pd.Timedelta(minutes=grid.step_minutes)
+        step = grid.step
         self._first: dict[tuple[str, str, int], float] = {}
         for reading in store.between(grid.start, grid.end, ("soc", *QUANTITIES)):
             t = (moment(reading.time) - grid.start) // step
@@ -103,7 +103,7 @@ def _read(
     store: Store, scenario: Scenario, since: pd.Timestamp, end: pd.Timestamp
 ) -> list[Measured]:
     """Rows of the steps up to a time in which anything was read."""
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     n_steps = (end - since) // step
     grid = replace(scenario.grid, start=end - n_steps * step, n_steps=n_steps)
     readings = InSteps(store, grid)

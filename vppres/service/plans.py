@@ -353,7 +353,7 @@ class _Speaker:
         cls, time: pd.Timestamp, scenario: Scenario, refused: Mapping[tuple[str, str], str]
     ) -> _Speaker:
         """Of the step that begins at a time."""
-        length = pd.Timedelta(minutes=scenario.grid.step_minutes)
+        length = scenario.grid.step
         end = written(time + (1.0 + OVERLAP) * length)
         return cls(written(time), end, _defaults(scenario), refused)
 

@@ -133,7 +133,7 @@ class Runner:
         self.keeps = pd.Timedelta(days=service.keep_days)
         self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
-        self.length = pd.Timedelta(minutes=self.scenario.grid.step_minutes)
+        self.length = self.scenario.grid.step
         self.profile = None if service.rehearsal else Profile.of(service.scenario)
         self.options = _in_time(service.options, self.scenario)
         self.heard: list[Heard] = []
@@ -263,8 +263,7 @@ class Runner:
 
     def begun(self, time: pd.Timestamp) -> pd.Timestamp:
         """Beginning of the step that covers a time."""
-        start = self.scenario.grid.start
-        return (start + ((time - start) // self.length) * self.length).tz_convert("UTC")
+        return self.scenario.grid.begun(time).tz_convert("UTC")
 
     @property
     def mode(self) -> dict[str, Any]:

@@ -366,7 +366,7 @@ def simulate(
 def warned(scenario: Scenario) -> Iterator[Announcement]:
     """When which belief is announced, or taken back, of the warnings of a scenario."""
     grid = scenario.grid
-    step = pd.Timedelta(minutes=grid.step_minutes)
+    step = grid.step
     so_far: dict[str, list[OutageWarning]] = {}
     standing = set()
     for one in sorted(scenario.warnings, key=lambda one: one.issued_at):
@@ -374,7 +374,7 @@ def warned(scenario: Scenario) -> Iterator[Announcement]:
         messages.append(one)
         name = f"warned-{list(so_far).index(one.outage) + 1}"
         # It may have been due before it was said.
-        first = grid.start + ((one.issued_at - LOOKAHEAD_H * HOUR - grid.start) // step) * step
+        first = grid.begun(one.issued_at - LOOKAHEAD_H * HOUR)
         crew = _of_crew(one)
         if crew is not None:
             yield Announcement(one.issued_at, f"{name}-crew", crew)
@@ -431,7 +431,7 @@ def _of_crew(message: OutageWarning) -> dict[str, Any] | None:
 def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:
     """When which event is announced, for each outage of a scenario."""
     times = scenario.grid.times
-    step = pd.Timedelta(minutes=scenario.grid.step_minutes)
+    step = scenario.grid.step
     for number, (start, end) in enumerate(spans_of(scenario.outage), start=1):
         body = {
             "type": "outage",

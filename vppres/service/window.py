@@ -47,7 +47,7 @@ class Window:
         scenario = controller.scenario
         inside = (scenario.grid.times >= times[0]) & (scenario.grid.times <= times[-1])
         series = {name: values[inside] for name, values in scenario.series.items()}
-        return cls(times, pd.Timedelta(minutes=scenario.grid.step_minutes), series)
+        return cls(times, scenario.grid.step, series)
 
     def touched(self, start: pd.Timestamp, end: pd.Timestamp | None) -> Flags:
         """Which steps an interval touches, (W,); one without end never ends."""
@@ -119,7 +119,7 @@ def check_forecast(
         for name in assets
         if name not in known
     ]
-    step = pd.Timedelta(minutes=of.grid.step_minutes)
+    step = of.grid.step
     if length != step:
         problems.append(
             Problem(

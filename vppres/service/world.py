@@ -74,7 +74,7 @@ class World:
 
     @property
     def _step(self) -> pd.Timedelta:
-        return pd.Timedelta(minutes=self.scenario.grid.step_minutes)
+        return self.scenario.grid.step
 
     def _series(
         self, source: str, quantity: str, time: pd.Timestamp, ids: list[Any], values: Any

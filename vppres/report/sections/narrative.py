@@ -72,7 +72,7 @@ def episodes(
         Its tables of these names.
     """
     of_steps = explanations[explanations["item"] == "step"].to_dict("records")
-    step = pd.Timedelta(minutes=run.scenario.grid.step_minutes)
+    step = run.scenario.grid.step
     clock = Clock.of(run)
     found = []
     for phase, group in groupby(of_steps, key=itemgetter("phase")):
