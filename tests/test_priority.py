@@ -15,7 +15,7 @@ from vppres import Controller, Measurement, RunOptions, run_day
 from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
-from vppres.day.inversions import inversions
+from vppres.day.inversions import headroom_words, inversions
 from vppres.day.metrics import cautions
 from vppres.day.priority import site_of
 from vppres.io import read_scenario, write_scenario
@@ -225,3 +225,17 @@ def test_live_controllers_tell_order_and_levels(rule: str, told: dict[str, str])
     assert {
         name: points.solve[name] for name in ("levels", "inverted") if name in points.solve
     } == told
+
+
+@pytest.mark.parametrize("rule", ["weights", "strict"])
+def test_what_headroom_costs_is_told(rule: str) -> None:
+    """A hospital of 65 kW behind 70 kVA: with weights headroom leaves it off, in strict order not.
+
+    The homes take 60 kW in its place.
+    """
+    run = run_day(loaded_hospital(65.0), RunOptions(priority=rule, mode="physical"))
+    words = [
+        "Headroom of 10% keeps 7.0 kW of the grid-forming batteries free, and their energy: without "
+        "it c0 (critical) would have been on supply."
+    ]
+    assert headroom_words(run) == (words if rule == "weights" else [])

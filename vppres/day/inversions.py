@@ -10,6 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
+from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KW = 1e-3
@@ -31,6 +32,8 @@ class Inversion:
         Customers of lower tiers that were supplied in the step, or later in the outage.
     lower_kw : float
         Their largest demand in a step.
+    by_headroom : bool
+        Whether it would not have sufficed for the headroom of grid-forming batteries besides.
     """
 
     t: int
@@ -38,6 +41,7 @@ class Inversion:
     kw: float
     lower: Wholes
     lower_kw: float
+    by_headroom: bool
 
 
 def inversions(run: Trajectory) -> list[Inversion]:
@@ -47,6 +51,11 @@ def inversions(run: Trajectory) -> list[Inversion]:
     from the step on, what they took and what was left in the batteries would have sufficed until
     the end of the outage, in every step, within the power of the batteries.
     """
+    return [one for one in _could_have_been_on(run) if len(one.lower)]
+
+
+def _could_have_been_on(run: Trajectory) -> list[Inversion]:
+    """The same, and customers for whom what was left would have sufficed by itself."""
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
@@ -69,6 +78,7 @@ class _Fleet:
     kept_kwh: Floats
     free_kw: Floats
     dark: Flags
+    headroom_kw: float
 
     @classmethod
     def of(cls, run: Trajectory) -> _Fleet:
@@ -89,6 +99,7 @@ class _Fleet:
             kept_kwh=kept.to_numpy(float).reshape(steps, -1).sum(axis=1),
             free_kw=free.to_numpy(float).reshape(steps, -1).sum(axis=1),
             dark=np.asarray(dark, dtype=bool),
+            headroom_kw=_headroom_kw(run),
         )
 
 
@@ -99,12 +110,38 @@ def _in_step(run: Trajectory, fleet: _Fleet, t: int, last: int) -> Iterator[Inve
         lower = fleet.served[t:last] & (fleet.rank > fleet.rank[customer])
         lower_kw = (fleet.load_kw[t:last] * lower).sum(axis=1)
         kw = float(fleet.load_kw[t, customer])
-        enough_kw = fleet.free_kw[t] + lower_kw[0] >= kw - TOLERANCE_KW
+        spare_kw = fleet.free_kw[t] + lower_kw[0] - kw
         left_kwh = fleet.kept_kwh[t:last] + dt_h * (lower_kw.cumsum() - kw)
-        if lower.any() and enough_kw and left_kwh.min() >= -dt_h * TOLERANCE_KW:
+        if spare_kw >= -TOLERANCE_KW and left_kwh.min() >= -dt_h * TOLERANCE_KW:
             now = lower[:1] if lower[0].any() else lower
             who = np.flatnonzero(now.any(axis=0))
-            yield Inversion(t, int(customer), kw, who, float(lower_kw[: len(now)].max()))
+            lower_now_kw = float(lower_kw[: len(now)].max())
+            kept_kw = np.inf if run.options.get("priority") == STRICT else left_kwh[-1] / dt_h
+            denied = min(spare_kw, kept_kw) < fleet.headroom_kw - TOLERANCE_KW
+            yield Inversion(t, int(customer), kw, who, lower_now_kw, denied)
+
+
+def _headroom_kw(run: Trajectory) -> float:
+    """What the grid-forming batteries leave free in an island by the options of the run."""
+    if run.options.get("mode") != "physical":
+        return 0.0
+    b = run.scenario.batteries
+    share = float(run.options.get("headroom") or 0.0)
+    return float(np.minimum(share * b.s_max_kva, b.active_max_kw)[b.formers].sum())
+
+
+def headroom_words(run: Trajectory) -> list[str]:
+    """Whom the headroom of grid-forming batteries cost supply, in a sentence; empty if nobody."""
+    found = [one for one in _could_have_been_on(run) if one.by_headroom]
+    if not found:
+        return []
+    c = run.scenario.customers
+    names = list(dict.fromkeys(f"{c.id[one.customer]} ({c.tier[one.customer]})" for one in found))
+    share = float(run.options["headroom"])
+    return [
+        f"Headroom of {share:.0%} keeps {_headroom_kw(run):,.1f} kW of the grid-forming batteries "
+        f"free, and their energy: without it {named(names, NAMES)} would have been on supply."
+    ]
 
 
 def inversion_words(run: Trajectory) -> list[str]:

@@ -13,7 +13,7 @@ from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.core.text import counted_steps
 from vppres.core.units import kva_to_a
-from vppres.day.inversions import inversion_words
+from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.trajectory import OPTIONS, Trajectory
@@ -90,6 +90,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),
+        *headroom_words(trajectory),
     ]
 
 
