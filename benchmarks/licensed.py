@@ -5,7 +5,6 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
-from vppres.solve.compiled import COMPILER, compiled_for
 from vppres.solve.result import Status
 from vppres.solve.solvers import SOLVERS, Answer, SolverSpec
 
@@ -65,11 +64,3 @@ LICENSED: dict[str, SolverSpec] = {
 
 ALL_SOLVERS = SOLVERS | LICENSED
 """The package's solvers, and these."""
-
-
-def compile_now(problem: cp.Problem, spec: SolverSpec) -> None:
-    """Compile a problem before it is solved: its parameters have values."""
-    if spec.cvxpy_name == cp.HIGHS:
-        compiled_for(problem, spec.cvxpy_name)
-    else:
-        problem.get_problem_data(spec.cvxpy_name, canon_backend=COMPILER)

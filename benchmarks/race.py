@@ -21,16 +21,15 @@ from rich.progress import Progress
 from benchmarks.deadlines import by_processor
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
-from benchmarks.licensed import ALL_SOLVERS, compile_now
+from benchmarks.licensed import ALL_SOLVERS
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
-from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.report.plots.palette import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import run
@@ -117,22 +116,16 @@ def ours(runner: Runner, busy: float = BUSY) -> Row:
 def monolith(runner: Runner, solver: str, limit_s: float, busy: float = BUSY) -> Row:
     """One solve of the whole problem with polygons, to the same gap."""
     data = runner.data
-    form = Form(
-        polygon_sides=SIDES,
-        physical=data.physical,
-        switching=rule_steps(data),
-        exporting=data.exporting,
-        ending=data.ending,
-    )
-    model = WindowModel(runner.site, data.n_steps, form)
-    model.fill(data)
+    cache = ModelCache(runner.site)
+    problem = window_problem(cache, data, Form(polygon_sides=SIDES))
+    problem.fill(data)
     spec = ALL_SOLVERS[solver]
-    compile_now(model.problem, spec)
+    problem.compile()
     everyone = runner.site.customers.weight.sum() * runner.site.dt_h * data.n_steps
     gap = SolveLimits().absolute(float(everyone))
     begin_s = time.process_time()
     scale = objective_scale(runner.site)
-    outcome = run(model.problem, spec, gap, busy * limit_s, scale)
+    outcome = run(problem, spec, gap, busy * limit_s, scale)
     spent_s = time.process_time() - begin_s
     late = outcome.status != Status.OPTIMAL or spent_s > limit_s
     return {

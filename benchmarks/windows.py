@@ -15,15 +15,16 @@ from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
 from benchmarks.instances import Instance, packaged, window_data
-from benchmarks.licensed import ALL_SOLVERS, LICENSED, compile_now
+from benchmarks.licensed import ALL_SOLVERS, LICENSED
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
-from vppres.model.forms import Form, WindowModel
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
+from vppres.solve.forms import Form, form_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
+from vppres.solve.selection import Selected, Sheet
 from vppres.solve.solvers import run
 
 NOT_ADMITTED = "not_admitted"
@@ -96,7 +97,7 @@ class Bench:
     site: Site
     solvers: dict[Method, WindowSolver] = field(default_factory=dict)
     warm: set[tuple[Method, int, str]] = field(default_factory=set)
-    models: dict[tuple[Method, int], WindowModel] = field(default_factory=dict)
+    models: dict[tuple[Method, int], Selected] = field(default_factory=dict)
 
     def measure(self, instance: Instance, method: Method, limits: SolveLimits) -> Row:
         """Solve an instance by a method; compilation is not part of ``solve_s``."""
@@ -145,13 +146,13 @@ class Bench:
         data = window_data(instance)
         model.fill(data)
         begin = time.perf_counter()
-        compile_now(model.problem, spec)
+        model.compile()
         compile_s = time.perf_counter() - begin
         whole = self.site.customers.weight.sum() * self.site.dt_h * instance.steps
         begin = time.perf_counter()
         try:
             outcome = run(
-                model.problem,
+                model,
                 spec,
                 limits.absolute(whole),
                 limits.time_s,
@@ -180,13 +181,13 @@ class Bench:
             "gap": max(outcome.bound - outcome.value, 0.0) / max(abs(outcome.value), 1e-9),
         }
 
-    def _model(self, method: Method, steps: int) -> WindowModel:
+    def _model(self, method: Method, steps: int) -> Selected:
         """The monolithic problem; only the last length of a method is kept, to save memory."""
         if (method, steps) not in self.models:
             self.models = {key: m for key, m in self.models.items() if key[1] == steps}
-            self.models[method, steps] = WindowModel(
-                self.site, steps, Form(polygon_sides=method.sides)
-            )
+            form = Form(polygon_sides=method.sides)
+            sheet = Sheet(self.site, steps)
+            self.models[method, steps] = form_problem(self.site, sheet, form, conic=False)
         return self.models[method, steps]
 
 

@@ -203,7 +203,7 @@ ARCHITECTURE = Diagram(
             (
                 "Window's problem, certified",
                 "vppres.solve.ladder.WindowSolver.solve",
-                "vppres.model.forms.WindowModel",
+                "vppres.model.statement.Statement",
             ),
         ),
         "decision": Node(1, 3, ("Set-points of the step", "vppres.contract.decision.Decision")),

@@ -15,12 +15,12 @@ import numpy as np
 
 from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
 from experiments.weighted_model import Squares, WeightedModel, largest_flow
+from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.forms import Form
 from vppres.model.site import Site
 from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
-from vppres.solve.dispatch import carried, form_of_window
+from vppres.solve.dispatch import carried
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import run_with
@@ -126,7 +126,8 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
     model = shared_cache(site).problem(
         WeightedModel,
         n_steps=data.n_steps,
-        form=form_of_window(Form(polygon_sides=task.sides), data),
+        beyond=beyond_paper(site, data),
+        polygon_sides=task.sides,
         squares=squares_of(site, data, task.spec.mip_cones, choices.tolerance),
     )
     model.fill(data)

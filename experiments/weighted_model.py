@@ -12,13 +12,17 @@ from typing import Literal
 import cvxpy as cp
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.model import objective as terms
+from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
-from vppres.model.numerics import cost_scale, write
+from vppres.model.numerics import write
+from vppres.model.polygons import Polygon
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.model.variables import Variables
+from vppres.solve.forms import DISCS
 
 Squares = Literal["exact", "tangents", "none"]
 
@@ -27,8 +31,8 @@ TOUCHING = (1 / 8, 1 / 3, 2 / 3, 1.0)
 zero belongs to them. They miss at most 3 % of the largest square."""
 
 
-class WeightedModel(WindowModel):
-    """A window with all five terms in one objective.
+class WeightedModel:
+    """A window with all five terms in one objective, as cvxpy has it.
 
     Parameters
     ----------
@@ -36,40 +40,65 @@ class WeightedModel(WindowModel):
         Fixed data.
     n_steps : int
         Steps W of the window.
-    form : Form
-        Variant of the problem; its level does not count.
+    beyond : tuple
+        What it has beyond the paper.
+    polygon_sides : int
+        Sides of the inverters' polygons, 0 for the discs.
     squares : {"none", "tangents", "exact"}
         What stands for f4 and f5.
     """
 
-    def __init__(self, site: Site, n_steps: int, form: Form, squares: Squares) -> None:
+    def __init__(
+        self, site: Site, n_steps: int, beyond: Beyond, polygon_sides: int, squares: Squares
+    ) -> None:
+        self.site = site
         self.squares = squares
         self.tangents = Tangents.create(site, n_steps) if squares == "tangents" else None
-        super().__init__(site, n_steps, form)
+        self.statement = Statement(site, n_steps, beyond)
+        self.v = self.statement.v
+        named = dict(self.statement.families)
+        for name in DISCS if polygon_sides else ():
+            named[name] = inside(Polygon.inscribed(polygon_sides), named[name])
+        self.problem = cp.Problem(self.objective(), list(named.values()))
 
     def objective(self) -> cp.Maximize:
         """F as it is printed."""
-        cost = self.scaled_cost() / cost_scale(self.site)
-        return cp.Maximize(self.service() - cost - self._squares())
+        w = self.site.weights
+        known = self.statement.terms
+        weight = {"f1": 1.0, "f2": -w.lambda_grid, "f3": -w.lambda_curt, "f6": -1.0, "f7": 1.0}
+        linear = sum((weight[name] * term for name, term in known.items()), cp.Constant(0.0))
+        return cp.Maximize(linear - self._squares())
 
     def _squares(self) -> cp.Expression:
         """f4 and f5 as weighted, by what stands for them."""
         w = self.site.weights
+        args = (self.site, self.v, self.statement.p)
         if self.squares == "none":
             return cp.Constant(0.0)
         if self.tangents is not None:
             f4 = self.tangents.f4(self.site, self.v)
             f5 = self.tangents.f5(self.site, self.v)
         else:
-            f4 = terms.f4_flows(self.site, self.v, self.p)
-            f5 = terms.f5_reactive(self.site, self.v, self.p)
+            f4 = terms.f4_flows(*args)
+            f5 = terms.f5_reactive(*args)
         return w.lambda_l * f4 + w.lambda_q * f5
 
-    def fill(self, data: WindowData, served: Flags | None = None) -> None:
-        """Write the window's data and, where the form fixes it, the served set."""
-        super().fill(data, served)
+    def fill(self, data: WindowData) -> None:
+        """Write the window's data."""
+        self.statement.write(data)
         if self.tangents is not None:
             self.tangents.fill(self.site, data)
+
+    def dispatch(self) -> Dispatch:
+        """The last solution."""
+        return self.statement.dispatch()
+
+
+def inside(polygon: Polygon, disc: cp.SOC) -> cp.Constraint:
+    """A polygon in the place of discs."""
+    radius, (P, Q) = disc.args[0], disc.args[1]
+    sides = [np.cos(a) * P + np.sin(a) * Q - polygon.reach * radius for a in polygon.angles]
+    return cp.hstack(sides) <= 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,31 +16,34 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.selected import missed_by, rows_missed
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.partial_fleet import site_with
 from vppres.core.arrays import Floats
 from vppres.model import formulas, objective
-from vppres.model.beyond_paper.physical import PhysicalParameters
 from vppres.model.beyond_paper.switching import ColdDemand
-from vppres.model.constraints import Named, voltage_limits
+from vppres.model.beyond_paper.table import beyond_paper
+from vppres.model.constraints import Named
 from vppres.model.data import Physics, WindowData
-from vppres.model.forms import Form, WindowModel, added_demand, with_demand
+from vppres.model.implied import battery_room, inverter_active
 from vppres.model.linearise import delta_offset
-from vppres.model.lumped import battery_room, inverter_active, total_balance
-from vppres.model.polygons import Polygon, battery_half_polygon, battery_polygon, pv_polygon
-from vppres.model.problem import PaperProblem, paper_problem
+from vppres.model.polygons import Polygon
+from vppres.model.problem import PaperProblem, paper_constraints, paper_problem
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.model.terms import evaluate
-from vppres.model.tie_breakers import TieBreakerModel
 from vppres.model.variables import Variables
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.forms import Form, form_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Status
+from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.solvers import find_solver, run
+from vppres.solve.tie_breakers import TieBreakers
 
 STEPS = 2
 VALUES: dict[str, list[Any]] = {
@@ -361,15 +364,27 @@ def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
 # Forms derived from it.
 
 
-def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> None:
+def of_form(site: Site, data: WindowData, form: Form) -> Selected:
+    """A form of the problem with the window's data."""
+    sheet = Sheet(site, STEPS, beyond_paper(site, data))
+    problem = form_problem(site, sheet, form, conic=False)
+    problem.fill(data)
+    return problem
+
+
+def test_sums_of_a_problem_without_network(
+    site: Site, data: WindowData, paper: PaperProblem
+) -> None:
+    problem = of_form(site, data, Form(network=False))
+    missed = missed_by(problem, VALUES)
+    # import + export - (demand - self-consumption) - battery power
+    sums = [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7]
+    assert missed["total_power_balance"] == pytest.approx(sums)
+    assert not {"active_power_balance", "voltage_min"} & set(missed)
     args = (site, paper.v, paper.p)
-    named = total_balance(*args) | inverter_active(site, paper.v) | battery_room(*args)
-    assert isinstance(named["total_power_balance"], cp.constraints.Equality)
     assert_missed(
-        named,
+        inverter_active(*args) | battery_room(*args),
         {
-            # import + export - (demand - self-consumption) - battery power
-            "total_power_balance": [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7],
             "battery_charge_rating": [[10 - 50, 0 - 25], [0 - 50, 6 - 25]],
             "battery_discharge_rating": [[0 - 50, 4 - 25], [12 - 50, 1 - 25]],
             "pv_active_rating": [[20 - 105, 5 - 60], [28 - 105, 9 - 60]],
@@ -385,24 +400,38 @@ def test_sums_of_a_problem_without_network(site: Site, paper: PaperProblem) -> N
     )
 
 
-def test_sides_of_polygons(site: Site, paper: PaperProblem) -> None:
+def polygon_missed(site: Site, data: WindowData, name: str, polygon: Polygon, half: bool) -> Floats:
+    """By how much the dispatch misses a family's polygons."""
+
+    def select(sheet: Sheet) -> Selection:
+        return Selection(sheet).polygon(name, polygon, of_size=half)
+
+    problem = Selected(Sheet(site, STEPS), select)
+    problem.fill(data)
+    return missed_by(problem, VALUES)[name]
+
+
+def test_sides_of_polygons(site: Site, data: WindowData) -> None:
     root = np.sqrt(0.5)
+    batteries, pv = "battery_inverter_capacity", "pv_inverter_capacity"
     # Inscribed: P + Q, Q - P, -P - Q, P - Q, all over the root of two, less the rating over it.
     P = np.array([[10, -4], [-12, 5]])
     Q = np.array([[24, -3], [5, 12]])
     S = np.array([50, 25])
-    inside = battery_polygon(site, paper.v, Polygon.inscribed(4))["battery_inverter_capacity"]
-    assert missed(inside) == pytest.approx(
+    four = Polygon.inscribed(4)
+    assert polygon_missed(site, data, batteries, four, half=False) == pytest.approx(
         root * np.vstack([P + Q - S, Q - P - S, -P - Q - S, P - Q - S]), abs=1e-12
     )
     # Around: P, Q, -P and -Q less the rating, of PV with its own power and export.
     P, Q, S = np.array([[20, 5], [28, 9]]), np.array(VALUES["Q_pv"]), np.array([105, 60])
-    outside = pv_polygon(site, paper.v, Polygon.around(4))["pv_inverter_capacity"]
-    assert missed(outside) == pytest.approx(np.vstack([P - S, Q - S, -P - S, -Q - S]), abs=1e-12)
+    assert polygon_missed(site, data, pv, Polygon.around(4), half=False) == pytest.approx(
+        np.vstack([P - S, Q - S, -P - S, -Q - S]), abs=1e-12
+    )
     # Half: charging plus discharging for P, the first and the last side.
     P, Q, S = np.array([[10, 4], [12, 7]]), np.array(VALUES["Q_batt"]), np.array([50, 25])
-    half = battery_half_polygon(site, paper.v, Polygon.inscribed(4))["battery_inverter_capacity"]
-    assert missed(half) == pytest.approx(root * np.vstack([P + Q - S, P - Q - S]), abs=1e-12)
+    assert polygon_missed(site, data, batteries, four.right_half, half=True) == pytest.approx(
+        root * np.vstack([P + Q - S, P - Q - S]), abs=1e-12
+    )
 
 
 def physics() -> Physics:
@@ -432,40 +461,32 @@ CHANGED = {
 
 
 def test_physical_mode_has_losses_a_reference_and_headroom(site: Site, data: WindowData) -> None:
-    model = WindowModel(site, STEPS, Form(physical=True))
-    model.fill(replace(data, physics=physics()))
-    put(model.v)
+    island = replace(data, physics=physics())
+    statement = Statement(site, STEPS, beyond_paper(site, island))
+    statement.write(island)
+    put(statement.v)
     expected = {**MISSED, **CHANGED}
     del expected["voltage_slack"]
     # The grid supplies the reactive losses of the second step too.
     expected["grid_reactive_max"] = [-6, 9 - 420 - 6]
     expected["grid_reactive_min"] = [6, -420 - 6 - 9]
-    assert_missed(model.constraints, expected)
+    assert_missed(statement.families, expected)
+    # Of a battery whose modes exclude each other the headroom limits both powers together.
+    both = missed(statement.implied["headroom_power"])
+    assert both == pytest.approx(np.array([[10 - 40, 4 - 20], [12 - 40, 7 - 14]]))
 
 
 def test_losses_add_up_where_there_is_no_network(site: Site, data: WindowData) -> None:
-    model = WindowModel(site, STEPS, Form(network=False, physical=True))
-    model.fill(replace(data, physics=physics()))
-    put(model.v)
-    assert missed(model.constraints["total_power_balance"]) == pytest.approx([-16 - 3, -118 - 7])
+    problem = of_form(site, replace(data, physics=physics()), Form(network=False))
+    sums = missed_by(problem, VALUES)["total_power_balance"]
+    assert sums == pytest.approx([-16 - 3, -118 - 7])
 
 
 def test_headroom_shrinks_polygons(site: Site, data: WindowData) -> None:
-    model = WindowModel(site, STEPS, Form(polygon_sides=4, outer=True, physical=True))
-    model.fill(replace(data, physics=physics()))
-    put(model.v)
-    sides = missed(model.constraints["battery_inverter_capacity"])
+    form = Form(polygon_sides=4, outer=True)
+    problem = of_form(site, replace(data, physics=physics()), form)
+    sides = missed_by(problem, VALUES)["battery_inverter_capacity"]
     assert sides[:2] == pytest.approx(np.array([[10 - 50, -4 - 25], [-12 - 50, 5 - 19]]))
-
-
-def test_demand_that_the_paper_has_not_is_added_once(site: Site) -> None:
-    assert added_demand(site, None, None) is None
-    physical = PhysicalParameters.create(site, STEPS)
-    paper = paper_problem(site, STEPS)
-    added = added_demand(site, None, physical)
-    assert added is not None
-    named = with_demand(paper.subject_to, site, paper.v, paper.p, added)
-    assert list(named) == list(paper.subject_to)
 
 
 def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProblem) -> None:
@@ -500,9 +521,7 @@ def test_cold_load_adds_demand_and_self_consumption(
     cold.P_cold.value = np.array([[3.0, 5.0], [7.0, 11.0]])
     cold.Q_cold.value = np.array([[2.0, 4.0], [6.0, 8.0]])
     cold.P_self_cold.value = np.array([[0.5, 1.5], [2.5, 3.5]])
-    added = added_demand(site, cold, None)
-    assert added is not None
-    named = with_demand(paper.subject_to, site, paper.v, paper.p, added, cold)
+    named = paper_constraints(site, paper.v, replace(paper.p, **cold.parameters(site)))
     # The shop's at bus 2 and its deck's, then the home's at bus 3 and its roof's.
     more = {
         "active_power_balance": [[0, 3, 0], [0, 0, 11]],
@@ -511,35 +530,38 @@ def test_cold_load_adds_demand_and_self_consumption(
     }
     for name, value in more.items():
         assert missed(named[name]) == pytest.approx(np.array(MISSED[name]) - value), name
-    total = total_balance(site, paper.v, paper.p, added)["total_power_balance"]
-    assert missed(total) == pytest.approx([-16 - 3, -118 - 11])
-
-
-def test_voltage_limits_give_both_ways(site: Site, paper: PaperProblem) -> None:
-    named = voltage_limits(site, paper.v, paper.p, cp.Constant(0.05))
-    for name, constraint in named.items():
-        assert missed(constraint) == pytest.approx(np.array(MISSED[name]) - 0.05), name
 
 
 def tie_breakers(
     site: Site, data: WindowData, paper: PaperProblem, curtailing: bool
-) -> TieBreakerModel:
-    """The last level with the dispatch's service and these modes held: b2, b3 in each step."""
-    model = TieBreakerModel(site, STEPS, curtailing)
-    modes = np.array([[True, False], [False, True]])
-    model.fill(data, paper.v.dispatch(site), modes, f2_held_gbp=1.0, f3_held_kwh=10.0)
-    model.P_batt.value = np.array([[10.0, -4.0], [-12.0, 5.0]])
-    for name in ("Q_pv", "Q_batt", "SoC", "P_grid", "Q_grid", "u", "P_flow", "Q_flow"):
-        getattr(model.v, name).value = np.array(VALUES[name], dtype=float)
-    if curtailing:
-        model.v.P_curt.value = np.array(VALUES["P_curt"], dtype=float)
-    return model
+) -> dict[str, Floats]:
+    """What the last level's rows miss, with the dispatch's service and modes held."""
+    problem = TieBreakers(site, Sheet(site, STEPS), curtailing, moves=False)
+    # Net powers of the dispatch, so that the modes are charging and discharging in turn.
+    net = replace(
+        paper.v.dispatch(site),
+        charge_kw=np.array([[10.0, 0.0], [0.0, 5.0]]),
+        discharge_kw=np.array([[0.0, 4.0], [12.0, 0.0]]),
+    )
+    problem.hold(data, net, f2_gbp=1.0, f3_kwh=10.0)
+    numbers = problem.numbers()
+    full = np.zeros(len(problem.x_lower))
+    values = {**VALUES, "P_ch": [[10.0, -4.0], [-12.0, 5.0]]}
+    for name in problem.first:
+        if name in values:
+            full[problem.at(name)] = np.array(values[name], dtype=float)
+    x = full[problem._y]
+    f4, f5 = TERMS["f4_flows"], TERMS["f5_reactive"]
+    # About kW of loss: over 1000 times the squared base voltage and the heavier weight, 1.0.
+    squares = float(x @ (numbers.squares @ x)) / 2.0
+    assert squares == pytest.approx((0.001 * f4 + f5) / 1000.0)
+    return rows_missed(problem, numbers.rows @ x - numbers.limit)
 
 
 def test_tie_breakers_hold_modes_cost_and_curtailment(
     site: Site, data: WindowData, paper: PaperProblem
 ) -> None:
-    model = tie_breakers(site, data, paper, curtailing=True)
+    found = tie_breakers(site, data, paper, curtailing=True)
     drop = np.array(MISSED["delta_lindistflow"])
     soc = {
         name: 1e4 * np.array(MISSED[name])
@@ -557,8 +579,8 @@ def test_tie_breakers_hold_modes_cost_and_curtailment(
         "delta_lindistflow": 1e2 * drop,
         "battery_power_min": [[0 - 10, -20 + 4], [-40 + 12, 0 - 5]],
         "battery_power_max": [[10 - 40, -4 - 0], [-12 - 0, 5 - 20]],
-        "cost_held": TERMS["f2_cost"] - 1.0,
-        "curtailment_held": TERMS["f3_curtailment"] - 10.0,
+        "f2": [TERMS["f2_cost"] - 1.0],
+        "f3": [TERMS["f3_curtailment"] - 10.0],
         # Export is PV power less self-consumption of the served and curtailment.
         "pv_export": [[-(100 - 0 - 1), -(20 - 20 - 6)], [-(30 - 30 - 9), -(50 - 50 - 8)]],
         "circular_charging": [10 - 5 - (99 - 6), 5 - 8 + 17],
@@ -575,26 +597,23 @@ def test_tie_breakers_hold_modes_cost_and_curtailment(
         },
     }
     for name, value in expected.items():
-        assert missed(model.constraints[name]) == pytest.approx(np.array(value), abs=1e-9), name
-    f4, f5 = TERMS["f4_flows"], TERMS["f5_reactive"]
-    # About kW of loss: over 1000 times the squared base voltage and the heavier weight, 1.0.
-    assert model.problem.objective.value == pytest.approx((0.001 * f4 + f5) / 1000.0)
+        assert found[name] == pytest.approx(np.array(value), abs=1e-9), name
 
 
 def test_tie_breakers_without_curtailment_leave_an_interval_for_reactive_power(
     site: Site, data: WindowData, paper: PaperProblem
 ) -> None:
-    model = tie_breakers(site, data, paper, curtailing=False)
+    found = tie_breakers(site, data, paper, curtailing=False)
     left = np.sqrt([[105**2 - 100**2, 60**2 - 20**2], [105**2 - 30**2, 60**2 - 50**2]])
     for name, sign in (("pv_reactive_min", -1.0), ("pv_reactive_max", 1.0)):
-        limit = model.constraints[name]
-        assert missed(limit) == pytest.approx(sign * np.array(VALUES["Q_pv"]) - left), name
-    assert {"pv_export", "pv_inverter_capacity"}.isdisjoint(model.constraints)
+        limit = sign * np.array(VALUES["Q_pv"]) - left
+        assert found[name] == pytest.approx(limit), name
+    assert {"pv_export", "pv_inverter_capacity"}.isdisjoint(found)
 
 
 def test_tie_breakers_of_a_site_without_batteries_have_no_moves(site: Site) -> None:
     none = site_with(site, np.zeros(2, dtype=bool))
-    assert TieBreakerModel(none, STEPS, curtailing=True, moves=True).near is None
+    assert not TieBreakers(none, Sheet(none, STEPS), curtailing=True, moves=True).moves
 
 
 # The same formulas on arrays.

@@ -34,9 +34,10 @@ from vppres.explain.day import explain_day
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.exporting import LIMIT_TOLERANCE_KW
@@ -187,10 +188,9 @@ def test_an_import_only_window_has_the_problem_from_before(tiny: Scenario) -> No
     assert not tiny.exports
     assert Export.of(tiny, slice(None)) is None
     site = Site.of(tiny)
-    paper, other = (WindowModel(site, 2, Form(exporting=exports)) for exports in (False, True))
-    assert "grid_export_limit" not in paper.constraints
-    names = {v.name() for v in other.problem.variables()}
-    assert names - {v.name() for v in paper.problem.variables()} == {"P_out", "importing"}
+    paper, other = Statement(site, 2), Statement(site, 2, ((ExportToGrid, True),))
+    assert "grid_export_limit" not in paper.families
+    assert set(other.letters) - set(paper.letters) == {"P_out", "importing"}
 
 
 @pytest.mark.parametrize("name", ["uk-heatwave-2022", "two-outages-cigre-mv"])

@@ -27,7 +27,7 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import least_reactive
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
-from vppres.solve.fleet.demand import DemandModel, demand_model
+from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
@@ -35,15 +35,15 @@ from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, VERIFIED_DISC, NetworkMaster
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rules import RuleModel
+from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     NO_SETS_OF_THEIR_OWN,
     PROOF,
     SUMS_KEPT,
     ProgramSolution,
     begin_with,
-    compiled,
     near_linear,
+    program_of,
     stacked,
     with_sums,
 )
@@ -144,10 +144,15 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
     )
 
 
+def demand_model(site: Site, data: WindowData, lumped: bool = True) -> DemandModel:
+    """What the fleet can carry."""
+    return demand_of(ModelCache(site), data, lumped)
+
+
 def point_of(model: DemandModel, data: WindowData, dispatch: Dispatch) -> np.ndarray:
     """Demand, loss and cost of a dispatch, as the masters know it."""
-    site = model.relaxation.site
-    lost = site.weights.lambda_curt * site.dt_h / model.relaxation.grid
+    site = model.site
+    lost = site.weights.lambda_curt * site.dt_h / model.grid
     return np.array(
         [
             *(data.load_kw * dispatch.served).sum(axis=1),
@@ -163,7 +168,7 @@ def test_no_cut_excludes_what_can_be_dispatched(seed: int, lumped: bool) -> None
     case = random_window(seed)
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data)
-    model = demand_model(site, case.data.n_steps, lumped)
+    model = demand_model(site, case.data, lumped)
     master = Counts(model, case.data, Deadline(TIME_S))
     outcome, _ = master.service(0.1)
     service = answer.terms.f1 - site.weights.lambda_curt * answer.terms.f3
@@ -179,7 +184,7 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     data = day_window(packaged, 2, 6, 0.5)
     site = Site.of(packaged)
     cost_gbp = WindowSolver(site).solve(data).terms.f2
-    master = Counts(demand_model(site, 6, lumped=True), data, Deadline(TIME_S))
+    master = Counts(demand_model(site, data), data, Deadline(TIME_S))
     everyone = packaged.customers.weight.sum() * 6 / master.unit
     outcome, _ = master.cost(everyone - 1e-6, True, np.inf, np.inf)
     assert outcome.bound <= cost_gbp
@@ -202,7 +207,7 @@ def test_cuts_of_an_outage_join_no_other_and_no_loss_of_next_to_no_price() -> No
     """Else one search has all outages: a window of 96 steps had no answer in a minute."""
     day = with_days(instances_day(), 4)
     data = day_window(day, 8, 72, 0.4)
-    counts = Counts(demand_model(Site.of(day), 72, lumped=True), data, Deadline(TIME_S))
+    counts = Counts(demand_model(Site.of(day), data), data, Deadline(TIME_S))
     outcome, _ = counts.service(0.5)
     assert outcome.status == Status.OPTIMAL
     assert len(counts.blocks) == len(counts.outages) == 3
@@ -234,8 +239,8 @@ def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
     dark = replace(day_window(packaged, 13, 2, 0.5), grid_limit_kw=np.zeros(2))
     dark = replace(dark, pv_kw=np.zeros_like(dark.pv_kw))
     site, b = Site.of(packaged), packaged.batteries
-    model = demand_model(site, 2, lumped=True)
-    model.fill(dark)
+    model = demand_model(site, dark)
+    model.write(dark)
     energy_kwh = (b.energy_kwh * (0.5 - b.soc_min)).sum() * dark.eta_discharge.min()
     reach = Reach(model)
     share = energy_kwh / dark.load_kw.sum()
@@ -250,11 +255,12 @@ def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
 
 
 def test_any_prices_give_a_bound(packaged: Scenario) -> None:
-    model = demand_model(Site.of(packaged), 3, lumped=True)
-    model.fill(day_window(packaged, 12, 3, 0.5))
-    program, first = compiled(model.problem)
+    data = day_window(packaged, 12, 3, 0.5)
+    model = demand_model(Site.of(packaged), data)
+    model.write(data)
+    program = program_of(model)
     cost = np.zeros(len(program.cost))
-    cost[first["load"] : first["load"] + 3] = -1.0
+    cost[model.at("load")] = -1.0
     box = replace(
         program, cost=cost, x_lower=np.full(len(cost), -1e4), x_upper=np.full(len(cost), 1e4)
     )
@@ -310,7 +316,7 @@ def test_counts_are_rounded_down_where_time_runs_out(
     monkeypatch.setattr(Counts, "_most", late)
     monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
     monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", 0)
-    counts = Counts(demand_model(site, data.n_steps, lumped=True), data, Deadline(TIME_S))
+    counts = Counts(demand_model(site, data), data, Deadline(TIME_S))
     outcome, served = counts.service(0.5)
     assert outcome.status == Status.TIME_LIMIT
     assert served is not None
@@ -327,7 +333,7 @@ def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch, status: Status, searches: int
 ) -> None:
     data = day_window(packaged, 12, 6, 0.5)
-    counts = Counts(demand_model(Site.of(packaged), 6, lumped=True), data, Deadline(TIME_S))
+    counts = Counts(demand_model(Site.of(packaged), data), data, Deadline(TIME_S))
     found = counts._carried(counts._most_by_shares(~counts.unlimited), counts.deadline)
     cuts = len(counts.cuts)
     assert cuts >= 2
@@ -378,7 +384,7 @@ def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> No
     site = Site.of(tiers)
 
     def counts() -> Counts:
-        return Counts(demand_model(site, data.n_steps, lumped=True), data, Deadline(TIME_S))
+        return Counts(demand_model(site, data), data, Deadline(TIME_S))
 
     exact, served = counts().service(0.5)
     assert exact.status == Status.OPTIMAL
@@ -552,7 +558,8 @@ def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
     data, site = (w := hard_window("rules", seed)).data, w.site
     rules = data.switching
     assert rules is not None
-    rows = RuleModel(site, data.n_steps, rules.steps).rows(data)
+    rows = rows_of_rules(ModelCache(site), data)
+    assert rows is not None
     rng = np.random.default_rng(seed)
     told = []
     for share in np.repeat([0.0, 0.02, 0.5, 0.98, 1.0], 12):

@@ -38,9 +38,10 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.model.beyond_paper.losses import Sweeps, injections, linearised, lossless
+from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
 from vppres.scenario.remarks import remarks
@@ -48,7 +49,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import least_reactive, net_modes
-from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
@@ -195,10 +196,10 @@ def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:
 
 def test_physical_problem_refuses_a_window_of_the_papers_mode(tiny: Scenario) -> None:
     site = Site.of(tiny)
-    model = WindowModel(site, 1, Form(physical=True))
+    statement = Statement(site, 1, ((PhysicalMode, True),))
     data = random_window(0).data
     with pytest.raises(ModelError, match="filled with a window of the paper's mode"):
-        model.physical.fill(site, replace(data, physics=None))
+        statement.additions[0].fill(site, replace(data, physics=None))
 
 
 def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_with(
@@ -207,9 +208,9 @@ def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_
     site, data = Site.of(tiny), island_window(tiny, 0.85, 0, 3)
     empty = replace(data, soc=np.array([0.15 + 1e-16, 0.5]))
     for lumped in (True, False):
-        model = AggregateModel(site, 3, lumped=lumped)
-        model.fill(empty)
-        assert max(np.abs(p.value).max() for p in model.p.values()) < 1e6
+        problem = fleet_problem(ModelCache(site), empty, lumped, integer=True, goal="weighted")
+        problem.write(empty)
+        assert np.abs(problem.numbers().rows.data).max() < 1e6
     assert WindowSolver(site).solve(empty).status == "optimal"
 
 

@@ -7,19 +7,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
-import cvxpy as cp
 import numpy as np
 import pytest
 
 from experiments.random_feeders import random_scenario
+from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
 from vppres.explain.words import figure
 from vppres.model.data import WindowData
+from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
+from vppres.solve.solvers import run_conic
 
 DAYS = [(0, True), (1, False), (2, False), (3, False), (5, True)]
 """Days whose sentences have 12 to 70 numbers each, most of them with PV."""
@@ -54,7 +56,7 @@ class Priced:
     @classmethod
     def of(cls, recorded: Recorded, t: int) -> Priced:
         site = recorded.site
-        model = ShadowPriceModel(site, recorded.n_seen, recorded.scenario.exports)
+        model = ShadowPriceModel(site, recorded.n_seen, recorded.beyond)
         data = recorded.seen(t)
         held = recorded.held(t, data.n_steps)
         priced = cls(recorded, model, data, held)
@@ -83,29 +85,26 @@ class Priced:
         return found
 
     def with_row(self, name: str, unit: float, item: int) -> float:
-        """The optimum with a row of the first step moved, of an item of one constraint."""
-        self.model.fill(self.data, self.held, self.terms)
-        constraint = self.model.constraints[name]
-        moved = np.zeros(constraint.shape)
+        """The optimum with a row of the first step moved, of an item of one family."""
+        family = self.model.family(name)
+        moved = np.zeros(family.shape)
         moved[0, item] = unit
-        same = isinstance(constraint, cp.constraints.Equality | cp.constraints.Zero)
-        other = constraint.expr == moved if same else constraint.expr <= moved
-        rows = [other if c is constraint else c for c in self.model.constraints.values()]
-        problem = cp.Problem(self.model.problem.objective, rows)
-        problem.solve(cp.CLARABEL)
-        return float(problem.value) if problem.status == cp.OPTIMAL else np.nan
+        return self._moved(name, moved)
 
     def with_disc(self, name: str, unit: float, item: int) -> float:
         """The optimum with a rating of the first step moved."""
-        self.model.fill(self.data, self.held, self.terms)
-        disc = self.model.constraints[name]
-        moved = np.zeros((len(self.recorded.site.batteries), self.model.n_steps))
-        moved[item, 0] = unit
-        wider = cp.SOC(disc.args[0] + moved.ravel(), disc.args[1], axis=0)
-        rows = [wider if c is disc else c for c in self.model.constraints.values()]
-        problem = cp.Problem(self.model.problem.objective, rows)
-        problem.solve(cp.CLARABEL)
-        return float(problem.value) if problem.status == cp.OPTIMAL else np.nan
+        moved = np.zeros(self.model.family(name).shape)
+        moved[0, item * self.model.n_steps] = unit  # radius and vector of each cone in turn
+        return self._moved(name, moved)
+
+    def _moved(self, name: str, moved: Floats) -> float:
+        """The optimum with other limits of a family."""
+        self.model.price(self.data, self.held, self.terms)
+        limits = self.model.limits
+        before = np.reshape(limits.get(name, 0.0), moved.shape if name in limits else ())
+        self.model.limits = {**limits, name: before + moved}
+        outcome = run_conic(self.model, 20.0)
+        return outcome.value if outcome.status == Status.OPTIMAL else np.nan
 
 
 def sloped(values: list[float], middle: float, step: float) -> tuple[float, float]:

@@ -36,8 +36,8 @@ from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
 from vppres.model.beyond_paper import switching as switching_rules
 from vppres.model.beyond_paper.switching import SwitchingModel
-from vppres.model.forms import Form, WindowModel
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -490,7 +490,7 @@ def test_demand_is_higher_just_where_the_state_says_so(
     )
     x = cp.Parameter((W, 3), nonneg=True)
     model = SwitchingModel(Site.of(tiny), x, steps)
-    model.fill(replace(window(tiny).first(W), switching=past))
+    model.fill(model.site, replace(window(tiny).first(W), switching=past))
     cold = model.cold
     assert cold is not None
     bounds = [
@@ -527,8 +527,8 @@ def test_values_out_of_range_are_named() -> None:
 def test_equations_are_those_of_the_page(tiny: Scenario) -> None:
     rows = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)` \| `([\w]+)` \|", PAGE.read_text("utf-8"), re.M)
     site, steps = Site.of(tiny), RuleSteps(1, 2, 2)
-    ruled = WindowModel(site, 3, Form(switching=steps))
-    added = set(ruled.constraints) - set(WindowModel(site, 3, Form()).constraints)
-    assert {name for _, name in rows} == added
+    ruled = Statement(site, 3, ((SwitchingModel, steps),))
+    assert {name for _, name in rows} == ruled.rules
+    assert ruled.rules == set(ruled.families) - set(Statement(site, 3).families)
     for function, name in rows:
-        assert name in getattr(switching_rules, function)(ruled.switching)
+        assert name in getattr(switching_rules, function)(ruled.additions[0])

@@ -23,18 +23,18 @@ from tests.support.small_windows import (
 )
 from vppres.control.converged import in_the_dark
 from vppres.io.python_door import check_scenario
-from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.cache import shared_cache
+from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.masters import search_for_set
-from vppres.solve.fleet.relaxation import AggregateModel
+from vppres.solve.fleet.relaxation import Fleet, counts_of_alike, fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.terms import NetworkTerms
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
+from vppres.solve.selection import Sheet
 from vppres.solve.solvers import find_solver, run
 from vppres.solve.task import WindowTask
 
@@ -246,12 +246,13 @@ def test_a_set_that_has_no_dispatch_with_its_turns_gets_others(seed: int) -> Non
 def test_counts_say_how_many_of_a_weight_are_served() -> None:
     case = hard_window("rules", 7)
     customers = case.site.customers
-    model = AggregateModel(case.site, 3, lumped=True, switching=rule_steps(case.data.first(3)))
-    model.fill(case.data.first(3))
-    run(model.problem, find_solver("highs"), 0.0, 10.0)
-    counts = next(v for v in model.problem.variables() if v.name() == "counts").value
+    first = case.data.first(3)
+    problem = fleet_problem(ModelCache(case.site), first, True, integer=True, goal="weighted")
+    problem.write(first)
+    run(problem, find_solver("highs"), 0.0, 10.0)
+    counts = problem.x[problem.at("counts")]
     weights, many = np.unique(customers.weight, return_counts=True)
-    served = np.round(model.x.value)
+    served = np.round(problem.value_of("x_served"))
     of_weight = [served[:, customers.weight == w].sum(axis=1) for w in weights[many > 1]]
     assert np.allclose(counts, np.transpose(of_weight))
 
@@ -259,8 +260,8 @@ def test_counts_say_how_many_of_a_weight_are_served() -> None:
 def test_customers_of_different_weights_have_no_counts() -> None:
     site = hard_window("rules", 7).site
     apart = replace(site.customers, weight=1.0 + np.arange(len(site.customers)))
-    model = AggregateModel(replace(site, customers=apart), 2)
-    assert "counts_of_alike" not in model.constraints
+    other = replace(site, customers=apart)
+    assert not counts_of_alike(Fleet(other, Sheet(other, 2), lumped=True))
 
 
 def test_only_highs_is_told_how_to_search_for_sets() -> None:
@@ -274,8 +275,10 @@ def test_only_highs_is_told_how_to_search_for_sets() -> None:
 def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.MonkeyPatch) -> None:
     """And find what they find without: a set is where they begin, not where they end."""
     case = hard_window("rules", 1)
-    model = AggregateModel(case.site, case.data.n_steps, True, switching=rule_steps(case.data))
-    model.fill(case.data)
+    cache = ModelCache(case.site)
+    problem = fleet_problem(cache, case.data, True, integer=True, goal="weighted")
+    problem.write(case.data)
+    x = problem.sheet.columns["x_served"]
     began = []
 
     def noted(*asked: Any) -> Outcome:
@@ -286,18 +289,18 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", 1)
     highs, scip = find_solver("highs"), find_solver("scip")
     asked = 1e-6, 20.0, objective_scale(case.site)
-    plain = run(model.problem, highs, *asked)
-    found = search_for_set(model, model.problem, highs, *asked)
+    plain = run(problem, highs, *asked)
+    found = search_for_set(problem, highs, *asked)
     assert found.value == pytest.approx(plain.value, abs=1e-5)
-    assert began[0].values.shape == began[0].variable.shape == model.x.shape
-    nobody = np.zeros(model.x.shape, dtype=bool)
-    poor = search_for_set(model, model.problem, highs, *asked, first=nobody)
+    assert began[0].values.shape == x.shape
+    nobody = np.zeros(x.shape, dtype=bool)
+    poor = search_for_set(problem, highs, *asked, first=nobody)
     assert poor.value == pytest.approx(plain.value, abs=1e-5)
     assert began[1].values is nobody
-    search_for_set(model, model.problem, scip, *asked)
+    search_for_set(problem, scip, *asked)
     assert began[2] is None
-    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", model.x.size + 1)
-    search_for_set(model, model.problem, highs, *asked, first=nobody)
+    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", x.size + 1)
+    search_for_set(problem, highs, *asked, first=nobody)
     assert began[3] == highs.of_sets  # the last that it is asked with: no set
 
 

@@ -24,7 +24,6 @@ from tests.support.small_windows import (
 )
 from vppres.contract.terminal import Terminal
 from vppres.core.errors import InfeasibleError
-from vppres.model.forms import Form
 from vppres.model.site import Site
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import WindowSolver
@@ -62,7 +61,7 @@ def test_units_change_numbers_and_nothing_else(unit_kw: float) -> None:
     site = Site.of(day)
     data = window(day)
     other = site_in_unit(site, unit_kw)
-    model = WeightedModel(other, 3, Form(polygon_sides=16), "exact")
+    model = WeightedModel(other, 3, (), 16, "exact")
     model.fill(window_in_unit(data, unit_kw))
     answer = solve(day)
     found = answer.dispatch

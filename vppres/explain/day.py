@@ -60,9 +60,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
     recorded = Recorded(trajectory)
-    model = ShadowPriceModel(
-        recorded.site, recorded.n_seen, recorded.scenario.exports, recorded.ending
-    )
+    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
     phase = trajectory.steps["phase"].iloc[t]
     step = Step(recorded, t, phase, step_prices(recorded, model, t))
     return [{"phase": phase, **row} for row in _actions(step)], _prices(step)

@@ -70,9 +70,7 @@ class StepPrices:
 
 def day_prices(recorded: Recorded) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all."""
-    model = ShadowPriceModel(
-        recorded.site, recorded.n_seen, recorded.scenario.exports, recorded.ending
-    )
+    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
     return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
 
 

@@ -13,13 +13,13 @@ from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.stored_value import Ending
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
-from vppres.day.outages import BELIEF, GridSeen, OutageView, believed_outages
+from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of
 from vppres.day.trajectory import Trajectory
+from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
 from vppres.scenario.rules import SwitchingRules
@@ -110,13 +110,14 @@ class Recorded:
         return asked
 
     @property
-    def ending(self) -> Ending:
-        """What the windows' problems said of their ends."""
-        if not len(self.site.batteries):
-            return ""
-        if self.options.get("outages") == BELIEF:
-            return "value"
-        return "target" if self.soc_asked is not None else ""
+    def beyond(self) -> Beyond:
+        """What the windows' problems had beyond the paper; the first and last have all of it."""
+        last = max(self.n_steps - self.n_seen, 0)
+        there = {name: shape for t in (0, last) for name, shape in self._beyond_of(t)}
+        return tuple(there.items())
+
+    def _beyond_of(self, t: int) -> Beyond:
+        return beyond_paper(self.site, self.seen(t))
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""

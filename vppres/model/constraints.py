@@ -4,13 +4,11 @@ Numbers in brackets count the paper's equations, and names with ``eq:`` are its 
 function takes the site, the variables and the parameters of a window and returns named cvxpy
 constraints. All lines of a family are one vectorised constraint: rows are steps, columns are items.
 
-An argument behind these three is what another form of the problem puts in the place of what the
-paper has; without it the equation is the paper's.
+What a window has beyond the paper enters by parameters that the paper leaves at None: demand that
+is added to the balances, ratings and limits that change with the steps.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cvxpy as cp
 import numpy as np
@@ -24,31 +22,15 @@ from vppres.model.variables import Parameters, Variables
 Named = dict[str, cp.Constraint]
 
 
-@dataclass(frozen=True, eq=False)
-class AddedDemand:
-    """Demand that the paper has not: cold load of restored customers, losses of lines.
-
-    Parameters
-    ----------
-    P, Q : cvxpy.Expression, shape (W, N)
-        Active and reactive demand at the buses.
-    """
-
-    P: cp.Expression
-    Q: cp.Expression
-
-
 # Battery storage.
 
 
-def battery_modes(
-    site: Site, v: Variables, p: Parameters, rating_kw: Floats | None = None
-) -> Named:
+def battery_modes(site: Site, v: Variables, p: Parameters) -> Named:
     """Charge or discharge, never both: P_ch <= P_max delta, P_dch <= P_max (1 - delta).
 
-    ``P_max`` is what rating and inverter allow; ``rating_kw``, (B,), leaves the inverter out.
+    ``P_max`` is what rating and inverter allow.
     """
-    P_max = (site.batteries.active_max_kw if rating_kw is None else rating_kw)[None, :]
+    P_max = site.batteries.active_max_kw[None, :]
     return {
         "battery_charge_mode": v.P_ch <= cp.multiply(P_max, v.delta),
         "battery_discharge_mode": v.P_dch <= cp.multiply(P_max, 1 - v.delta),
@@ -65,29 +47,19 @@ def battery_soc(site: Site, v: Variables, p: Parameters) -> Named:
     }
 
 
-def battery_soc_limits(
-    site: Site, v: Variables, p: Parameters, SoC_min: cp.Expression | None = None
-) -> Named:
-    """SoC between its limits at the end of every step; what was measured may lie outside.
-
-    ``SoC_min``, (W, B), is a lower limit that changes with the steps.
-    """
+def battery_soc_limits(site: Site, v: Variables, p: Parameters) -> Named:
+    """SoC between its limits at the end of every step; what was measured may lie outside."""
     b = site.batteries
-    lowest = b.soc_min[None, :] if SoC_min is None else SoC_min
+    lowest = b.soc_min[None, :] if p.SoC_min is None else p.SoC_min
     return {
         "battery_soc_min": v.SoC[1:] >= lowest,
         "battery_soc_max": v.SoC[1:] <= b.soc_max[None, :],
     }
 
 
-def battery_inverter(
-    site: Site, v: Variables, p: Parameters, S_max: cp.Expression | None = None
-) -> Named:
-    """Apparent power of batteries within their inverters' ratings (3), ``eq:batt_inverter``.
-
-    ``S_max``, (W, B), is a rating that changes with the steps.
-    """
-    rating = _each_step(site.batteries.s_max_kva, v.P_batt) if S_max is None else S_max
+def battery_inverter(site: Site, v: Variables, p: Parameters) -> Named:
+    """Apparent power of batteries within their inverters' ratings (3), ``eq:batt_inverter``."""
+    rating = _each_step(site.batteries.s_max_kva, v.P_batt) if p.S_max is None else p.S_max
     return {"battery_inverter_capacity": _disc(v.P_batt, v.Q_batt, rating)}
 
 
@@ -106,17 +78,14 @@ def pv_balance(site: Site, v: Variables, p: Parameters) -> Named:
     return {"pv_balance": v.P_self + v.P_exp + v.P_curt == p.P_pv}
 
 
-def pv_self_consumption(
-    site: Site, v: Variables, p: Parameters, added: cp.Expression | None = None
-) -> Named:
+def pv_self_consumption(site: Site, v: Variables, p: Parameters) -> Named:
     """Self-consumption follows the owner's service (6), ``eq:min_pv``.
 
-    ``P_self_max`` holds the equation's min(P_load, P_pv). ``added``, (W, P), is
-    self-consumption of demand that the paper has not.
+    ``P_self_max`` holds the equation's min(P_load, P_pv).
     """
     P_self = cp.multiply(p.P_self_max, v.x_served[:, site.owner])
-    if added is not None:
-        P_self = P_self + added
+    if p.P_self_added is not None:
+        P_self = P_self + p.P_self_added
     return {"pv_self_consumption": v.P_self == P_self}
 
 
@@ -129,9 +98,7 @@ def pv_inverter(site: Site, v: Variables, p: Parameters) -> Named:
 # Power balance.
 
 
-def active_balance(
-    site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
-) -> Named:
+def active_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Active balance at every bus (8), with its injection (9) and its load (10).
 
     The grid supplies the slack bus, which the paper leaves unsaid.
@@ -139,26 +106,20 @@ def active_balance(
     P_inj = at_buses(site.pv_bus, v.P_exp) - v.P_batt @ site.battery_bus.T
     P_served = cp.multiply(p.P_load, v.x_served)
     P_load = at_buses(site.customer_bus, P_served) - at_buses(site.pv_bus, v.P_self)
-    if added is not None:
-        P_load = P_load + added.P
-    if p.P_drawn is not None:
-        P_load = P_load + p.P_drawn
+    if p.P_added is not None:
+        P_load = P_load + p.P_added
     P_grid = at_slack_bus(site, v.P_grid)
     inflow = v.P_flow @ site.network.incidence.T
     return {"active_power_balance": P_inj + P_grid + inflow == P_load}
 
 
-def reactive_balance(
-    site: Site, v: Variables, p: Parameters, added: AddedDemand | None = None
-) -> Named:
+def reactive_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Reactive balance at every bus (11), with its injection (12) and its load (13), (14)."""
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
     Q_served = cp.multiply(p.Q_load, v.x_served)
     Q_load = at_buses(site.customer_bus, Q_served)
-    if added is not None:
-        Q_load = Q_load + added.Q
-    if p.Q_drawn is not None:
-        Q_load = Q_load + p.Q_drawn
+    if p.Q_added is not None:
+        Q_load = Q_load + p.Q_added
     Q_grid = at_slack_bus(site, v.Q_grid)
     inflow = v.Q_flow @ site.network.incidence.T
     return {"reactive_power_balance": Q_inj + Q_grid + inflow == Q_load}
@@ -176,16 +137,13 @@ def grid_connection(site: Site, v: Variables, p: Parameters) -> Named:
     }
 
 
-def voltage_limits(
-    site: Site, v: Variables, p: Parameters, slack: cp.Expression | None = None
-) -> Named:
+def voltage_limits(site: Site, v: Variables, p: Parameters) -> Named:
     """Squared voltage between the squared limits, at every bus but the slack bus.
 
-    ``slack``, in pu², is by how much both limits give. Voltages referred to the slack bus have
-    limits of their own behind a transformer's ratio.
+    Voltages referred to the slack bus have limits of their own behind a transformer's ratio.
     """
-    u_min = p.u_min if slack is None else p.u_min - slack
-    u_max = p.u_max if slack is None else p.u_max + slack
+    u_min = p.u_min
+    u_max = p.u_max
     return {"voltage_min": v.u[:, 1:] >= u_min, "voltage_max": v.u[:, 1:] <= u_max}
 
 
@@ -197,13 +155,12 @@ def voltage_slack(site: Site, v: Variables, p: Parameters) -> Named:
     return {"voltage_slack": v.u[:, 0] == site.network.v_slack_pu**2}
 
 
-def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1.0) -> Named:
+def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
     """Voltage drop along every line, (21) ``eq:dist_flow_diff`` around the AC point (22) to (24).
 
     The deltas (18) to (20) telescope over the window, so the last AC point enters as one offset per
     line: ``u_j = u_i - 2 (r P + x Q) + delta`` with
-    ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``. ``factor`` multiplies both sides, for
-    solvers that allow the same residual for all rows.
+    ``delta = u_j_ac - u_i_ac + 2 (r P_ac + x Q_ac)``.
     """
     net = site.network
     r = net.r_pu2_per_kw[None, :]
@@ -211,7 +168,7 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters, factor: float = 1
     drop = 2 * (cp.multiply(r, v.P_flow) + cp.multiply(x, v.Q_flow))
     u_j = v.u[:, 1:]
     u_i = v.u[:, net.parent]
-    return {"delta_lindistflow": factor * u_j == factor * (u_i - drop + p.delta)}
+    return {"delta_lindistflow": u_j == u_i - drop + p.delta}
 
 
 def at_buses(bus: sp.csr_array, power: cp.Expression) -> cp.Expression:

@@ -257,6 +257,16 @@ class WindowData:
         least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
         return self.stored_value.between(least_kwh, most_kwh)
 
+    def active_max_kw(self, batteries: Batteries) -> Floats:
+        """Largest active power that a plan may ask of each battery, (W, B)."""
+        most_kw = np.tile(batteries.active_max_kw, (self.n_steps, 1))
+        return most_kw if self.physics is None else most_kw - self.physics.headroom_kw
+
+    def soc_min(self, batteries: Batteries) -> Floats:
+        """Least state of charge at the end of each step, (W, B)."""
+        least = np.tile(batteries.soc_min, (self.n_steps, 1))
+        return least if self.physics is None else least + self.physics.soc_reserve
+
     @property
     def loss_kw(self) -> Floats:
         """Losses of all lines, (W,); zero in the paper's mode."""

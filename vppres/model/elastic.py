@@ -1,57 +1,15 @@
-"""By how much the voltage limits have to give so that a window has a dispatch at all."""
+"""A network whose voltage limits have given way, so that a window has a dispatch at all."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import cvxpy as cp
 import numpy as np
 
-from vppres.model.constraints import voltage_limits
-from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
-from vppres.model.numerics import require_dpp
-from vppres.model.site import Site
 from vppres.scenario.network import Network
 
 ROUNDING_PU = 1e-3
 """Limits are widened to the next multiple, so that windows with like needs share problems."""
-
-
-class ElasticModel:
-    """A window without binaries whose voltage limits give, by the least that is possible.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    n_steps : int
-        Steps W of the window.
-    polygon_sides : int
-        Sides of the outer polygons in place of the inverters' discs.
-    exporting : bool
-        Whether export is part of the problem.
-
-    Attributes
-    ----------
-    problem : cvxpy.Problem
-        Minimises the slack of the squared limits.
-    """
-
-    def __init__(
-        self, site: Site, n_steps: int, polygon_sides: int = 16, exporting: bool = False
-    ) -> None:
-        form = Form("service", "relaxed", "relaxed", polygon_sides, outer=True, exporting=exporting)
-        self.window = WindowModel(site, n_steps, form)
-        self.slack = cp.Variable(name="slack", nonneg=True)
-        giving = voltage_limits(site, self.window.v, self.window.p, self.slack)
-        named = self.window.constraints | giving
-        self.problem = cp.Problem(cp.Minimize(self.slack), list(named.values()))
-        require_dpp(self.problem, f"elastic window of {n_steps} steps")
-
-    def fill(self, data: WindowData) -> None:
-        """Write the window's data."""
-        self.window.fill(data)
 
 
 def widened(network: Network, slack_pu2: float) -> Network:

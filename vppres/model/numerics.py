@@ -19,9 +19,7 @@ BELOW_ZERO = 1e-8
 def disc_sides(site: Site, n_steps: int) -> int:
     """Sides of the discs in problems without binaries: 0 for cones, polygons for large windows.
 
-    Inscribed polygons cost 0.01 % of f4 and are solved slower. They are there because cvxpy's own
-    way to compile cones took seconds and gigabytes in large windows, which
-    ``vppres.solve.interior_points`` no longer does; answers of long windows are theirs.
+    Inscribed polygons cost 0.01 % of f4. Answers of long windows are theirs.
     """
     return 0 if site.network.n_buses * n_steps <= LARGEST_WITH_CONES else SIDES_BEYOND
 

@@ -9,15 +9,10 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
-from cvxpy.atoms.affine.reshape import reshape
 
 from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-
-MOST_SQUARES = 1_000
-"""Squares that cvxpy is to hand on one by one: for 6,000 it fills a matrix in 20 s, since it has a
-column for each parameter."""
 
 
 def f1_service(site: Site, v: Variables, p: Parameters) -> cp.Expression:
@@ -41,40 +36,6 @@ def f4_flows(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     return cp.sum_squares(cp.multiply(root_r, v.P_flow)) + cp.sum_squares(
         cp.multiply(root_r, v.Q_flow)
     )
-
-
-def listed(x: cp.Variable) -> cp.Expression:
-    """A variable (W, n) of very many squares as a list of its entries, put in their places.
-
-    Examples
-    --------
-    >>> listed(cp.Variable((48, 32), name="P_flow")).shape
-    (48, 32)
-    """
-    if x.size <= MOST_SQUARES:
-        return x
-    return cp.reshape(cp.Variable(x.size, name=x.name()), x.shape, order="F")
-
-
-def weighted_squares(weight: Floats, x: cp.Expression) -> cp.Expression:
-    """``sum(weight * x**2)`` of variables (..., n) with weights (n,), for quadratic objectives.
-
-    cvxpy hands squares of variables on as they are. Of whatever else is squared, weighted variables
-    too, it makes variables and equations first, which solvers of cones alone need anyway. Of very
-    many squares it is the quicker way all the same, but for those of a list (:func:`listed`), which
-    have one matrix.
-
-    Examples
-    --------
-    >>> x = cp.Variable((2, 2), value=np.array([[1.0, 2.0], [3.0, 4.0]]))
-    >>> float(weighted_squares(np.array([1.0, 10.0]), x).value)
-    210.0
-    """
-    if isinstance(x, reshape):
-        return squares_of_list(np.repeat(weight, x.shape[0]), x.args[0])
-    if x.size > MOST_SQUARES:
-        return cp.sum_squares(cp.multiply(np.broadcast_to(np.sqrt(weight), x.shape), x))
-    return cp.sum(cp.multiply(np.broadcast_to(weight, x.shape), cp.square(x)))
 
 
 def squares_of_list(weight: Floats, x: cp.Expression) -> cp.Expression:

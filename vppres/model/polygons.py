@@ -1,20 +1,15 @@
 """Polygons in place of the inverters' discs, for solvers without mixed-integer cones.
 
-They stand under the names of (3) ``eq:batt_inverter`` and (7) ``eq:pv_inverter``.
+They are combinations of the rows of (3) ``eq:batt_inverter`` and (7) ``eq:pv_inverter``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 
 from vppres.core.arrays import Floats
-from vppres.model.constraints import Named
-from vppres.model.site import Site
-from vppres.model.variables import Variables
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,50 +50,3 @@ class Polygon:
     def right_half(self) -> Polygon:
         """The half planes that limit positive P."""
         return Polygon(self.angles[np.cos(self.angles) > 1e-9], self.reach)
-
-    def contains(
-        self,
-        P: cp.Expression,
-        Q: cp.Expression,
-        s_max_kva: Floats,
-        S_max: cp.Expression | None = None,
-    ) -> cp.Constraint:
-        """One block of rows for each angle; ``S_max`` is a rating that changes with the steps."""
-        distance = np.broadcast_to(s_max_kva * self.reach, P.shape)
-        rows: Floats | cp.Expression = np.vstack([distance] * len(self.angles))
-        if S_max is not None:
-            share = rows / np.tile(s_max_kva, (len(rows), 1))
-            rows = cp.multiply(share, cp.vstack([S_max] * len(self.angles)))
-        # One product for all angles: cvxpy compiles it in a fifth of the time of one for each.
-        steps = sp.eye_array(P.shape[0])
-        by_P, by_Q = (sp.kron(share(self.angles)[:, None], steps) for share in (np.cos, np.sin))
-        return by_P @ P + by_Q @ Q <= rows
-
-
-def battery_polygon(
-    site: Site, v: Variables, polygon: Polygon, S_max: cp.Expression | None = None
-) -> Named:
-    """Battery inverters as polygons."""
-    rating = site.batteries.s_max_kva
-    return {"battery_inverter_capacity": polygon.contains(v.P_batt, v.Q_batt, rating, S_max)}
-
-
-def battery_half_polygon(
-    site: Site, v: Variables, polygon: Polygon, S_max: cp.Expression | None = None
-) -> Named:
-    """Polygons of batteries whose modes exclude each other, in ``|P|`` and Q.
-
-    ``|P|`` is then charging plus discharging, so half of the sides say what all of them do.
-    """
-    rating = site.batteries.s_max_kva
-    return {
-        "battery_inverter_capacity": polygon.right_half.contains(
-            v.P_ch + v.P_dch, v.Q_batt, rating, S_max
-        )
-    }
-
-
-def pv_polygon(site: Site, v: Variables, polygon: Polygon) -> Named:
-    """PV inverters as polygons."""
-    through = v.P_self + v.P_exp
-    return {"pv_inverter_capacity": polygon.contains(through, v.Q_pv, site.pv.s_max_kva)}

@@ -2,7 +2,8 @@
 
 Numbers in brackets count the paper's equations, names with ``eq:`` are its labels. What a call
 states is in :mod:`vppres.model.constraints` and :mod:`vppres.model.objective`, one function for
-each family. Every other form is derived from this page: see :mod:`vppres.model.forms`.
+each family. Every problem that is solved is a selection of this page and of what a window has
+beyond it: see :mod:`vppres.model.statement`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass
 
 import cvxpy as cp
 import numpy as np
@@ -14,15 +13,14 @@ from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 
-Mode = Literal["integer", "relaxed", "fixed"]
-
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
     """Everything that a re-solve may change (W steps).
 
-    ``P_drawn`` and ``Q_drawn`` are what the network itself draws at the buses; the paper's network
-    draws nothing and has no such parameters.
+    What stands at None is nothing of the paper: demand that is added at the buses, (W, N), and
+    behind the meters of PV systems, (W, P), and ratings and lowest states of charge that change
+    with the steps, (W, B). What a window has beyond the paper sets them.
     """
 
     P_load: cp.Parameter
@@ -38,8 +36,11 @@ class Parameters:
     delta: cp.Parameter
     u_min: cp.Parameter
     u_max: cp.Parameter
-    P_drawn: cp.Parameter | None = None
-    Q_drawn: cp.Parameter | None = None
+    P_added: cp.Expression | None = None
+    Q_added: cp.Expression | None = None
+    P_self_added: cp.Expression | None = None
+    S_max: cp.Expression | None = None
+    SoC_min: cp.Expression | None = None
 
     @classmethod
     def create(cls, site: Site, W: int) -> Parameters:
@@ -63,9 +64,7 @@ class Parameters:
             "u_min": (W, L),
             "u_max": (W, L),
         }
-        if site.network.draws:
-            shapes |= dict.fromkeys(("P_drawn", "Q_drawn"), (W, site.network.n_buses))
-        signed = {"rho_dt", "delta", "P_drawn", "Q_drawn"}
+        signed = {"rho_dt", "delta"}
         if (site.customers.q_per_p < 0).any():
             signed |= {"Q_load"}
         return cls(
@@ -100,12 +99,8 @@ class Parameters:
             "u_min": u_min[:, 1:],
             "u_max": u_max[:, 1:],
         }
-        if data.drawn is not None:
-            values |= {"P_drawn": data.drawn.kw, "Q_drawn": data.drawn.kvar}
-        for f in fields(self):
-            parameter = getattr(self, f.name)
-            if parameter is not None:
-                write(parameter, values[f.name])
+        for name, value in values.items():
+            write(getattr(self, name), value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +108,7 @@ class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
     ``u`` is the squared voltage, referred to the slack bus where lines have ratios; bus 0 is the
-    slack bus, line ``l`` ends at bus ``l + 1``. Where
-    the form fixes the service, ``x_served`` is the constant 1 and the parameters hold served
-    demand.
-    :mod:`vppres.model.tie_breakers` puts expressions in the place of what it holds.
+    slack bus, line ``l`` ends at bus ``l + 1``.
     """
 
     x_served: cp.Expression
@@ -137,10 +129,8 @@ class Variables:
     Q_flow: cp.Expression
 
     @classmethod
-    def create(
-        cls, site: Site, W: int, service: Mode = "integer", exclusivity: Mode = "integer"
-    ) -> Variables:
-        """Variables of a window, the paper's unless binaries are asked for as something else."""
+    def create(cls, site: Site, W: int) -> Variables:
+        """Variables of a window."""
         C = len(site.customers)
         P = len(site.pv)
         B = len(site.batteries)
@@ -156,14 +146,14 @@ class Variables:
         P_ch = nonneg("P_ch", W, B)
         P_dch = nonneg("P_dch", W, B)
         return cls(
-            x_served=_service(W, C, service),
+            x_served=cp.Variable((W, C), name="x_served", boolean=True),
             P_self=nonneg("P_self", W, P),
             P_exp=nonneg("P_exp", W, P),
             P_curt=nonneg("P_curt", W, P),
             Q_pv=free("Q_pv", W, P),
             P_ch=P_ch,
             P_dch=P_dch,
-            delta=cp.Variable((W, B), name="delta", boolean=exclusivity == "integer"),
+            delta=cp.Variable((W, B), name="delta", boolean=True),
             P_batt=P_ch - P_dch,  # (1)
             Q_batt=free("Q_batt", W, B),
             SoC=free("SoC", W + 1, B),
@@ -201,12 +191,3 @@ class Variables:
             p_flow_kw=clean(self.P_flow),
             q_flow_kvar=clean(self.Q_flow),
         )
-
-
-def _service(W: int, C: int, mode: Mode) -> cp.Expression:
-    """Served status, (W, C): binary, between 0 and 1, or everyone the parameters know."""
-    if mode == "fixed":
-        return cp.Constant(np.ones((W, C)))
-    if mode == "relaxed":
-        return cp.Variable((W, C), name="x_served", bounds=[0, 1])
-    return cp.Variable((W, C), name="x_served", boolean=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
+from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, cell_kw, soc_after, voltage_drop_pu2
 from vppres.model.site import Site
@@ -83,7 +83,7 @@ def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
     net_kw = d.charge_kw - d.discharge_kw
     physics = data.physics
     kept_kw = 0.0 if physics is None else physics.headroom_kw
-    room_kw = b.p_max_kw if physics is None else active_room_kw(site, physics)
+    room_kw = b.p_max_kw if physics is None else data.active_max_kw(b)
     both_kw = np.minimum(d.charge_kw, d.discharge_kw)
     apparent_kva = np.hypot(net_kw, d.batt_q_kvar)
     return {

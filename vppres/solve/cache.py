@@ -57,7 +57,7 @@ class ModelCache:
 
         Examples
         --------
-        ``cache.problem(AggregateModel, n_steps=6, integer=False, lumped=True)``
+        ``cache.problem(Sheet, n_steps=6, beyond=())``
         """
         key = (make, args, frozenset(shape.items()))
         if key not in self._problems:

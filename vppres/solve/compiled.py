@@ -21,6 +21,7 @@ from cvxpy.reductions.solvers.solver import Solver
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import NumericalError
+from vppres.solve.linear import Linear
 
 COMPILER = cp.settings.COO_CANON_BACKEND
 """cvxpy's compiler back end; for problems with many parameters it takes a third of the default's
@@ -40,6 +41,52 @@ class Numbers:
     offset: float
     rows: sp.csc_array
     limit: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """A constraint compiled by itself.
+
+    Parameters
+    ----------
+    rows : Linear
+        Equalities, then limits from above, on columns and parameters of its own.
+    equalities, cones : int
+        How many rows are equalities; of how many cones the rows are radius and vector in turn.
+    first : dict
+        First column of each variable, by cvxpy's number of it.
+    parameters : list
+        Parameters with their first places.
+    width : int
+        Parameters and one more.
+    lower, upper : array
+        Bounds of the columns, those that cvxpy made among them.
+    """
+
+    rows: Linear
+    equalities: int
+    cones: int
+    first: dict[int, int]
+    parameters: list[tuple[cp.Parameter, int]]
+    width: int
+    lower: Floats
+    upper: Floats
+
+
+def affine(constraint: cp.Constraint) -> Affine:
+    """Compile a constraint by itself; a second-order cone as the rows that lie in it."""
+    cones = 0
+    if isinstance(constraint, cp.SOC):
+        radius, vector = constraint.args
+        cones = radius.size
+        inside = cp.vstack([cp.reshape(radius, (1, cones), order="F"), vector])
+        constraint = inside >= 0
+    if not constraint.size:
+        none = np.zeros(0, dtype=np.int64)
+        rows = Linear(none, none, sp.csr_array((0, 1)), (0, 0))
+        return Affine(rows, 0, cones, {}, [], 1, np.zeros(0), np.zeros(0))
+    compiled = Compiled(cp.Problem(cp.Minimize(0), [constraint]), cp.HIGHS)
+    return compiled.affine(cones)
 
 
 class Compiled:
@@ -65,9 +112,11 @@ class Compiled:
     """
 
     def __init__(self, problem: cp.Problem, interface: str | Solver) -> None:
+        self.duals: Floats = np.zeros(0)
         data, chain, _ = problem.get_problem_data(interface, canon_backend=COMPILER)
         program = data["param_prob"]
         self.dims = data["dims"]
+        self._program = program
         self._keep_map(program, data)
         self._keep_columns(problem, program, chain.compose_var_id_map())
         self._keep_bounds(program, len(data["c"]))
@@ -152,6 +201,20 @@ class Compiled:
         _check(found)
         return found
 
+    def affine(self, cones: int) -> Affine:
+        """The rows of a problem without objective, entry by entry."""
+        indices, begins, shape = self._program.reduced_A.problem_data_index
+        width = self._constant + 1
+        size = len(self.x_lower)
+        sign = np.where(np.arange(len(indices)) < self._entries, -1.0, 1.0)
+        by = sp.csr_array(sp.diags_array(sign) @ self._rows)
+        column = np.repeat(np.arange(size + 1), np.diff(begins)).astype(np.int64)
+        rows = Linear(np.asarray(indices, dtype=np.int64), column, by, (shape[0], size))
+        first = dict(self.first)
+        places = [(parameter, place.start) for place, parameter in self._parameters]
+        equalities = 0 if cones else self.dims.zero
+        return Affine(rows, equalities, cones, first, places, width, self.x_lower, self.x_upper)
+
     def put(self, x: Floats) -> None:
         """Give the variables the values of a solution."""
         for variable in self._empty:
@@ -188,6 +251,18 @@ def _like(pattern: sp.csc_array, numbers: Floats) -> sp.csc_array:
     made = copy(pattern)
     made.data = numbers
     return made
+
+
+def checked(numbers: Numbers) -> Numbers:
+    """The same, which are numbers.
+
+    Raises
+    ------
+    NumericalError
+        If they are none.
+    """
+    _check(numbers)
+    return numbers
 
 
 def _check(numbers: Numbers) -> None:

@@ -12,24 +12,25 @@ import clarabel
 import cvxpy as cp
 import highspy
 import numpy as np
-from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL, dims_to_solver_cones
+from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL
 from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
 from vppres.core.arrays import Flags, Floats
 from vppres.solve.compiled import Compiled, Numbers
 from vppres.solve.programs import begin_with
+from vppres.solve.selection import Selected
 
 
 class Start(NamedTuple):
-    """What a search begins with: values of a variable of binaries, in its shape."""
+    """What a search begins with: values of binaries, in their shape, by their letter."""
 
-    variable: cp.Variable
+    letter: str
     values: Flags
 
 
 def solve_by_highs(
-    compiled: Compiled, options: Mapping[str, Any], start: Start | None = None
+    compiled: Compiled | Selected, options: Mapping[str, Any], start: Start | None = None
 ) -> tuple[str, Any, float]:
     """Solve a problem without cones: cvxpy's word for how it ended, HiGHS's figures, the least.
 
@@ -49,9 +50,8 @@ def solve_by_highs(
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
     numbers = compiled.numbers()
     solver.passModel(_model(compiled, numbers))
-    if start is not None:
-        columns = compiled.first[start.variable.id] + np.arange(start.variable.size)
-        begin_with(solver, columns, start.values.ravel(order="F"))
+    if start is not None and isinstance(compiled, Selected):
+        begin_with(solver, compiled.at(start.letter), start.values)
     solver.run()
     word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:
@@ -60,7 +60,7 @@ def solve_by_highs(
     return word, info, info.objective_function_value + numbers.offset
 
 
-def _model(compiled: Compiled, numbers: Numbers) -> highspy.HighsModel:
+def _model(compiled: Compiled | Selected, numbers: Numbers) -> highspy.HighsModel:
     """A problem in HiGHS's own form."""
     model = highspy.HighsModel()
     lp = model.lp_
@@ -82,7 +82,14 @@ def _model(compiled: Compiled, numbers: Numbers) -> highspy.HighsModel:
     return model
 
 
-def solve_by_clarabel(compiled: Compiled, options: Mapping[str, Any]) -> str:
+def _cones(dims: Any) -> list[Any]:
+    """Clarabel's names of the kinds of rows."""
+    zero = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
+    nonneg = [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
+    return [*zero, *nonneg, *(clarabel.SecondOrderConeT(size) for size in dims.soc)]
+
+
+def solve_by_clarabel(compiled: Compiled | Selected, options: Mapping[str, Any]) -> str:
     """Solve a continuous problem with cones; cvxpy's word for how it ended.
 
     Raises
@@ -100,7 +107,7 @@ def solve_by_clarabel(compiled: Compiled, options: Mapping[str, Any]) -> str:
         numbers.cost,
         numbers.rows,
         numbers.limit,
-        dims_to_solver_cones(compiled.dims),
+        _cones(compiled.dims),
         settings,
     )
     found = solver.solve()
@@ -108,4 +115,5 @@ def solve_by_clarabel(compiled: Compiled, options: Mapping[str, Any]) -> str:
     if word in SOLUTION_PRESENT:
         x: Floats = np.array(found.x)
         compiled.put(x)
+        compiled.duals = np.array(found.z)
     return word

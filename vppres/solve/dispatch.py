@@ -9,31 +9,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.export import net_exchange
-from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
-from vppres.model.forms import Form, WindowModel
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.numerics import cost_scale, disc_sides
 from vppres.model.reduction import Reduction
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
-from vppres.model.tie_breakers import TieBreakerModel, charging_modes
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Candidate
-from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.forms import Form, sheet_of, window_problem
 from vppres.solve.network.reactive import ReactiveModel
-from vppres.solve.programs import ProgramSolution, columns_of, compiled
+from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic, run_for_variables
 from vppres.solve.task import WindowTask
+from vppres.solve.tie_breakers import TieBreakers
 
 POLYGON_SIDES = 16
 """Default sides of an inverter's polygon."""
@@ -312,16 +309,16 @@ def _solve_cost(
     """One solve of a form of the cost level; the gap is that of a search for modes."""
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
-    model = window_model(cache, data, form)
-    model.fill(data, served)
     conic = form.network and form.exclusivity == "relaxed"
+    problem = window_problem(cache, data, form, conic)
+    problem.fill(data, served)
     if conic:
-        outcome = run_conic(model.problem, deadline.left_s)
+        outcome = run_conic(problem, deadline.left_s)
     else:
-        outcome = run(model.problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
+        outcome = run(problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
-    return Attempt(outcome, model.dispatch(served), model.both_kw())
+    return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw())
 
 
 def with_modes(
@@ -339,30 +336,17 @@ def _with_modes(
 ) -> Attempt:
     """One solve with binaries held."""
     watch = Stopwatch()
-    model = window_model(cache, data, cost_form(0, network=False))
-    model.fill(data, served)
-    program, first = compiled(model.problem)
+    problem = window_problem(cache, data, cost_form(0, network=False))
+    problem.fill(data, served)
+    program = program_of(problem)
     for name, values in modes.items():
-        program = program.with_held(columns_of(first, name, values.shape), values)
+        program = program.with_held(problem.at(name), values)
     found = ProgramSolution.of(program.loaded(), end)
     outcome = found.outcome(watch.spent_s)
     if found.status != Status.OPTIMAL:
         return Attempt(outcome, None)
-    compiled_for(model.problem, cp.HIGHS).put(found.x)
-    return Attempt(outcome, model.dispatch(served))
-
-
-def window_model(cache: ModelCache, data: WindowData, form: Form) -> WindowModel:
-    """The window problem of a form, of the window's length, mode and switching rules."""
-    return cache.problem(WindowModel, n_steps=data.n_steps, form=form_of_window(form, data))
-
-
-def form_of_window(form: Form, data: WindowData) -> Form:
-    """A form with what a window brings: losses, switching rules, export and its end."""
-    rules = None if form.service == "fixed" else rule_steps(data)
-    return replace(
-        form, physical=data.physical, switching=rules, exporting=data.exporting, ending=data.ending
-    )
+    problem.put(found.x)
+    return Attempt(outcome, problem.dispatch(served))
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
@@ -405,20 +389,14 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
     f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
-    model = cache.problem(
-        TieBreakerModel,
-        n_steps=data.n_steps,
-        curtailing=curtailing,
-        physical=data.physical,
-        moves=data.moves is not None,
-        exporting=data.exporting,
-        ending=data.ending,
-    )
-    model.fill(data, dispatch, charging_modes(dispatch), f2_max, f3_max)
-    outcome = run_for_variables(model.problem, deadline.left_s)
+    sheet = sheet_of(cache, data)
+    moves = data.moves is not None
+    problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
+    problem.hold(data, dispatch, f2_max, f3_max)
+    outcome = run_for_variables(problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
-    better = model.dispatch(dispatch.served)
+    better = problem.dispatch(dispatch.served)
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     f2_after = held_gbp(site, data, better)

@@ -8,7 +8,6 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import cvxpy as cp
 import highspy
 import numpy as np
 import scipy.sparse as sp
@@ -17,9 +16,9 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import NumericalError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.compiled import compiled_for
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.result import Outcome, Status
+from vppres.solve.selection import Selected
 
 DIRECT = "highs"
 """Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear
@@ -368,38 +367,18 @@ def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:
     return sp.csc_array((values, rows, above.indptr + below.indptr), shape=shape)
 
 
-def compiled(problem: cp.Problem) -> tuple[Program, dict[str, int]]:
-    """The arrays that cvxpy hands to HiGHS for the parameters' present values.
-
-    Returns
-    -------
-    Program, dict
-        Equalities come first; the first column of each variable by its name.
-    """
-    known = compiled_for(problem, cp.HIGHS)
-    numbers = known.numbers()
-    program = Program(
+def program_of(selected: Selected) -> Program:
+    """A selection with its present numbers."""
+    numbers = selected.numbers()
+    return Program(
         numbers.cost,
-        known.x_lower,
-        known.x_upper,
+        selected.x_lower,
+        selected.x_upper,
         numbers.rows,
-        known.row_lower(numbers.limit),
+        selected.row_lower(numbers.limit),
         numbers.limit,
-        known.whole,
+        selected.whole,
     )
-    # Variables without entries are not compiled.
-    first = known.first
-    return program, {v.name(): first[v.id] for v in problem.variables() if v.id in first}
-
-
-def columns_of(first: Mapping[str, int], name: str, shape: tuple[int, ...]) -> Wholes:
-    """Columns of a variable of a :func:`compiled` problem, in its shape.
-
-    >>> columns_of({"P": 4}, "P", (2, 2)).tolist()
-    [[4, 6], [5, 7]]
-    """
-    size = int(np.prod(shape))
-    return first[name] + np.arange(size).reshape(shape, order="F")
 
 
 def _status(status: highspy.HighsModelStatus, primal: int) -> Status:

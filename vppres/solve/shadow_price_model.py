@@ -11,31 +11,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cvxpy as cp
 import numpy as np
 
-from vppres.contract.stored_value import Ending
 from vppres.core.arrays import Floats
-from vppres.model import objective as terms
-from vppres.model.beyond_paper.ends import end_of_window, f2_at_end, f7_at_end
-from vppres.model.beyond_paper.export import ExportToGrid
-from vppres.model.beyond_paper.stored_value import ValueAtEnd
-from vppres.model.constraints import Named, battery_modes
+from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.forms import (
-    SOLVER_ORDER,
-    fill_end,
-    in_order,
-    stored_at_end,
-    with_demand,
-    with_polygons,
-)
 from vppres.model.linearise import Drawn
-from vppres.model.numerics import disc_sides, require_dpp, write
+from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
-from vppres.model.problem import paper_constraints
 from vppres.model.site import Site
-from vppres.model.variables import Parameters, Variables
+from vppres.solve.forms import in_order, with_discs
+from vppres.solve.selection import Family, Selected, Selection, Sheet
+
+RATED = {
+    "battery_charge_mode": "battery_charge_rated",
+    "battery_discharge_mode": "battery_discharge_rated",
+}
+"""An inverter has a price of its own: two rows that bind together would share it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +58,7 @@ class PricedTerms:
     curtailed_max_kwh: float = np.inf
 
 
-class ShadowPriceModel:
+class ShadowPriceModel(Selected):
     """The pricing problem over at most W steps, compiled once.
 
     Parameters
@@ -75,106 +67,58 @@ class ShadowPriceModel:
         Fixed data.
     n_steps : int
         Steps W of the longest window.
-    exporting : bool
-        Whether export is part of it, in a direction without binaries.
-    ending : {"", "target", "value"}
-        What it says of what batteries hold at the end.
+    beyond : tuple, optional
+        What it has beyond the paper.
     """
 
-    def __init__(
-        self, site: Site, n_steps: int, exporting: bool = False, ending: Ending = ""
-    ) -> None:
+    def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
         self.n_steps = n_steps
-        self.export = ExportToGrid.create(n_steps, "relaxed") if exporting else None
-        self.terminal = end_of_window(ending, len(site.batteries))
-        self.p = Parameters.create(site, n_steps)
-        x = cp.Variable((n_steps, len(site.customers)), name="x_served")
-        # Owners' self-consumption follows their service. A bound of its own would take up a part
-        # of the dual that belongs to the service.
-        P_self = cp.Variable((n_steps, len(site.pv)), name="P_self")
-        v = Variables.create(site, n_steps, "fixed", "relaxed")
-        self.v = replace(v, x_served=x, P_self=P_self)
-        self.x_min, self.x_max = (
-            cp.Parameter(x.shape, name=name, nonneg=True) for name in ("x_min", "x_max")
-        )
-        B = len(site.batteries)
-        self.mode_min, self.mode_max = (
-            cp.Parameter(B, name=name, nonneg=True) for name in ("mode_min", "mode_max")
-        )
-        self.weight_f1, self.weight_f3, self.f3_max = (
-            cp.Parameter(name=name, nonneg=True) for name in ("weight_f1", "weight_f3", "f3_max")
-        )
         self.sides = disc_sides(site, n_steps)
-        self.constraints = self._constraints()
-        self.problem = cp.Problem(self._objective(), list(self.constraints.values()))
-        require_dpp(self.problem, f"pricing problem of {n_steps} steps")
+        super().__init__(Sheet(site, n_steps, beyond), self._selected, conic=True)
 
-    def _constraints(self) -> Named:
-        """The paper's families, and what is held."""
-        args = (self.site, self.v, self.p)
-        v = self.v
-        named = in_order(paper_constraints(*args), SOLVER_ORDER)
-        # An inverter has a price of its own: two rows that bind together would share it.
-        named |= battery_modes(*args, self.site.batteries.p_max_kw)
-        if self.sides:
-            named = with_polygons(named, self.site, v, Polygon.inscribed(self.sides))
-        if self.export is not None:
-            named = with_demand(named, *args, self.export.at_slack_bus(self.site))
-            named |= self.export.connection(self.v.P_grid, self.p.P_grid_max)
-        if self.terminal is not None:
-            named |= self.terminal.reached(stored_at_end(self.site, v))
-        return named | {
-            "mode_min": v.delta[0] >= self.mode_min,
-            "mode_max": v.delta[0] <= self.mode_max,
-            "modes": v.delta >= 0,
-            "modes_max": v.delta <= 1,
-            "service_min": v.x_served >= self.x_min,
-            "service_max": v.x_served <= self.x_max,
-            "curtailment_held": terms.f3_curtailment(*args) <= self.f3_max,
-        }
+    def _selected(self, sheet: Sheet) -> Selection:
+        """All families, and what is held.
 
-    def _objective(self) -> cp.Maximize:
-        """Service less cost less curtailment as they are priced; f2's weight is in rho_dt."""
-        args = (self.site, self.v, self.p)
-        worth = (
-            self.weight_f1 * terms.f1_service(*args)
-            - terms.f2_cost(*args)
-            - self.weight_f3 * terms.f3_curtailment(*args)
-        )
-        if self.export is not None:
-            worth = worth + self.export.f2_revenue
-        if self.terminal is not None:
-            worth = worth - f2_at_end(self.terminal)
-        if isinstance(self.terminal, ValueAtEnd):
-            worth = worth + f7_at_end(self.terminal)
-        return cp.Maximize(worth)
+        A bound of self-consumption would take up a part of the dual that belongs to the service.
+        """
+        found = Selection(sheet).relax("x_served").relax("P_self").relax("delta")
+        if "importing" in sheet.columns:
+            found = found.relax("importing", 0.0, 1.0)
+        polygon = Polygon.inscribed(self.sides) if self.sides else None
+        names = [RATED.get(name, name) for name in in_order(sheet)]
+        found = with_discs(found, names, polygon)
+        for name, letter in (("mode", "delta"), ("service", "x_served")):
+            found = found.limit(f"{name}_min", {letter: -1.0}).limit(f"{name}_max", {letter: 1.0})
+        return found.limit_term("f3").optimise(True, f1=1.0, f2=-1.0, f3=-1.0, f7=1.0)
 
-    def fill(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
-        """Write a window's data, padded to the compiled length."""
+    def price(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
+        """Write a window's data, padded to the compiled length, and what is held and priced."""
         missing = self.n_steps - data.n_steps
-        cost = replace(data, price_gbp_per_kwh=priced.cost * data.price_gbp_per_kwh)
-        padded = _padded(cost, missing)
-        self.p.fill(self.site, padded)
-        if self.terminal is not None:
-            fill_end(self.terminal, self.site, data)
-            if isinstance(self.terminal, ValueAtEnd):
-                write(self.terminal.gbp, priced.cost * self.terminal.gbp.value)
-                write(self.terminal.share, priced.service * self.terminal.share.value)
-            else:
-                write(self.terminal.price, priced.cost * self.terminal.price.value)
-        if self.export is not None:
-            self.export.fill(self.site, padded)
-            write(self.export.sigma_dt, priced.cost * self.export.sigma_dt.value)
-        write(self.x_min, _rows(held.service_min, missing))
-        write(self.x_max, _rows(held.service_max, missing))
-        write(self.mode_min, held.mode_min)
-        write(self.mode_max, held.mode_max)
-        write(self.weight_f1, priced.service)
-        write(self.weight_f3, priced.curtailment)
+        self.fill(_padded(data, missing))
+        self.compile()
+        self.factors.update(f1=priced.service, f2=-priced.cost, f3=-priced.curtailment)
+        if "f7" in self.factors:
+            self.factors["f7"] = priced.service
         # All PV energy of the window is a limit that never binds.
         everything = float(data.pv_kw.sum()) * self.site.dt_h + 1.0
-        write(self.f3_max, min(priced.curtailed_max_kwh, everything))
+        later = np.ones((self.n_steps - 1, len(self.site.batteries)))
+        self.limits = {
+            "mode_min": -np.vstack([held.mode_min, 0.0 * later]),
+            "mode_max": np.vstack([held.mode_max, later]),
+            "service_min": -_rows(held.service_min, missing),
+            "service_max": _rows(held.service_max, missing),
+            "f3": min(priced.curtailed_max_kwh, everything),
+        }
+
+    def family(self, name: str) -> Family:
+        """Rows of the problem by their name."""
+        (part,) = (part for part in self.parts if part.name == name)
+        return part
+
+    def dual(self, name: str) -> Floats:
+        """What one more unit of a family's limits would gain, in its rows' shape."""
+        return np.reshape(self.duals[self.rows_of[name]], self.family(name).shape, order="F")
 
 
 def _padded(data: WindowData, missing: int) -> WindowData:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats
@@ -112,55 +111,50 @@ def price_window(
     time_s : float
         Time limit in s.
     """
-    model.fill(data, held, priced)
-    outcome = run_conic(model.problem, time_s, duals=True)
+    model.price(data, held, priced)
+    outcome = run_conic(model, time_s)
     if outcome.status != Status.OPTIMAL:
         return None
-    v = model.v
+    value = model.value_of
     W = data.n_steps
     return PricedWindow(
         value=outcome.value,
-        served_share=np.clip(_value(v.x_served)[:W], 0.0, 1.0),
-        curtailed_kwh=float(_value(v.P_curt).sum()) * model.site.dt_h,
-        battery_kw=_value(v.P_batt)[:W],
-        soc=_value(v.SoC)[: W + 1],
+        served_share=np.clip(value("x_served")[:W], 0.0, 1.0),
+        curtailed_kwh=float(value("P_curt").sum()) * model.site.dt_h,
+        battery_kw=(value("P_ch") - value("P_dch"))[:W],
+        soc=value("SoC")[: W + 1],
         prices=_prices(model),
         solver_s=outcome.solve_s,
     )
 
 
-def _value(expression: cp.Expression) -> Floats:
-    """Value of an expression in its own shape, which cvxpy drops where it is empty."""
-    return np.reshape(np.asarray(expression.value, dtype=float), expression.shape)
-
-
 def _prices(model: ShadowPriceModel) -> ShadowPrices:
     """The duals in the record's units; the signs are those of a gain."""
     site = model.site
-    v = model.v
     net = site.network
     energy_kwh = site.batteries.energy_kwh
-    mode = _value(v.delta)[0]
-    dual = _Duals(model)
+    mode = model.value_of("delta")[0]
+    dual = model.dual
     # A demand on the right of the balance costs what an injection gains.
-    active = -dual.rows("active_power_balance")[0]
+    active = -dual("active_power_balance")[0]
+    rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
-        stored_energy=dual.rows("battery_soc_start") / energy_kwh,
-        kept_energy=dual.rows("battery_soc_dynamics")[0] / energy_kwh,
-        energy_floor=dual.rows("battery_soc_min").sum(axis=0) / energy_kwh,
-        energy_ceiling=dual.rows("battery_soc_max").sum(axis=0) / energy_kwh,
-        battery_charging=dual.rows("battery_charge_mode")[0] * mode,
-        battery_discharging=dual.rows("battery_discharge_mode")[0] * (1.0 - mode),
-        battery_inverter=dual.disc("battery_inverter_capacity", len(site.batteries)),
-        pv_inverter=dual.disc("pv_inverter_capacity", len(site.pv)),
-        voltage_floor=_per_milli_pu(dual.rows("voltage_min")[0], net.v_min_pu, net.bus_ratio),
-        voltage_ceiling=_per_milli_pu(dual.rows("voltage_max")[0], net.v_max_pu, net.bus_ratio),
+        stored_energy=dual("battery_soc_start") / energy_kwh,
+        kept_energy=dual("battery_soc_dynamics")[0] / energy_kwh,
+        energy_floor=dual("battery_soc_min").sum(axis=0) / energy_kwh,
+        energy_ceiling=dual("battery_soc_max").sum(axis=0) / energy_kwh,
+        battery_charging=dual("battery_charge_rated")[0] * mode,
+        battery_discharging=dual("battery_discharge_rated")[0] * (1.0 - mode),
+        battery_inverter=_of_discs(model, "battery_inverter_capacity"),
+        pv_inverter=_of_discs(model, "pv_inverter_capacity"),
+        voltage_floor=_per_milli_pu(dual("voltage_min")[0], net.v_min_pu, net.bus_ratio),
+        voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio),
         # In an outage the limit meets the bound of 0 from the other side, and its own dual is not
         # unique; what an injection at the slack bus gains is.
-        grid=max(float(active[0] - model.p.rho_dt.value[0]), 0.0),
+        grid=max(float(active[0] - rho_dt), 0.0),
         active=active,
-        reactive=-dual.rows("reactive_power_balance")[0],
-        service=(dual.rows("service_max") - dual.rows("service_min"))[0],
+        reactive=-dual("reactive_power_balance")[0],
+        service=(dual("service_max") - dual("service_min"))[0],
     )
 
 
@@ -169,25 +163,11 @@ def _per_milli_pu(per_pu2: Floats, limit_pu: float, ratio: Floats) -> Floats:
     return np.concatenate([[0.0], per_pu2 * 2.0 * limit_pu * 1e-3 / ratio[1:] ** 2])
 
 
-class _Duals:
-    """Duals of a solved problem by the names of its constraints."""
-
-    def __init__(self, model: ShadowPriceModel) -> None:
-        self.model = model
-
-    def rows(self, name: str) -> Floats:
-        """Dual of a constraint in the constraint's shape."""
-        constraint = self.model.constraints[name]
-        return np.reshape(np.asarray(constraint.dual_value, dtype=float), constraint.shape)
-
-    def disc(self, name: str, count: int) -> Floats:
-        """Value of one more kVA in the first step, from a cone or from a polygon's sides."""
-        W = self.model.n_steps
-        sides = self.model.sides
-        if count == 0:
-            return np.zeros(0)
-        if sides:
-            per_side = self.rows(name).reshape(sides, W, count)
-            return np.asarray(per_side[:, 0].sum(axis=0) * np.cos(np.pi / sides))
-        of_rating = np.asarray(self.model.constraints[name].dual_value[0], dtype=float)
-        return np.asarray(of_rating.reshape(count, W)[:, 0])
+def _of_discs(model: ShadowPriceModel, name: str) -> Floats:
+    """Value of one more kVA in the first step, from cones or from the sides of polygons."""
+    W = model.n_steps
+    dual = model.dual(name)
+    if not model.sides:
+        return np.asarray(dual[0].reshape(-1, W)[:, 0])
+    per_side = dual.reshape(model.sides, W, -1)
+    return np.asarray(per_side[:, 0].sum(axis=0) * np.cos(np.pi / model.sides))

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.elastic import ElasticModel
 from vppres.model.site import Site
+from vppres.solve.dispatch import POLYGON_SIDES
+from vppres.solve.forms import Form, select_form
+from vppres.solve.linear import Linear
+from vppres.solve.selection import EQUAL, Family, Selected, Selection, Sheet
 from vppres.solve.solvers import run_conic
 
 ELASTIC_TIME_S = 20.0
 """Enough for a relaxation without binaries; a step that needs it has lost time already."""
+
+GIVING = ("voltage_min", "voltage_max")
+"""Families whose limits give."""
 
 
 def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) -> float:
@@ -28,8 +40,31 @@ def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) ->
     SolveError
         If not even free voltages leave one.
     """
-    model = ElasticModel(site, data.n_steps, exporting=data.exporting)
-    model.fill(data)
-    outcome = run_conic(model.problem, min(time_s, ELASTIC_TIME_S))
+    problem = Selected(Sheet(site, data.n_steps, beyond_paper(site, data)), _elastic, conic=True)
+    problem.fill(data)
+    outcome = run_conic(problem, min(time_s, ELASTIC_TIME_S))
     outcome.require_answer(f"The window of {data.n_steps} steps without voltage limits")
     return max(outcome.value, 0.0)
+
+
+def _elastic(sheet: Sheet) -> Selection:
+    """The whole problem without binaries, whose voltage limits give by a column of their own."""
+    slack = sheet.new_letter("slack", (1,))
+    form = Form("service", "relaxed", "relaxed", POLYGON_SIDES, outer=True)
+    found = select_form(sheet, form)
+    parts = [_giving(sheet, p, slack) if p.name in GIVING else p for p in found.parts]
+    one = sp.coo_array(([1.0], ([0], slack)), shape=(1, sheet.size))
+    term = Family("slack", Linear.constant(one, np.zeros(1), sheet.width), EQUAL, (1,), ("slack",))
+    return replace(found, parts=tuple(parts), terms=((term, 1.0),), maximises=False)
+
+
+def _giving(sheet: Sheet, family: Family, slack: np.ndarray) -> Family:
+    """A family whose limits all give by the slack."""
+    rows = family.rows.wider(sheet.size)
+    count = rows.shape[0]
+    places = np.arange(count), np.full(count, slack[0])
+    gives = sp.coo_array((-np.ones(count), places), shape=rows.shape)
+    more = Linear.constant(gives, np.zeros(count), sheet.width)
+    both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
+    joined = Linear.stacked([rows, more]).times(both)
+    return replace(family, rows=joined, letters=(*family.letters, "slack"))

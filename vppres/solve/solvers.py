@@ -19,7 +19,6 @@ from vppres.model.site import Site
 from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
-from vppres.solve.interior_points import CLARABEL_INTERFACE
 from vppres.solve.programs import (
     NO_JUMPS,
     SEARCH_FOR_CHEAPER,
@@ -27,6 +26,7 @@ from vppres.solve.programs import (
     SetOptions,
 )
 from vppres.solve.result import Outcome, Status
+from vppres.solve.selection import Selected
 
 INTERIOR_POINTS = "clarabel"
 """Solver of all continuous problems with cones or squares, whichever solver is chosen: those of the
@@ -215,7 +215,7 @@ def find_solver(name: str) -> SolverSpec:
 
 
 def run(
-    problem: cp.Problem,
+    problem: cp.Problem | Selected,
     spec: SolverSpec,
     gap_abs: float,
     time_s: float,
@@ -237,7 +237,7 @@ def run(
 
 
 def run_with(
-    problem: cp.Problem,
+    problem: cp.Problem | Selected,
     spec: SolverSpec,
     options: Callable[[float], Mapping[str, Any]],
     time_s: float,
@@ -255,10 +255,22 @@ def run_with(
     status = Status.NO_ANSWER if answer is None else _status(answer, spec)
     if answer is None or not status.has_answer:
         return Outcome(status, np.nan, np.nan, elapsed, spec.name)
-    sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
-    value = float(problem.objective.value) if answer.least is None else -sign * answer.least
+    sign = 1.0 if _maximises(problem) else -1.0
+    value = _value(problem) if answer.least is None else -sign * answer.least
     bound = value + sign * max(spec.slack(answer), 0.0)
     return Outcome(status, value / scale, bound / scale, elapsed, spec.name)
+
+
+def _maximises(problem: cp.Problem | Selected) -> bool:
+    """Whether a problem's objective is maximised."""
+    if isinstance(problem, Selected):
+        return problem.maximises
+    return isinstance(problem.objective, cp.Maximize)
+
+
+def _value(problem: cp.Problem | Selected) -> float:
+    """Value of the last solution."""
+    return problem.value if isinstance(problem, Selected) else float(problem.objective.value)
 
 
 def _status(answer: Answer, spec: SolverSpec) -> Status:
@@ -279,7 +291,7 @@ def _status(answer: Answer, spec: SolverSpec) -> Status:
 
 
 def run_conic(
-    problem: cp.Problem, time_s: float, scale: float = 1.0, duals: bool = False
+    problem: cp.Problem | Selected, time_s: float, scale: float = 1.0, duals: bool = False
 ) -> Outcome:
     """Solve a continuous problem with cones or a quadratic objective by interior points.
 
@@ -289,11 +301,13 @@ def run_conic(
     outcome = run_for_variables(problem, time_s, duals)
     if not outcome.status.has_answer:
         return outcome
-    value = float(problem.objective.value) / scale
+    value = _value(problem) / scale
     return replace(outcome, value=value, bound=value)
 
 
-def run_for_variables(problem: cp.Problem, time_s: float, duals: bool = False) -> Outcome:
+def run_for_variables(
+    problem: cp.Problem | Selected, time_s: float, duals: bool = False
+) -> Outcome:
     """The same for who reads the variables alone: a sum of squares takes long to evaluate."""
     deadline = Deadline(time_s)
     # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
@@ -303,15 +317,17 @@ def run_for_variables(problem: cp.Problem, time_s: float, duals: bool = False) -
     return Outcome(status, np.nan, np.nan, deadline.spent_s, INTERIOR_POINTS)
 
 
-def _interior_points(problem: cp.Problem, deadline: Deadline, duals: bool, refined: bool) -> Status:
+def _interior_points(
+    problem: cp.Problem | Selected, deadline: Deadline, duals: bool, refined: bool
+) -> Status:
     """Status of a solve by interior points, with or without refined steps."""
 
     def options(time_s: float) -> Mapping[str, Any]:
         return {"time_limit": time_s, "iterative_refinement_enable": refined}
 
-    ask = _by_cvxpy if duals else _by_clarabel
+    ask = _by_cvxpy if duals and isinstance(problem, cp.Problem) else _by_clarabel
     try:
-        answer = ask(problem, CLARABEL_INTERFACE, deadline, options)
+        answer = ask(problem, cp.CLARABEL, deadline, options)
     except cp.SolverError:
         return Status.NUMERICAL
     if answer is None:
@@ -329,7 +345,7 @@ def _interior_points(problem: cp.Problem, deadline: Deadline, duals: bool, refin
 
 
 def _by_highs(
-    problem: cp.Problem,
+    problem: cp.Problem | Selected,
     interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
@@ -346,7 +362,7 @@ def _by_highs(
 
 
 def _by_clarabel(
-    problem: cp.Problem,
+    problem: cp.Problem | Selected,
     interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
@@ -360,9 +376,14 @@ def _by_clarabel(
 
 
 def compiled_in_time(
-    problem: cp.Problem, interface: str | Solver, deadline: Deadline
-) -> Compiled | None:
+    problem: cp.Problem | Selected, interface: str | Solver, deadline: Deadline
+) -> Compiled | Selected | None:
     """The compiled problem; None if it could not be compiled in time, or need not be begun."""
+    if isinstance(problem, Selected):
+        if deadline.left_s < _compile_s(problem):
+            return None
+        problem.compile()
+        return None if deadline.passed else problem
     if not is_compiled(problem, interface) and deadline.left_s < _compile_s(problem):
         return None
     known = compiled_for(problem, interface)
@@ -370,7 +391,7 @@ def compiled_in_time(
 
 
 def _by_cvxpy(
-    problem: cp.Problem,
+    problem: cp.Problem | Selected,
     interface: str | Solver,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
@@ -387,6 +408,8 @@ def _by_cvxpy(
     """
     if deadline.left_s < _compile_s(problem):
         return None
+    if isinstance(problem, Selected):
+        return _selected_by_cvxpy(problem, interface, deadline, options)
     data, chain, inverse = problem.get_problem_data(
         interface, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
     )
@@ -403,8 +426,43 @@ def _by_cvxpy(
     return Answer(problem.status, stats, problem.is_mixed_integer(), has_values)
 
 
-def _compile_s(problem: cp.Problem) -> float:
+def _selected_by_cvxpy(
+    selected: Selected,
+    interface: str | Solver,
+    deadline: Deadline,
+    options: Callable[[float], Mapping[str, Any]],
+) -> Answer | None:
+    """The same of a selection: cvxpy gets its numbers as a problem."""
+    problem, x = as_cvxpy(selected)
+    answer = _by_cvxpy(problem, interface, deadline, options)
+    if answer is not None and answer.has_values:
+        selected.put(np.asarray(x.value, dtype=float))
+    return answer
+
+
+def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
+    """A selection with its present numbers as a problem of one variable, without parameters."""
+    numbers = selected.numbers()
+    whole = [(int(column),) for column in selected.whole]
+    x = cp.Variable(len(numbers.cost), **({"integer": whole} if whole else {}))
+    zero, end = selected.dims.zero, selected.dims.zero + selected.dims.nonneg
+    left = numbers.limit - numbers.rows @ x
+    rows = [left[:zero] == 0, left[zero:end] >= 0]
+    if selected.dims.soc:
+        cones = cp.reshape(left[end:], (3, len(selected.dims.soc)), order="F")
+        rows.append(cp.SOC(cones[0], cones[1:], axis=0))
+    if not selected.conic:
+        low, high = np.isfinite(selected.x_lower), np.isfinite(selected.x_upper)
+        rows += [x[low] >= selected.x_lower[low], x[high] <= selected.x_upper[high]]
+    least = numbers.cost @ x + numbers.offset
+    sense = cp.Maximize(-least) if selected.maximises else cp.Minimize(least)
+    return cp.Problem(sense, rows), x
+
+
+def _compile_s(problem: cp.Problem | Selected) -> float:
     """What compiling a problem may take, 0 for one that is compiled."""
+    if isinstance(problem, Selected):
+        return 0.0 if problem.is_compiled else COMPILE_S + COMPILE_S_PER_ENTRY * problem.entries
     if problem.compilation_time is not None:
         return 0.0
     parts = [*problem.variables(), *problem.constraints]

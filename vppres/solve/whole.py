@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
-from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import (
     FINER,
     POLYGON_SIDES,
     keep_dispatch_in_network,
-    window_model,
 )
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
@@ -42,13 +39,13 @@ def without_binaries(task: WindowTask) -> None:
     if deadline.passed:
         return
     form = Form("service", "relaxed", "relaxed", task.sides or POLYGON_SIDES, outer=True)
-    model = window_model(task.cache, task.data, form)
-    model.fill(task.data)
-    outcome = run_conic(model.problem, deadline.left_s, objective_scale(task.site))
+    problem = window_problem(task.cache, task.data, form, conic=True)
+    problem.fill(task.data)
+    outcome = run_conic(problem, deadline.left_s, objective_scale(task.site))
     known.note("relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.value + CONIC_TOLERANCE * abs(outcome.value) + CONIC_TOLERANCE)
-        keep_dispatch_in_network(task, model.v.x_served.value > IN_FULL)
+        keep_dispatch_in_network(task, problem.value_of("x_served") > IN_FULL)
 
 
 def with_binaries(task: WindowTask) -> None:
@@ -76,16 +73,15 @@ def _search(task: WindowTask, name: str, form: Form) -> bool:
 def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     """One solve of the whole problem: keeps the dispatch of its served set; whether it ended."""
     known = task.certificate
-    model = window_model(task.cache, task.data, form)
-    model.fill(task.data)
-    outcome = run(model.problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
+    problem = window_problem(task.cache, task.data, form)
+    problem.fill(task.data)
+    outcome = run(problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
     known.note(name, outcome)
     inner = form.polygon_sides > 0 and not form.outer
-    x = model.v.x_served.value
-    if outcome.status.has_answer and x is not None:
+    if outcome.status.has_answer:
         if not inner:
             known.bound_by(outcome.bound)
-        keep_dispatch_in_network(task, np.asarray(x) > 0.5)
+        keep_dispatch_in_network(task, problem.value_of("x_served") > 0.5)
     elif not inner:
         # Inner polygons take capacity away: that they leave nothing proves nothing.
         known.prove(outcome)

@@ -8,18 +8,21 @@ from another past (4). Without export no problem has any of this.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
-from vppres.model.constraints import AddedDemand, Named, at_slack_bus
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.constraints import Named, at_slack_bus
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
-from vppres.model.variables import Mode
+from vppres.model.variables import Parameters, Variables
 
 NOISE_KW = 1e-7
 """What a solver leaves where there is no export."""
@@ -32,16 +35,15 @@ EXPLOITED_GBP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class ExportToGrid:
+class ExportToGrid(Addition):
     """Variables and parameters of the export over W steps.
 
     Parameters
     ----------
     P_out : cvxpy.Variable, shape (W,)
         Exported power.
-    importing : cvxpy.Variable, shape (W,), optional
-        1 where the connection may import, 0 where it may export; between them in a relaxation. None
-        where the direction is held: then one of the two limits is 0.
+    importing : cvxpy.Variable, shape (W,)
+        1 for a step in which the connection may import, 0 for one in which it may export.
     P_out_max : cvxpy.Parameter, shape (W,)
         Largest export.
     sigma_dt : cvxpy.Parameter, shape (W,)
@@ -49,57 +51,53 @@ class ExportToGrid:
     """
 
     P_out: cp.Variable
-    importing: cp.Variable | None
+    importing: cp.Variable
     P_out_max: cp.Parameter
     sigma_dt: cp.Parameter
 
+    replaces: ClassVar[tuple[str, ...]] = ("grid_active_limit",)
+
     @classmethod
-    def create(cls, W: int, direction: Mode) -> ExportToGrid:
-        """Export of a window of W steps."""
-        importing = None
-        if direction == "integer":
-            importing = cp.Variable(W, name="importing", boolean=True)
-        if direction == "relaxed":
-            importing = cp.Variable(W, name="importing", bounds=[0, 1])
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether the connection exports."""
+        return data.exporting or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Export of a window."""
+        W = v.P_grid.size
         return cls(
             P_out=cp.Variable(W, name="P_out", nonneg=True),
-            importing=importing,
+            importing=cp.Variable(W, name="importing", boolean=True),
             P_out_max=cp.Parameter(W, name="P_out_max", nonneg=True),
             sigma_dt=cp.Parameter(W, name="sigma_dt"),
         )
 
-    @property
-    def f2_revenue(self) -> cp.Expression:
-        """What the export earns, in GBP."""
-        return self.sigma_dt @ self.P_out
-
-    def at_slack_bus(self, site: Site) -> AddedDemand:
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """The export as a demand; reactive exchange is free in both directions as it is."""
-        none = np.zeros((self.P_out.size, site.network.n_buses))
-        return AddedDemand(at_slack_bus(site, self.P_out), cp.Constant(none))
+        return {"P_added": at_slack_bus(site, self.P_out)}
 
-    def connection(self, P_grid: cp.Expression, P_grid_max: cp.Parameter) -> Named:
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Limits of import and export, in place of the limit of import alone."""
-        most_in: cp.Expression = P_grid_max
-        most_out: cp.Expression = self.P_out_max
-        if self.importing is not None:
-            most_in = cp.multiply(P_grid_max, self.importing)
-            most_out = cp.multiply(self.P_out_max, 1 - self.importing)
-        return {"grid_active_limit": P_grid <= most_in, "grid_export_limit": self.P_out <= most_out}
+        most_in = cp.multiply(p.P_grid_max, self.importing)
+        most_out = cp.multiply(self.P_out_max, 1 - self.importing)
+        return {
+            "grid_active_limit": v.P_grid <= most_in,
+            "grid_export_limit": self.P_out <= most_out,
+        }
 
-    def fill(self, site: Site, data: WindowData, exporting: Flags | None = None) -> None:
-        """Write a window's data, with the steps in which export is held to be the direction."""
+    def terms(self) -> dict[str, cp.Expression]:
+        """What the export earns comes off the cost, in GBP."""
+        return {"f2": -(self.sigma_dt @ self.P_out)}
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write a window's data."""
         assert data.export is not None
-        most = data.export_max_kw(site)
-        write(self.P_out_max, most if exporting is None else np.where(exporting, most, 0.0))
+        write(self.P_out_max, data.export_max_kw(site))
         write(self.sigma_dt, data.export.price_gbp_per_kwh * site.dt_h)
 
-    def most_earned_gbp(self) -> Floats:
-        """What the largest export of each step earns, negative where it costs, (W,)."""
-        return np.asarray(self.sigma_dt.value * self.P_out_max.value)
-
-    def netted(self, found: Dispatch) -> Dispatch:
-        """A solution whose import is known, with the grid's power in both directions."""
+    def read(self, found: Dispatch) -> Dispatch:
+        """The dispatch with the grid's power in both directions."""
         return replace(found, p_grid_kw=found.p_grid_kw - self.exported_kw())
 
     def exported_kw(self) -> Floats:

@@ -1,21 +1,24 @@
 """What physical mode changes in a window's problem: losses, the island's reference, headroom.
 
-The paper's families that would not hold in an island are stated with other limits, under their
-names: losses and ratings are arguments of the families, the rest is here. Every datum is a
+The paper's families that would not hold in an island have other limits, under their names: losses
+and ratings are parameters of the families, the rest is here. Every datum is a
 parameter, so that a problem is compiled once. Why the paper's mode has none of these parameters,
 at zero: ``docs/decisions/physical-parameters.md``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, fields
+from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.constraints import Named, battery_soc_limits
-from vppres.model.data import Physics, WindowData
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.constraints import Named
+from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
@@ -24,7 +27,7 @@ _U_ANY = 4.0  # no limit on the grid's squared voltage while the grid holds it
 
 
 @dataclass(frozen=True, eq=False)
-class PhysicalParameters:
+class PhysicalMode(Addition):
     """What a window of W steps has beyond :class:`vppres.model.variables.Parameters`.
 
     ``P_loss`` and ``Q_loss`` are the lines' losses at the buses where they end; ``held`` marks the
@@ -41,9 +44,17 @@ class PhysicalParameters:
     S_room: cp.Parameter
     SoC_min: cp.Parameter
 
+    replaces: ClassVar[tuple[str, ...]] = ("voltage_slack",)
+
     @classmethod
-    def create(cls, site: Site, W: int) -> PhysicalParameters:
-        """Parameters of a window of W steps."""
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether the window is physical."""
+        return data.physical or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Parameters of a window."""
+        W = v.u.shape[0]
         N = site.network.n_buses
         B = len(site.batteries)
         shapes = {
@@ -76,26 +87,25 @@ class PhysicalParameters:
             "held": np.eye(net.n_buses)[physics.reference],
             "u_root_min": np.where(island, net.v_min_pu**2, 0.0),
             "u_root_max": np.where(island, net.v_max_pu**2, _U_ANY),
-            "P_room": active_room_kw(site, physics),
+            "P_room": data.active_max_kw(site.batteries),
             "S_room": site.batteries.s_max_kva - physics.headroom_kw,
-            "SoC_min": site.batteries.soc_min + physics.soc_reserve,
+            "SoC_min": data.soc_min(site.batteries),
         }
         for f in fields(self):
             write(getattr(self, f.name), values[f.name])
 
-    @property
-    def rating(self) -> cp.Parameter | None:
-        """Apparent power that plans may use, (W, B); None where there is no battery."""
-        return self.S_room if self.S_room.shape[1] else None
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """Losses as a demand; ratings and lowest states of charge, if there are batteries."""
+        limits = {"S_max": self.S_room, "SoC_min": self.SoC_min} if len(site.batteries) else {}
+        return {"P_added": self.P_loss, "Q_added": self.Q_loss, **limits}
 
-    def in_island(self, named: Named, site: Site, v: Variables, p: Parameters) -> Named:
-        """The constraints with the voltage held where it is, and batteries less their headroom."""
-        if "voltage_slack" in named:
-            kept = {name: c for name, c in named.items() if name != "voltage_slack"}
-            named = kept | self._voltages(site, v)
-        if len(site.batteries):
-            named = named | self._headroom(v) | battery_soc_limits(site, v, p, self.SoC_min)
-        return named
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """The voltage held where it is, and batteries less their headroom."""
+        return self._voltages(site, v) | (self._headroom(v) if len(site.batteries) else {})
+
+    def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Headroom of batteries whose modes exclude each other."""
+        return {"headroom_power": v.P_ch + v.P_dch <= self.P_room}
 
     def _voltages(self, site: Site, v: Variables) -> Named:
         """The voltage is held at the grid's bus, or at a battery's while the grid is away."""
@@ -116,11 +126,6 @@ class PhysicalParameters:
             "headroom_charge": v.P_batt <= self.P_room,
             "headroom_discharge": -v.P_batt <= self.P_room,
         }
-
-
-def active_room_kw(site: Site, physics: Physics) -> Floats:
-    """Largest active power that a plan may ask of each battery, (W, B)."""
-    return np.asarray(site.batteries.active_max_kw - physics.headroom_kw)
 
 
 def at_far_ends(loss: Floats) -> Floats:

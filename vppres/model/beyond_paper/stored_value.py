@@ -7,17 +7,23 @@ off the cost. Without a value no problem has any of this.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Self
 
 import cvxpy as cp
 
 from vppres.contract.stored_value import PIECES, StoredValue
+from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
+from vppres.model.data import WindowData
 from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
 
 
 @dataclass(frozen=True, eq=False)
-class ValueAtEnd:
+class ValueAtEnd(Addition):
     """Variables and parameters of the value of what is stored at the end of a window.
 
     Parameters
@@ -42,7 +48,12 @@ class ValueAtEnd:
     share: cp.Parameter
 
     @classmethod
-    def create(cls) -> ValueAtEnd:
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether there is a value."""
+        return data.ending == "value" or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """A value of any window."""
         return cls(
             cp.Variable(name="E_stored"),
@@ -53,25 +64,21 @@ class ValueAtEnd:
             cp.Parameter(name="kept_share", nonneg=True),
         )
 
-    @property
-    def f2_missing(self) -> cp.Expression:
-        """What comes off the cost, in GBP and negative."""
-        return -self.gbp * self.kept
-
-    @property
-    def f7_later(self) -> cp.Expression:
-        """Later service, in weighted customer hours."""
-        return self.share * self.kept
-
-    def reached(self, energy_kwh: cp.Expression) -> Named:
-        """The energy at the end of the window, (G,), and what it is worth."""
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """The energy at the end of the window, and what it is worth."""
+        energy_kwh = cp.multiply(site.batteries.energy_kwh, v.SoC[-1])
         return {
             "stored_at_end": self.stored == cp.sum(energy_kwh),
             "value_at_end": self.kept <= self.slope * self.stored + self.offset,
         }
 
-    def fill(self, value: StoredValue) -> None:
+    def terms(self) -> dict[str, cp.Expression]:
+        """What comes off the cost in GBP, and later service in weighted customer hours."""
+        return {"f2": -self.gbp * self.kept, "f7": self.share * self.kept}
+
+    def fill(self, site: Site, data: WindowData) -> None:
         """Write the lines and what they count as."""
+        value = data.stored_value or StoredValue.nothing()
         write(self.slope, value.slope)
         write(self.offset, value.offset)
         write(self.gbp, value.gbp_as_cost)

@@ -7,8 +7,9 @@ problem has any of this.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -16,10 +17,12 @@ import scipy.sparse as sp
 
 from vppres.contract.switching import RuleSteps, SwitchingData
 from vppres.core.arrays import Floats
-from vppres.model.constraints import AddedDemand, Named
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +45,14 @@ class ColdDemand:
         }
         return cls(_zero_to_one((W, C), "z_cold"), **named)
 
-    def at_buses(self, site: Site) -> AddedDemand:
-        """The added demand at the buses."""
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """The added demand at the buses, and the added self-consumption of each PV system."""
         at_bus = site.customer_bus.T
-        return AddedDemand(
-            cp.multiply(self.P_cold, self.z) @ at_bus, cp.multiply(self.Q_cold, self.z) @ at_bus
-        )
-
-    def own(self, site: Site) -> cp.Expression:
-        """The added self-consumption of each PV system, (W, P)."""
-        return cp.multiply(self.P_self_cold, self.z[:, site.owner])
+        return {
+            "P_added": cp.multiply(self.P_cold, self.z) @ at_bus,
+            "Q_added": cp.multiply(self.Q_cold, self.z) @ at_bus,
+            "P_self_added": cp.multiply(self.P_self_cold, self.z[:, site.owner]),
+        }
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the added demand, and the added self-consumption of PV owners."""
@@ -62,7 +63,7 @@ class ColdDemand:
         write(self.P_self_cold, cold.self_limit_kw(site) - data.self_limit_kw(site))
 
 
-class SwitchingModel:
+class SwitchingModel(Addition):
     """Variables, parameters, constraints and price of the rules over W steps.
 
     Parameters
@@ -74,6 +75,8 @@ class SwitchingModel:
     steps : RuleSteps
         Minimum times and cold load.
     """
+
+    rules: ClassVar[bool] = True
 
     def __init__(self, site: Site, x: cp.Expression, steps: RuleSteps) -> None:
         self.site = site
@@ -93,17 +96,35 @@ class SwitchingModel:
         families = FAMILIES + ((cold_load,) if steps.cold else ())
         self.constraints = {name: c for family in families for name, c in family(self).items()}
 
-    @property
-    def f6_switching(self) -> cp.Expression:
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """Minimum times and cold load in steps."""
+        return rule_steps(data)
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """The rules on the service of a window."""
+        assert isinstance(shape, RuleSteps)
+        return cls(site, v.x_served, shape)
+
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """Demand after restorations."""
+        return {} if self.cold is None else self.cold.parameters(site)
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Rows on service and on what follows from it."""
+        return self.constraints
+
+    def terms(self) -> dict[str, cp.Expression]:
         """Price of the actions; switching off pays for the restoration too."""
-        return 2.0 * self.price * cp.sum(self.off)
+        return {"f6": 2.0 * self.price * cp.sum(self.off)}
 
     @property
     def follow(self) -> list[cp.Variable]:
         """Variables that service decides, (W, C) each."""
         return [self.on, self.off] + ([] if self.cold is None else [self.cold.z])
 
-    def fill(self, data: WindowData) -> None:
+    def fill(self, site: Site, data: WindowData) -> None:
         """Write the window's rules."""
         rules = data.switching
         assert rules is not None
@@ -115,7 +136,7 @@ class SwitchingModel:
         write(self.price, rules.price_per_action)
         if self.cold is not None:
             write(self.cold_before, rules.cold_before.astype(float))
-            self.cold.fill(self.site, data)
+            self.cold.fill(site, data)
 
 
 def switching_actions(m: SwitchingModel) -> Named:
@@ -182,11 +203,6 @@ def cold_load(m: SwitchingModel) -> Named:
 
 RuleFamily = Callable[[SwitchingModel], Named]
 FAMILIES: tuple[RuleFamily, ...] = (switching_actions, minimum_times, past_actions)
-
-
-def cold_demand(model: SwitchingModel | None) -> ColdDemand | None:
-    """What restorations add to the demand, None where they add nothing."""
-    return None if model is None else model.cold
 
 
 def rule_steps(data: WindowData) -> RuleSteps | None:

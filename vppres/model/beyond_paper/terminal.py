@@ -7,24 +7,30 @@ of this.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Self
 
 import cvxpy as cp
 
-from vppres.core.arrays import Floats
+from vppres.contract.terminal import Terminal
+from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
+from vppres.model.data import WindowData
 from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
 
 
 @dataclass(frozen=True, eq=False)
-class HeldAtEnd:
-    """Variable and parameters of what G batteries, or lumped fleets, are to hold at the end.
+class HeldAtEnd(Addition):
+    """Variable and parameters of what batteries are to hold at the end.
 
     Parameters
     ----------
-    missing : cvxpy.Variable, shape (G,)
+    missing : cvxpy.Variable, shape (B,)
         Energy that is missing in kWh.
-    target_kwh : cvxpy.Parameter, shape (G,)
+    target_kwh : cvxpy.Parameter, shape (B,)
         Energy that is to be held.
     price : cvxpy.Parameter
         Price of a missing kWh in GBP.
@@ -35,29 +41,32 @@ class HeldAtEnd:
     price: cp.Parameter
 
     @classmethod
-    def create(cls, G: int) -> HeldAtEnd:
-        """What so many batteries are to hold."""
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether there is a target."""
+        return data.ending == "target" or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """What the batteries are to hold."""
+        B = len(site.batteries)
         return cls(
-            cp.Variable(G, name="E_missing", nonneg=True),
-            cp.Parameter(G, name="E_target", nonneg=True),
+            cp.Variable(B, name="E_missing", nonneg=True),
+            cp.Parameter(B, name="E_target", nonneg=True),
             cp.Parameter(name="price_missing", nonneg=True),
         )
 
-    @property
-    def f2_missing(self) -> cp.Expression:
-        """What the missing energy costs, in GBP."""
-        return self.price * cp.sum(self.missing)
-
-    def reached(self, energy_kwh: cp.Expression) -> Named:
-        """The energy at the end of the window, (G,), and what is missing to the target."""
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """The energy at the end of the window, and what is missing to the target."""
+        energy_kwh = cp.multiply(site.batteries.energy_kwh, v.SoC[-1])
         return {"held_at_end": energy_kwh + self.missing >= self.target_kwh}
 
-    def fill(self, target_kwh: Floats, price_gbp_per_kwh: float) -> None:
-        """Write what is to be held, (G,), and the price of what is missing."""
-        write(self.target_kwh, target_kwh)
-        write(self.price, price_gbp_per_kwh)
+    def terms(self) -> dict[str, cp.Expression]:
+        """What the missing energy costs, in GBP."""
+        return {"f2": self.price * cp.sum(self.missing)}
 
-    @property
-    def worst_gbp(self) -> float:
-        """Cost of holding nothing at all."""
-        return float(self.price.value * self.target_kwh.value.sum())
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write what is to be held and the price of what is missing; nothing without a target."""
+        terminal = data.terminal or Terminal(0.0, 0.0)
+        target_kwh = terminal.target_kwh(site.batteries)
+        write(self.target_kwh, target_kwh if data.terminal else 0.0 * target_kwh)
+        write(self.price, terminal.price_gbp_per_kwh)

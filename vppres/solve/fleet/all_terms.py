@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import keep_dispatch
-from vppres.solve.fleet.masters import fleets_of, relaxation_of, search_for_set
+from vppres.solve.fleet.masters import fleets_of, search_for_set
+from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.result import Status
 from vppres.solve.task import WindowTask
 
@@ -32,16 +31,16 @@ def all_terms(task: WindowTask) -> None:
 def _search(task: WindowTask, lumped: bool, gap: float) -> bool:
     """One search to a gap; whether it ended."""
     known = task.certificate
-    model = relaxation_of(task.cache, task.data, integer=True, lumped=lumped)
-    model.fill(task.data)
+    problem = fleet_problem(task.cache, task.data, lumped, integer=True, goal="weighted")
+    problem.write(task.data)
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
     time_s = task.search.left_s
-    outcome = search_for_set(model, model.problem, task.spec, gap, time_s, scale, first)
+    outcome = search_for_set(problem, task.spec, gap, time_s, scale, first)
     known.note("aggregate", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
         return False
     known.bound_by(outcome.bound)
-    keep_dispatch(task, np.asarray(model.x.value) > 0.5)
+    keep_dispatch(task, problem.value_of("x_served") > 0.5)
     return outcome.status == Status.OPTIMAL

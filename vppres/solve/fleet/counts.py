@@ -153,19 +153,19 @@ class Counts:
 
     def __init__(self, model: DemandModel, data: WindowData, deadline: Deadline) -> None:
         self.deadline = deadline
-        self.unit = model.relaxation.grid
-        model.fill(data)
+        self.unit = model.grid
+        model.write(data)
         self.load_kw = data.load_kw
         self.able = model.able
         self.units = model.customer_units
         self.unlimited: Flags = np.isinf(data.grid_limit_kw)
         self.outages = runs(data.dark)
-        self.demand_kw = np.asarray(model.p["load_all"].value)
+        self.demand_kw = model.load_kw
         self.worst = model.worst()
-        self.least = model.least_lost(), model.least_cost_gbp()
-        self.whole = model.whole
+        self.least = model.least()
+        self.whole = model.whole_units
         self.reach = Reach(model)
-        self.one = OneBattery.of(model.relaxation.site, data)
+        self.one = OneBattery.of(model.site, data)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
         self.proven: dict[bytes, float] = {}

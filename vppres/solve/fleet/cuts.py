@@ -10,7 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import ProgramSolution, add_row, compiled
+from vppres.solve.programs import ProgramSolution, add_row, program_of
 from vppres.solve.result import Status
 
 VIOLATED_KW = 2e-6
@@ -58,20 +58,17 @@ class Reach:
     """
 
     def __init__(self, model: DemandModel) -> None:
-        program, first = compiled(model.problem)
-        W = model.relaxation.n_steps
-        self.places = np.concatenate(
-            [first["load"] + np.arange(W), [first["lost"]], [first["spent"]]]
-        )
+        program = program_of(model)
+        W = model.n_steps
+        self.places = np.concatenate([model.at(name) for name in ("load", "lost", "spent")])
         self.signs = np.concatenate([np.ones(W), [-1.0, -1.0]])
-        most_lost, dearest_gbp = model.worst()
         # From any loss and cost there can be, one step leads to the worst, carried for certain.
-        ranges = [most_lost - model.least_lost(), dearest_gbp - model.least_cost_gbp()]
-        direction = np.concatenate([np.asarray(model.p["load_all"].value), ranges])
+        ranges = np.array(model.worst()) - np.array(model.least())
+        direction = np.concatenate([model.load_kw, ranges])
         self.program = program
         self.direction = direction
-        self.constant = np.append(np.zeros(W, dtype=bool), np.array(ranges) <= 0.0)
-        self.largest = float(direction.max() + model.fleet_kw())
+        self.constant = np.append(np.zeros(W, dtype=bool), ranges <= 0.0)
+        self.largest = float(direction.max() + model.fleet_kw)
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
         self.solver = self._new_solver()
         self.others: dict[int, highspy.Highs] = {}

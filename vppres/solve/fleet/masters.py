@@ -9,21 +9,24 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Protocol
 
-import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.model.beyond_paper.switching import rule_steps
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
 from vppres.solve.dispatch import eased
 from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
-from vppres.solve.fleet.demand import DemandModel, demand_model
-from vppres.solve.fleet.relaxation import AggregateModel, whole_price
-from vppres.solve.programs import columns_of, compiled, near_linear
+from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.fleet.relaxation import (
+    FleetProblem,
+    fleet_of,
+    fleet_problem,
+    weight_grid,
+    whole_price,
+)
+from vppres.solve.programs import near_linear, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
@@ -102,8 +105,7 @@ class Binaries:
         self.spec = spec
         self.deadline = deadline
         self.lumped = lumped
-        self.model = relaxation_of(cache, data, integer=True, lumped=lumped)
-        self.unit = self.model.grid
+        self.unit = weight_grid(cache.site.customers.weight * cache.site.dt_h)
         self.best: Flags | None = None
 
     @property
@@ -113,17 +115,17 @@ class Binaries:
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
-        self.model.fill(self.data, all_connected=True)
+        problem = fleet_problem(self.cache, self.data, self.lumped, integer=True, goal="service")
+        problem.write(self.data, all_connected=True)
         open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s
-        problem = self.model.grid_problem
-        outcome = search_for_set(self.model, problem, self.spec, open_units, left_s)
+        outcome = search_for_set(problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
-        self.best = self._set(outcome)
+        self.best = set_of(problem, outcome)
         return outcome, self.best
 
     def cost(
@@ -131,35 +133,35 @@ class Binaries:
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; the LP relaxation first, which may do."""
         relaxed = self._with_units(units_min, everyone, integer=False)
-        bound = run(relaxed.cost_problem, self.spec, 0.0, self.deadline.left_s)
+        bound = run(relaxed, self.spec, 0.0, self.deadline.left_s)
         near = not np.isfinite(gap_gbp) or bound.bound >= known_gbp - gap_gbp
         if near or bound.status != Status.OPTIMAL:
             return bound, None
-        model = self._with_units(units_min, everyone, integer=True)
+        problem = self._with_units(units_min, everyone, integer=True)
         options = None if self.best is None else self.spec.of_cheaper
         left_s = self.deadline.left_s
         outcome = search_for_set(
-            model, model.cost_problem, self.spec, gap_gbp, left_s, first=self.best, options=options
+            problem, self.spec, gap_gbp, left_s, first=self.best, options=options
         )
         if not outcome.status.has_answer:
             return replace(bound, status=Status.TIME_LIMIT), None
-        return outcome, self._set(outcome)
+        return outcome, set_of(problem, outcome)
 
-    def _with_units(self, units_min: float, everyone: bool, integer: bool) -> AggregateModel:
+    def _with_units(self, units_min: float, everyone: bool, integer: bool) -> FleetProblem:
         """The relaxation of all sets with so many units."""
-        model = relaxation_of(self.cache, self.data, integer=integer, lumped=self.lumped)
-        model.fill(self.data, all_connected=everyone)
-        write(model.service_min, units_min * self.unit)
-        return model
+        problem = fleet_problem(self.cache, self.data, self.lumped, integer, "cost")
+        problem.service_min = units_min * self.unit
+        problem.write(self.data, all_connected=everyone)
+        return problem
 
-    def _set(self, outcome: Outcome) -> Flags | None:
-        """Who is served by the last answer."""
-        return np.asarray(self.model.x.value) > 0.5 if outcome.status.has_answer else None
+
+def set_of(problem: FleetProblem, outcome: Outcome) -> Flags | None:
+    """Who is served by the last answer."""
+    return problem.value_of("x_served") > 0.5 if outcome.status.has_answer else None
 
 
 def search_for_set(
-    model: AggregateModel,
-    problem: cp.Problem,
+    problem: FleetProblem,
     spec: SolverSpec,
     gap_abs: float,
     time_s: float,
@@ -169,21 +171,20 @@ def search_for_set(
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, or with one near the linear set.
 
-    ``problem`` is one of the model's, ``scale`` a factor in its objective as in ``run``. A search
-    of few binaries begins with nothing, and has the solver's options for any set; others have
-    these where ``options`` is None.
+    ``scale`` is a factor in the problem's objective as in ``run``. A search of few binaries begins
+    with nothing, and has the solver's options for any set; others have these if ``options`` is
+    None.
     """
-    x = model.x
+    x = problem.sheet.columns["x_served"]
     if x.size < MANY_BINARIES:
         return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
     deadline = Deadline(time_s)
     asks = first is None and len(spec.of_sets) > 0
     if asks and compiled_in_time(problem, spec.cvxpy_name, deadline):
-        program, columns = compiled(problem)
-        near = near_linear(program, gap_abs * scale, deadline.part(NEAR_SHARE))
+        near = near_linear(program_of(problem), gap_abs * scale, deadline.part(NEAR_SHARE))
         if near is not None:
-            first = near[columns_of(columns, x.name(), x.shape)] > 0.5
-    start = None if first is None else Start(x, first)
+            first = near[problem.at("x_served")] > 0.5
+    start = None if first is None else Start("x_served", first)
     more = spec.of_sets if options is None else options
     outcome = run(problem, spec, gap_abs, deadline.left_s, scale, more, start)
     return replace(outcome, solve_s=deadline.spent_s)
@@ -197,37 +198,14 @@ def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | No
     data = task.data
     if data.switching is None and data.load_kw.size > MOST_BINARIES:
         model = demand_of(task.cache, data, lumped)
-        return Counts(model, data, deadline) if model.relaxation.grid else None
+        return Counts(model, data, deadline) if model.grid else None
     master = Binaries(task.cache, data, task.spec, deadline, lumped)
     return master if master.applies else None
 
 
-def relaxation_of(
-    cache: ModelCache, data: WindowData, integer: bool, lumped: bool
-) -> AggregateModel:
-    """The relaxation of the window's length, with a lumped battery or with every battery."""
-    return cache.problem(
-        AggregateModel,
-        n_steps=data.n_steps,
-        integer=integer,
-        lumped=lumped,
-        physical=data.physical,
-        switching=rule_steps(data),
-        exporting=data.exporting,
-        ending=data.ending,
-    )
-
-
 def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
     """What the fleet can carry in a window of that length and mode."""
-    return cache.problem(
-        demand_model,
-        n_steps=data.n_steps,
-        lumped=lumped,
-        physical=data.physical,
-        exporting=data.exporting,
-        ending=data.ending,
-    )
+    return cache.problem(DemandModel, fleet=fleet_of(cache, data, lumped))
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

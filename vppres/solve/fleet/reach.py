@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.physical import active_room_kw
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
@@ -48,16 +47,11 @@ class OneBattery:
     def of(cls, site: Site, data: WindowData) -> OneBattery:
         """The battery of a window."""
         b = site.batteries
-        power_kw = np.tile(b.active_max_kw.sum(), data.n_steps)
-        least_kwh = np.tile(b.energy_kwh @ b.soc_min, data.n_steps)
-        if data.physics is not None:
-            power_kw = active_room_kw(site, data.physics).sum(axis=1)
-            least_kwh = least_kwh + data.physics.soc_reserve @ b.energy_kwh
         return cls(
             stored_kwh=float(b.energy_kwh @ data.soc),
             most_kwh=float(b.energy_kwh @ b.soc_max),
-            least_kwh=least_kwh,
-            power_kw=power_kw,
+            least_kwh=data.soc_min(b) @ b.energy_kwh,
+            power_kw=data.active_max_kw(b).sum(axis=1),
             given_kw=data.pv_kw.sum(axis=1) + np.maximum(data.grid_limit_kw, 0.0) - data.network_kw,
             per_charged=data.eta_charge.max(initial=LEAST_EFFICIENCY) * site.dt_h,
             per_discharged=site.dt_h / data.eta_discharge.max(initial=LEAST_EFFICIENCY),

@@ -1,377 +1,237 @@
-"""Lumped relaxation: all customers and one PV system on one bus, with a fleet of batteries.
+"""The fleet's relaxation: all customers and one PV system on one bus, with a fleet of batteries.
 
-The fleet is one lumped battery, or every battery by itself but without its binary: slower, and
-exact where batteries differ in efficiency or state.
-
-Every inequality holds for the sums of any feasible dispatch of the true problem, so the optimum is
-an upper bound on the true optimum; ``docs/method.md`` has the proof of each.
+It is a selection of the statement. Families of the network are left out, balances are added up over
+the buses and PV systems over their kind. The fleet is one lumped battery, or every battery by
+itself but without its binary: slower, and exact for batteries that differ in efficiency or state.
+What is left out or added up only widens what is allowed, so the optimum is an upper bound on the
+true optimum; ``docs/method.md`` has the proof of each.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
+from functools import cached_property, partial
+from typing import Literal
 
-import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 
-from vppres.contract.stored_value import Ending
-from vppres.contract.switching import RuleSteps
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.ends import end_of_window, f2_at_end, f7_at_end
-from vppres.model.beyond_paper.export import ExportToGrid
-from vppres.model.beyond_paper.physical import active_room_kw
-from vppres.model.beyond_paper.stored_value import ValueAtEnd
-from vppres.model.beyond_paper.switching import SwitchingModel, cold_demand
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
-from vppres.model.lumped import counts_of_alike
-from vppres.model.numerics import objective_scale, require_dpp, write
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
+from vppres.solve.forms import NETWORK, sheet_of
+from vppres.solve.linear import Linear
+from vppres.solve.lumping import Lumping, eliminated
+from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
+
+Goal = Literal["weighted", "service", "cost"]
 
 LEAST_KW = 1e-3
 """A first step's largest charge or discharge below this has no part in a ratio."""
 
+OF_ENERGY = (
+    "battery_soc_start",
+    "battery_soc_dynamics",
+    "battery_soc_min",
+    "battery_soc_max",
+    "battery_room",
+    "battery_reserve",
+)
+"""Families in shares of a capacity: as energies they can be added up."""
 
-class AggregateModel:
-    """The lumped relaxation over W steps, with one binary for each customer and step.
+LEFT_OUT = NETWORK | {"Q_grid"}
+DIRECTION = "importing"
+MODES = ("battery_charge_mode", "battery_discharge_mode")
+WITH_DEVICES = ("pv_balance", "pv_self_consumption")
+
+
+class Fleet:
+    """Rows of the fleet for W steps, of which its problems take what they need.
 
     Parameters
     ----------
     site : Site
         Fixed data.
-    n_steps : int
-        Steps W of the window.
-    integer : bool
-        Whether service is all or nothing; without it the problems are linear and weaker bounds.
+    sheet : Sheet
+        The compiled statement.
     lumped : bool
         Whether the fleet is one battery.
-    physical : bool
-        Whether losses and headroom are part of it.
-    switching : RuleSteps, optional
-        Shape of the switching rules; None has none.
-    exporting : bool
-        Whether export is part of it. Without a binary for its direction more import can always
-        meet one more customer.
 
     Attributes
     ----------
-    problem : cvxpy.Problem
-        Maximises f1, f2 and f3 as weighted, times the objective's scale.
-    cost_problem : cvxpy.Problem
-        Minimises the cost (GBP) of all served sets whose f1 and f3 reach ``service_min``.
-    grid_problem : cvxpy.Problem
-        Maximises f1 and f3 in units of ``grid``, f3 rounded in favour.
+    families : dict
+        Rows by their names, equalities that are solved for their letters not among them.
     grid : float
         Largest number of which every weight is a multiple, 0 if there is none worth using.
     """
 
-    def __init__(
-        self,
-        site: Site,
-        n_steps: int,
-        integer: bool = True,
-        lumped: bool = True,
-        physical: bool = False,
-        switching: RuleSteps | None = None,
-        exporting: bool = False,
-        ending: Ending = "",
-    ) -> None:
+    def __init__(self, site: Site, sheet: Sheet, lumped: bool) -> None:
         self.site = site
-        self.n_steps = n_steps
+        self.sheet = sheet
         self.lumped = lumped
         self.grid = weight_grid(site.customers.weight * site.dt_h)
-        self.x = cp.Variable((n_steps, len(site.customers)), name="x_served", boolean=integer)
-        self.v = self._variables()
-        self.p = self._parameters()
-        self.export: ExportToGrid | None = None
-        if exporting:
-            self.export = ExportToGrid.create(n_steps, "relaxed")
-        self.terminal = end_of_window(ending, self._groups)
-        self.room = self._room_parameters() if physical else {}
-        self.rho_dt = cp.Parameter(n_steps, name="rho_dt")
-        self.service_min = cp.Parameter(name="service_min")
-        self.switching: SwitchingModel | None = None
-        if switching:
-            self.switching = SwitchingModel(site, self.x, switching)
-        self.energy = self._energy()
-        self.constraints = self._power() | self.energy
-        if integer:
-            self.constraints = self.constraints | counts_of_alike(site, self.x)
-        if self.switching is not None:
-            self.constraints = self.constraints | self.switching.constraints
-        self.problem = self._weighted_problem()
-        self.cost_problem = self._cost_problem()
-        self.grid_problem = self._grid_problem()
-        for problem in (self.problem, self.cost_problem, self.grid_problem):
-            require_dpp(problem, f"lumped window of {n_steps} steps")
+        b = site.batteries
+        pv = np.ones(len(site.pv))
+        letters = {name: pv for name in ("P_self", "P_exp", "P_curt") if len(pv)}
+        if lumped and len(b):
+            letters |= {"P_ch": np.ones(len(b)), "P_dch": np.ones(len(b)), "SoC": b.energy_kwh}
+            if "E_missing" in sheet.columns:
+                letters["E_missing"] = np.ones(len(b))
+        self.lumping = Lumping(sheet, letters)
+        self.joined = self._joined({family.name: family for family in self._summed()})
+        solved = self.put_in(self.joined, WITH_DEVICES, ("P_self", "P_exp"))
+        self.families = {family.name: family for family in solved}
+        lumped_terms = {name: self.lumping.of(sheet.term(name)) for name in sheet.statement.terms}
+        self.terms = {name: term for name, term in lumped_terms.items() if term is not None}
+        # Factors of sums, then ratios of the first step, as a window has them.
+        self.extras = self.lumping.extras + 2 * self.groups
 
     @property
-    def _groups(self) -> int:
-        """Batteries G that the problem tells apart."""
-        return 1 if self.lumped else len(self.site.batteries)
+    def groups(self) -> int:
+        """Batteries that the relaxation tells apart."""
+        return min(1, len(self.site.batteries)) if self.lumped else len(self.site.batteries)
 
-    def _variables(self) -> dict[str, cp.Variable]:
-        """Powers in kW by their names; stored and drawn are powers at the cells."""
-        W = self.n_steps
-        G = self._groups
-        shapes = {
-            "P_ch": (W, G),
-            "P_dch": (W, G),
-            "stored": (W, G),
-            "drawn": (W, G),
-            "P_curt": (W,),
-            "P_grid": (W,),
-        }
-        return {name: cp.Variable(shape, name=name, nonneg=True) for name, shape in shapes.items()}
+    def name_of(self, letter: str) -> str:
+        """A letter, or that of its sum."""
+        return f"all {letter}" if letter in self.lumping.names else letter
 
-    def _parameters(self) -> dict[str, cp.Parameter]:
-        """What a window writes: powers in kW, energies in kWh, shares and efficiencies."""
-        W = self.n_steps
-        C = len(self.site.customers)
-        G = self._groups
-        shapes = {
-            "P_load": (W, C),
-            "self": (W, C),
-            "P_pv": (W,),
-            "P_grid_max": (W,),
-            "curt_min": (W,),
-            "E_0": (W, G),
-            "x_max": (W, C),
-            "x_min": (W, C),
-            "eta_lo": (W, G),
-            "eta_hi": (W, G),
-            "inv_lo": (W, G),
-            "inv_hi": (W, G),
-            "a": (G,),
-            "b": (G,),
-            "a_per_b": (G,),
-            "b_per_a": (G,),
-        }
-        found = _nonnegative(shapes)
-        if self.site.network.draws:
-            found["network_drawn"] = cp.Parameter(W, name="network_drawn")
-        return found
+    # Rows.
 
-    @property
-    def network_kw(self) -> cp.Expression | float:
-        """Losses, and what the network itself draws; 0 where there is neither."""
-        parts = [self.room["loss"]] if self.room else []
-        parts += [self.p["network_drawn"]] if "network_drawn" in self.p else []
-        return sum(parts[1:], start=parts[0]) if parts else 0.0
+    def _summed(self) -> list[Family]:
+        """All families without letters of the network, on sums; what tells devices apart goes."""
+        sheet = self.sheet
+        statement = sheet.statement
+        found = [self._balance()]
+        for name, constraint in {**statement.families, **statement.implied}.items():
+            used = {x.name() for x in constraint.variables()}
+            beyond = name in statement.families or name in statement.implied_beyond
+            if (used & LEFT_OUT) or not (beyond or name in OF_ENERGY) or name in MODES:
+                continue
+            for family in sheet.parts(name):
+                found.append(self._over_devices(family))
+        if len(self.site.batteries):
+            found.append(self._over_devices(self._one_mode_at_a_time()))
+        lumped = (self.lumping.of(family) for family in found)
+        return [family for family in lumped if family is not None]
 
-    def _room_parameters(self) -> dict[str, cp.Parameter]:
-        """What physical mode writes besides: losses, and the batteries' limits less headroom."""
-        W = self.n_steps
-        G = self._groups
-        return _nonnegative({"loss": (W,), "E_min": (W, G), "P_room": (W, G)})
+    def _balance(self) -> Family:
+        """Sum of the active balances over the buses: flows cancel."""
+        family = self.sheet.family("active_power_balance")
+        W, N = family.shape
+        rows = family.rows.times(sp.csr_array(np.tile(np.eye(W), N)))
+        letters = tuple(each for each in family.letters if self.sheet.used(each, rows))
+        return Family("total_power_balance", rows, EQUAL, (W,), letters)
 
-    def cost(self) -> cp.Expression:
-        """f2 in GBP."""
-        spent = self.rho_dt @ self.v["P_grid"]
-        if self.export is not None:
-            spent = spent - self.export.f2_revenue
-        if self.terminal is not None:
-            spent = spent + f2_at_end(self.terminal)
-        return spent
+    def _one_mode_at_a_time(self) -> Family:
+        """Charging and discharging share a battery's power; with its mode they cancel."""
+        charge, discharge = (self.sheet.family(name) for name in MODES)
+        count = charge.rows.shape[0]
+        both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
+        size = self.sheet.size
+        rows = Linear.stacked([charge.rows.wider(size), discharge.rows.wider(size)]).times(both)
+        return Family("battery_power", rows, MOST, charge.shape, ("P_ch", "P_dch"))
 
-    def _curtailment(self) -> cp.Expression:
-        """f3 as weighted."""
-        weight = self.site.weights.lambda_curt
-        return weight * self.site.dt_h * cp.sum(self.v["P_curt"])
-
-    def _service(self) -> cp.Expression:
-        """f1 less f3 as weighted, and less the price of switching."""
-        f1 = self.site.dt_h * cp.sum(self.x @ self.site.customers.weight)
-        service = f1 - self._curtailment()
-        if self.switching is not None:
-            service = service - self.switching.f6_switching
-        if isinstance(self.terminal, ValueAtEnd):
-            service = service + f7_at_end(self.terminal)
-        return service
-
-    def _weighted_problem(self) -> cp.Problem:
-        """Service and cost as weighted."""
-        total = self._service() - self.site.weights.lambda_grid * self.cost()
-        return cp.Problem(
-            cp.Maximize(objective_scale(self.site) * total), list(self.constraints.values())
-        )
-
-    def _cost_problem(self) -> cp.Problem:
-        """Cost where service is held, in units of the weights' grid: a number near 1."""
-        enough = (self._service() - self.service_min) / (self.grid or 1.0) >= 0
-        return cp.Problem(cp.Minimize(self.cost()), [*self.constraints.values(), enough])
-
-    def _grid_problem(self) -> cp.Problem:
-        """Service in units of the weights' grid, with an objective that is always a whole number.
-
-        Whole numbers let a solver round its bound, which is most of the proof. The penalty of
-        curtailment is rounded down to a whole number, so that the optimum stays an upper bound.
-        """
-        if not self.grid:
-            return self.problem
-        units = np.round(self.site.customers.weight * self.site.dt_h / self.grid)
-        penalty = cp.Variable(name="penalty", integer=self.x.attributes["boolean"], nonneg=True)
-        total = cp.sum(self.x @ units) - penalty
-        if self.switching is not None:
-            # A whole number too, or the problem is not used: see whole_price.
-            total = total - self.switching.f6_switching / self.grid
-        if isinstance(self.terminal, ValueAtEnd):
-            # No whole number where it counts as service: see Binaries.service.
-            total = total + f7_at_end(self.terminal) / self.grid
-        rounded = penalty >= self._curtailment() / self.grid - 1
-        return cp.Problem(cp.Maximize(total), [*self.constraints.values(), rounded])
-
-    def _power(self) -> dict[str, cp.Constraint]:
-        """Sums of the power balances and limits."""
-        v = self.v
-        p = self.p
-        x = self.x
-        load = cp.sum(cp.multiply(p["P_load"], x), axis=1)
-        if self.room or "network_drawn" in self.p:
-            load = load + self.network_kw
-        own = cp.sum(cp.multiply(p["self"], x), axis=1)
-        cold = cold_demand(self.switching)
-        if cold is not None:
-            load = load + cp.sum(cp.multiply(cold.P_cold, cold.z), axis=1)
-            own = own + cp.sum(cp.multiply(cold.P_self_cold, cold.z[:, self.site.owner]), axis=1)
-        P_ch = cp.sum(v["P_ch"], axis=1)
-        P_dch = cp.sum(v["P_dch"], axis=1)
-        connection = {"lumped_grid_limit": v["P_grid"] <= p["P_grid_max"]}
-        if self.export is not None:
-            load = load + self.export.P_out
-            connection = self.export.connection(v["P_grid"], p["P_grid_max"])
-        return {
-            "lumped_balance": v["P_grid"] + p["P_pv"] - v["P_curt"] + P_dch == load + P_ch,
-            "lumped_circular_charging": P_dch <= load - own,
-            "lumped_curtailment_max": v["P_curt"] <= p["P_pv"] - own,
-            "lumped_curtailment_min": v["P_curt"] >= p["curt_min"],
-            **connection,
-            "lumped_service": x <= p["x_max"],
-            "lumped_connected_service": x >= p["x_min"],
-        }
-
-    def _energy(self) -> dict[str, cp.Constraint]:
-        """Sums of the SoC recursions and of the limits that exclusivity implies."""
-        v = self.v
-        p = self.p
+    def _over_devices(self, family: Family) -> Family:
+        """A family of rows for each device, added up over those that are lumped."""
         b = self.site.batteries
-        dt = self.site.dt_h
-        e_min = self._fleet(b.energy_kwh * b.soc_min)[None, :]
-        e_max = self._fleet(b.energy_kwh * b.soc_max)[None, :]
-        least = e_min
-        power_max = self._fleet(b.active_max_kw)[None, :]
-        if self.room:
-            least = self.room["E_min"]
-            power_max = self.room["P_room"]
-        triangle = np.tril(np.ones((self.n_steps, self.n_steps)))
-        energy = p["E_0"] + dt * (triangle @ (v["stored"] - v["drawn"]))
-        before = energy - dt * (v["stored"] - v["drawn"])
-        # A fleet misses no more than its batteries do: what one has too much counts for others.
-        held = {} if self.terminal is None else self.terminal.reached(energy[-1])
-        return held | {
-            "lumped_energy_min": energy >= least,
-            "lumped_energy_max": energy <= e_max,
-            "lumped_room": before + dt * v["stored"] <= e_max,
-            "lumped_reserve": before - dt * v["drawn"] >= e_min,
-            "lumped_power": v["P_ch"] + v["P_dch"] <= power_max,
-            "lumped_stored_min": v["stored"] >= cp.multiply(p["eta_lo"], v["P_ch"]),
-            "lumped_stored_max": v["stored"] <= cp.multiply(p["eta_hi"], v["P_ch"]),
-            "lumped_drawn_min": v["drawn"] >= cp.multiply(p["inv_lo"], v["P_dch"]),
-            "lumped_drawn_max": v["drawn"] <= cp.multiply(p["inv_hi"], v["P_dch"]),
-            "lumped_first_charge": v["P_ch"][0] + cp.multiply(p["a_per_b"], v["P_dch"][0])
-            <= p["a"],
-            "lumped_first_discharge": v["P_dch"][0] + cp.multiply(p["b_per_a"], v["P_ch"][0])
-            <= p["b"],
-        }
+        if family.name in OF_ENERGY and not self.lumped:
+            return family
+        if family.name in OF_ENERGY:
+            return self.lumping.over_devices(family, b.energy_kwh)
+        lumped = [name for name in family.letters if name in self.lumping.names]
+        if lumped and self._has_a_row_for_each(family, lumped):
+            return self.lumping.over_devices(family, np.ones(family.shape[-1]))
+        return family
 
-    def _fleet(self, values: Floats) -> Floats:
-        """Sum over the batteries where they are lumped, (G,)."""
-        return np.atleast_1d(values.sum()) if self.lumped else values
+    def _has_a_row_for_each(self, family: Family, letters: list[str]) -> bool:
+        """Whether the last axis of a family is that of devices: no row uses two of them."""
+        columns = [self.sheet.columns[name] for name in letters]
+        if {each.shape[-1] for each in columns} != {family.shape[-1] if family.shape else 0}:
+            return False
+        device = np.full(self.sheet.size + 1, -1)
+        for each in columns:
+            device[each] = np.arange(each.shape[-1])
+        rows = family.rows.wider(self.sheet.size)
+        used = device[rows.column] >= 0
+        pairs = np.unique(np.stack([rows.row[used], device[rows.column[used]]]), axis=1)
+        alone = len(np.unique(pairs[0])) == pairs.shape[1]
+        return alone and (len(family.shape) > 1 or family.shape[-1] > 1)
 
-    def _range(self, values: Floats) -> tuple[Floats, Floats]:
-        """Smallest and largest value of each group over all steps, (W, G) each."""
-        if self.lumped and len(values):
-            low = values.min(keepdims=True)
-            high = values.max(keepdims=True)
-        else:
-            low = high = values if not self.lumped else np.ones(1)
-        return np.tile(low, (self.n_steps, 1)), np.tile(high, (self.n_steps, 1))
+    def _joined(self, named: dict[str, Family]) -> dict[str, Family]:
+        """The same with what keeps export above zero, and circular charging in other words."""
+        size = self.sheet.size
+        if "circular_charging" in named:
+            # With the balance it says that no battery discharges into another.
+            circle, balance = named["circular_charging"], named["total_power_balance"]
+            count = circle.rows.shape[0]
+            both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
+            rows = Linear.stacked([circle.rows.wider(size), balance.rows.wider(size)]).times(both)
+            letters = tuple(dict.fromkeys((*balance.letters, *circle.letters)))
+            named["circular_charging"] = replace(circle, rows=rows, letters=letters)
+        if len(self.site.pv):
+            P_exp = self.sheet.columns["all P_exp"]
+            none = Linear.constant(
+                sp.coo_array(
+                    (-np.ones(len(P_exp)), (np.arange(len(P_exp)), P_exp)),
+                    shape=(len(P_exp), size),
+                ),
+                np.zeros(len(P_exp)),
+                self.sheet.width,
+            )
+            named["curtailment_max"] = Family(
+                "curtailment_max", none, MOST, P_exp.shape, ("all P_exp",)
+            )
+        return named
 
-    def fill(self, data: WindowData, all_connected: bool = False) -> None:
-        """Write the window's data.
+    def put_in(
+        self, named: dict[str, Family], by: tuple[str, ...], letters: tuple[str, ...]
+    ) -> list[Family]:
+        """Families without some letters, and without the energy of one battery."""
+        names = [self.name_of(letter) for letter in letters] if len(self.site.pv) else []
+        equal = list(by) if len(self.site.pv) else []
+        if self.lumped and len(self.site.batteries):
+            names.append(self.name_of("SoC"))
+            equal += ["battery_soc_start", "battery_soc_dynamics"]
+        if not names:
+            return list(named.values())
+        rest = [family for name, family in named.items() if name not in equal]
+        return eliminated(self.sheet, rest, names, [named[name] for name in equal])
 
-        With ``all_connected`` everyone who can be is served where the import has no limit. That
-        loses no service: more import serves them, and no battery notices.
-        """
-        site = self.site
-        b = self.site.batteries
-        limit = data.self_limit_kw(site)
-        eta_lo, eta_hi = self._range(data.eta_charge)
-        inv_lo, inv_hi = self._range(1.0 / data.eta_discharge)
-        # An owner whose self-consumption exceeds the inverter's rating cannot be served.
-        blocked = (limit > site.pv.s_max_kva + 1e-9) @ site.pv_customer.T > 0
-        x_max = np.where(blocked, 0.0, 1.0)
-        unlimited = all_connected & np.isinf(data.grid_limit_kw)
-        connected = (
-            unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
-        )
-        values = {
-            "P_load": data.load_kw,
-            "self": limit @ site.pv_customer.T,
-            "P_pv": data.pv_kw.sum(axis=1),
-            "P_grid_max": data.grid_p_max_kw(site),
-            "curt_min": np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1),
-            "E_0": np.tile(self._fleet(b.energy_kwh * data.soc), (self.n_steps, 1)),
-            "x_max": x_max,
-            "x_min": x_max * connected,
-            "eta_lo": eta_lo,
-            "eta_hi": eta_hi,
-            "inv_lo": inv_lo,
-            "inv_hi": inv_hi,
-            **self._first_step(data),
-        }
-        if data.drawn is not None:
-            values["network_drawn"] = data.drawn.kw.sum(axis=1)
-        for name, value in values.items():
-            write(self.p[name], value)
-        if self.room:
-            self._fill_room(data)
-        if self.export is not None:
-            self.export.fill(site, data)
-        if isinstance(self.terminal, ValueAtEnd):
-            self.terminal.fill(data.require_value())
-        elif self.terminal is not None and data.terminal is not None:
-            target_kwh = self._fleet(data.terminal.target_kwh(site.batteries))
-            self.terminal.fill(target_kwh, data.terminal.price_gbp_per_kwh)
-        write(self.rho_dt, data.price_gbp_per_kwh * site.dt_h)
-        if self.switching:
-            self.switching.fill(data)
+    # First step.
 
-    def _fill_room(self, data: WindowData) -> None:
-        """Write losses, and the batteries' limits less their headroom."""
-        b = self.site.batteries
-        physics = data.require_physics()
-        e_min = b.energy_kwh * (b.soc_min + physics.soc_reserve)
-        limits = {"E_min": e_min, "P_room": active_room_kw(self.site, physics)}
-        write(self.room["loss"], data.loss_kw)
-        for name, value in limits.items():
-            write(self.room[name], value.sum(axis=1, keepdims=True) if self.lumped else value)
+    def first_step(self, letters: tuple[str, str]) -> tuple[Family, Family]:
+        """Limits of the first step, in which the SoC is known; ratios and limits are a window's."""
+        G = self.groups
+        width = self.sheet.width + self.extras
+        number = np.arange(G)
+        ch, dch = (np.atleast_1d(self.sheet.columns[name][0]) for name in letters)
+        found = []
+        for which, (own, other) in enumerate(((ch, dch), (dch, ch))):
+            one = (np.ones(G), (number, np.full(G, self.sheet.width - 1)))
+            ratio = (np.ones(G), (number, width - 2 * G + which * G + number))
+            by = sp.vstack([sp.csr_array(each, shape=(G, width)) for each in (one, ratio)])
+            rows = Linear(
+                np.tile(number, 2), np.append(own, other), sp.csr_array(by), (G, self.sheet.size)
+            )
+            name = ("first_charge", "first_discharge")[which]
+            found.append(Family(name, rows, MOST, (G,), letters))
+        return found[0], found[1]
 
-    def _first_step(self, data: WindowData) -> dict[str, Floats]:
-        """Limits of the first step, where the SoC is known, (G,) each.
+    def first_limits(self, data: WindowData) -> tuple[dict[str, Floats], Floats]:
+        """The limits, (G,) each, and the ratios one after the other.
 
         With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
         b = self.site.batteries
         dt_h = self.site.dt_h
-        limit = b.active_max_kw
-        least = b.soc_min
-        if data.physics is not None:
-            limit = active_room_kw(self.site, data.physics)[0]
-            least = least + data.physics.soc_reserve[0]
+        limit = data.active_max_kw(b)[0]
+        least = data.soc_min(b)[0]
         until_full = charge_to_kw(b.soc_max, data.soc, data.eta_charge, b, dt_h)
         until_empty = discharge_to_kw(least, data.soc, data.eta_discharge, b, dt_h)
         charge = np.minimum(limit, until_full)
@@ -380,21 +240,243 @@ class AggregateModel:
         both = (charge > LEAST_KW) & (discharge > LEAST_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
         b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
-        if self.lumped:
-            a_per_b, b_per_a = (
-                np.atleast_1d(r.min(initial=np.inf) if len(r) else 0.0) for r in (a_per_b, b_per_a)
-            )
-        return {
-            "a": self._fleet(charge),
-            "b": self._fleet(discharge),
-            "a_per_b": a_per_b,
-            "b_per_a": b_per_a,
+        if self.lumped and len(b):
+            charge, discharge = (np.atleast_1d(each.sum()) for each in (charge, discharge))
+            a_per_b, b_per_a = (np.atleast_1d(each.min()) for each in (a_per_b, b_per_a))
+        limits = {"first_charge": charge, "first_discharge": discharge}
+        return limits, np.concatenate([a_per_b, b_per_a])
+
+    def written(self, data: WindowData, values: Floats) -> tuple[dict[str, Floats], Floats]:
+        """Limits that a window writes, and all that it writes behind the statement's values."""
+        limits, ratios = self.first_limits(data)
+        lost = np.maximum(data.pv_kw - self.site.pv.s_max_kva, 0.0).sum(axis=1)
+        limits["curtailment_min"] = -lost
+        return limits, np.concatenate([values, self.lumping.written(values), ratios])
+
+    def able(self, data: WindowData) -> Floats:
+        """1 for who can be served: not an owner whose self-consumption exceeds its inverter."""
+        too_much = data.self_limit_kw(self.site) > self.site.pv.s_max_kva + 1e-9
+        return np.where(too_much @ self.site.pv_customer.T > 0, 0.0, 1.0)
+
+    def limit_of(self, name: str, letter: str, sign: float) -> Family:
+        """Rows that limit a letter from above or below; a window writes the limits."""
+        columns = np.ravel(self.sheet.columns[letter], order="F")
+        count = len(columns)
+        matrix = sp.coo_array(
+            (np.full(count, sign), (np.arange(count), columns)), shape=(count, self.sheet.size)
+        )
+        rows = Linear.constant(matrix, np.zeros(count), self.sheet.width)
+        return Family(name, rows, MOST, self.sheet.columns[letter].shape, (letter,))
+
+    def sum_of_terms(self, name: str, kind: str, *terms: tuple[str, float]) -> Family:
+        """A row of terms with factors, those that there are, on sums."""
+        there = [(t, f) for t, f in terms if t in self.terms]
+        parts = [self.terms[t] for t, _ in there]
+        size = self.sheet.size
+        factors = sp.csr_array(np.array([[f for _, f in there]]))
+        rows = Linear.stacked([part.rows.wider(size) for part in parts]).times(factors)
+        letters = tuple(dict.fromkeys(x for part in parts for x in part.letters))
+        return Family(name, rows, kind, (1,), letters)
+
+    @cached_property
+    def service(self) -> tuple[tuple[str, float], ...]:
+        """f1 less f3 as weighted, less the price of switching, with later service."""
+        return ("f1", 1.0), ("f3", -self.site.weights.lambda_curt), ("f6", -1.0), ("f7", 1.0)
+
+
+class FleetProblem(Selected):
+    """A problem of the fleet, with one binary for each customer and step.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    fleet : Fleet
+        Its rows.
+    integer : bool
+        Whether service is all or nothing; without it the problem is linear and a weaker bound.
+    goal : {"weighted", "service", "cost"}
+        ``weighted`` maximises all linear terms as weighted, times the objective's scale;
+        ``service`` maximises f1 and f3 in units of the weights' grid, f3 rounded in favour;
+        ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``.
+    """
+
+    def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
+        select = partial(_select, fleet=fleet, integer=integer, goal=goal)
+        super().__init__(fleet.sheet, select, without=LEFT_OUT)
+        self.fleet = fleet
+        self.grid = fleet.grid
+        self.service_min = 0.0
+        self.extras = fleet.extras
+
+    def write(self, data: WindowData, all_connected: bool = False) -> None:
+        """Write the window's data.
+
+        With ``all_connected`` everyone who can be is served in steps without a limit of import.
+        That loses no service: more import serves them, and no battery notices.
+        """
+        fleet = self.fleet
+        limits, self.values = fleet.written(data, fleet.sheet.statement.write(data))
+        unlimited = all_connected & np.isinf(data.grid_limit_kw)
+        connected = (
+            unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
+        )
+        able = fleet.able(data)
+        self.limits = {
+            **limits,
+            "service_max": able,
+            "service_min": -able * connected,
+            "service_enough": -self.service_min / (self.grid or 1.0),
         }
 
 
-def _nonnegative(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, cp.Parameter]:
-    """Parameters of some names and shapes that are never negative."""
-    return {name: cp.Parameter(shape, name=name, nonneg=True) for name, shape in shapes.items()}
+def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
+    """The fleet's rows with a goal."""
+    site = fleet.site
+    found = Selection(sheet)
+    parts = [*fleet.families.values()]
+    parts += [fleet.limit_of("service_max", "x_served", 1.0)]
+    parts += [fleet.limit_of("service_min", "x_served", -1.0)]
+    if len(site.pv):
+        parts.append(fleet.limit_of("curtailment_min", "all P_curt", -1.0))
+    parts += fleet.lumping.range_rows()
+    if fleet.groups:
+        parts += fleet.first_step((fleet.name_of("P_ch"), fleet.name_of("P_dch")))
+    if integer:
+        parts += counts_of_alike(fleet)
+    else:
+        found = found.relax("x_served", 0.0, 1.0)
+    if DIRECTION in sheet.columns:
+        found = found.relax(DIRECTION, 0.0, 1.0)
+    found = replace(found, parts=tuple(sorted(parts, key=rank)))
+    return _with_goal(found, fleet, integer, goal)
+
+
+def _with_goal(found: Selection, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
+    """Rows with what is minimised or maximised."""
+    sheet = fleet.sheet
+    site = fleet.site
+    parts = found.parts
+    P_curt, P_ch, P_dch = (fleet.name_of(name) for name in ("P_curt", "P_ch", "P_dch"))
+    last = (P_ch, "range P_ch", "range P_dch", "counts")
+    scale = objective_scale(site)
+    if goal == "weighted":
+        cost = ("f2", -site.weights.lambda_grid)
+        term = fleet.sum_of_terms("weighted", EQUAL, *fleet.service, cost)
+        order = ("x_served", P_curt, "P_grid", P_dch, *last)
+        return replace(found, terms=((term, scale),), maximises=True, order=order)
+    unit = fleet.grid or 1.0
+    if goal == "cost":
+        lack = [(name, -factor / unit) for name, factor in fleet.service]
+        enough = fleet.sum_of_terms("service_enough", MOST, *lack)
+        spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
+        order = ("P_grid", P_curt, P_dch, "x_served", *last)
+        return replace(found, parts=(*parts, enough), terms=((spent, 1.0),), order=order)
+    penalty = sheet.new_letter("penalty", (1,), whole=True)
+    if not integer:
+        found = found.relax("penalty", 0.0)
+    # The penalty of curtailment is rounded down to a whole number, so that the optimum stays an
+    # upper bound and a solver may round its own, which is most of the proof.
+    lost = fleet.sum_of_terms("penalty", MOST, ("f3", site.weights.lambda_curt / unit))
+    rounded = with_column(lost, int(penalty[0]), -1.0, "penalty", limit=1.0)
+    others = [(name, factor / unit) for name, factor in fleet.service if name in ("f6", "f7")]
+    units = _rounded(fleet.sum_of_terms("units", EQUAL, ("f1", 1.0 / unit)))
+    terms = [(with_column(units, int(penalty[0]), -1.0, "penalty"), 1.0)]
+    if any(name in sheet.statement.terms for name, _ in others):
+        terms.append((fleet.sum_of_terms("others", EQUAL, *others), 1.0))
+    found = replace(found, parts=(*parts, rounded), terms=tuple(terms), maximises=True)
+    return replace(found, order=("x_served", "penalty", "P_grid", P_curt, P_dch, *last))
+
+
+ORDER = (
+    "circular_charging",
+    "curtailment_max",
+    "curtailment_min",
+    "grid_active_limit",
+    "grid_export_limit",
+    "service_max",
+    "service_min",
+    "held_at_end",
+    "value_at_end",
+    "battery_soc_min",
+    "battery_soc_max",
+    "battery_room",
+    "battery_reserve",
+    "battery_power",
+    "least P_ch",
+    "largest P_ch",
+    "least P_dch",
+    "largest P_dch",
+    "first_charge",
+    "first_discharge",
+)
+"""The order of rows; what is not named comes behind."""
+
+
+def rank(family: Family) -> int:
+    """Place of a family among the rows."""
+    return ORDER.index(family.name) if family.name in ORDER else len(ORDER)
+
+
+def with_column(
+    family: Family, column: int, value: float, letter: str, limit: float = 0.0
+) -> Family:
+    """A single row with a column more, and something added to its limit."""
+    rows = family.rows
+    size = max(rows.shape[1], column + 1)
+    rows = rows.wider(size)
+    more = Linear.constant(
+        sp.coo_array(([value], ([0], [column])), shape=(1, size)),
+        np.array([limit]),
+        rows.by.shape[1],
+    )
+    both = Linear.stacked([rows, more]).times(sp.csr_array(np.ones((1, 2))))
+    return replace(family, rows=both, letters=(*family.letters, letter))
+
+
+def _rounded(family: Family) -> Family:
+    """A row with factors that are whole numbers but for rounding."""
+    by = family.rows.by.copy()
+    by.data = np.round(by.data)
+    return replace(family, rows=replace(family.rows, by=by))
+
+
+def counts_of_alike(fleet: Fleet) -> list[Family]:
+    """How many of each weight are served in each step, as whole numbers to branch on.
+
+    They say nothing new, but one branch on such a number says of many customers what else takes one
+    for each.
+    """
+    sheet = fleet.sheet
+    x = sheet.columns["x_served"]
+    weights, kind = np.unique(fleet.site.customers.weight, return_inverse=True)
+    alike = kind[:, None] == np.arange(len(weights))
+    shared = alike[:, alike.sum(axis=0) > 1].astype(float)
+    if not shared.size:
+        return []
+    W, K = x.shape[0], shared.shape[1]
+    counts = sheet.new_letter("counts", (W, K), -np.inf, whole=True)
+    step, customer, k = (each.ravel() for each in np.indices((W, *shared.shape)))
+    used = shared[customer, k] > 0.0
+    row = np.append((k * W + step)[used], np.arange(W * K))
+    column = np.append(x[step[used], customer[used]], np.ravel(counts, order="F"))
+    value = np.append(-np.ones(used.sum()), np.ones(W * K))
+    matrix = sp.coo_array((value, (row, column)), shape=(W * K, sheet.size))
+    rows = Linear.constant(matrix, np.zeros(W * K), sheet.width)
+    return [Family("counts_of_alike", rows, EQUAL, (W, K), ("x_served", "counts"))]
+
+
+def fleet_of(cache: ModelCache, data: WindowData, lumped: bool) -> Fleet:
+    """Rows of the fleet for the window's length, lumped or with every battery."""
+    return cache.problem(Fleet, sheet=sheet_of(cache, data), lumped=lumped)
+
+
+def fleet_problem(
+    cache: ModelCache, data: WindowData, lumped: bool, integer: bool, goal: Goal
+) -> FleetProblem:
+    """A problem of the fleet for the window's length."""
+    fleet = fleet_of(cache, data, lumped)
+    return cache.problem(FleetProblem, fleet=fleet, integer=integer, goal=goal)
 
 
 def whole_price(data: WindowData, grid: float) -> bool:

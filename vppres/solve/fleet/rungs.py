@@ -9,15 +9,14 @@ from functools import partial
 
 import numpy as np
 
-from vppres.model.forms import Form
 from vppres.model.numerics import objective_scale
 from vppres.solve.certificate import cost_gap_gbp
 from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
-    window_model,
 )
 from vppres.solve.fleet.masters import Master
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
@@ -114,9 +113,9 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     search needs.
     """
     form = Form("service", "relaxed", "relaxed", network=False)
-    model = window_model(task.cache, task.data, form)
-    model.fill(task.data)
-    outcome = run(model.problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
+    problem = window_problem(task.cache, task.data, form)
+    problem.fill(task.data)
+    outcome = run(problem, task.spec, 0.0, task.search.left_s, objective_scale(task.site))
     known = task.certificate
     known.note("modes_relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
@@ -129,16 +128,15 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
     """One search for set and modes to a gap; whether it ended."""
     known = task.certificate
     form = Form("service", "integer", "integer", network=False)
-    model = window_model(task.cache, task.data, form)
-    model.fill(task.data)
-    outcome = run(model.problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
+    problem = window_problem(task.cache, task.data, form)
+    problem.fill(task.data)
+    outcome = run(problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
     known.note("modes", outcome)
     if not outcome.status.has_answer:
         known.prove(outcome)
         return False
     known.bound_by(outcome.bound)
-    served = np.asarray(model.v.x_served.value) > 0.5
-    binaries = [v for v in model.problem.variables() if v.attributes["boolean"]]
-    modes = {v.name(): np.round(v.value) for v in binaries if v.name() != "x_served"}
+    served = problem.value_of("x_served") > 0.5
+    modes = {name: problem.value_of(name) for name in problem.binaries if name != "x_served"}
     known.keep(cheapest_with_modes(task, served, modes))
     return outcome.status == Status.OPTIMAL

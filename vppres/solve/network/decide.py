@@ -95,7 +95,9 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     if not applies(task.site, task.data):
         return None
     reactance = task.cache.table(Reactance)
-    return NetworkMaster(task.site, reactance, task.data, task.deadline, rows_of_rules(task))
+    return NetworkMaster(
+        task.site, reactance, task.data, task.deadline, rows_of_rules(task.cache, task.data)
+    )
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:

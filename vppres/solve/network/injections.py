@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.beyond_paper.physical import active_room_kw, at_far_ends
+from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import lossless_flows
 from vppres.model.linearise import Drawn
@@ -139,9 +139,9 @@ class Injections:
         nothing = np.zeros((W, site.network.n_buses))
         self.drawn = data.drawn or Drawn(nothing, nothing)
         b = site.batteries
-        self.active_kw: Floats = np.tile(b.active_max_kw, (W, 1))
+        self.active_kw = data.active_max_kw(b)
         self.radius_kva: Floats = np.tile(b.s_max_kva, (W, 1))
-        self.soc_min: Floats = np.tile(b.soc_min, (W, 1))
+        self.soc_min = data.soc_min(b)
         self.reference: Wholes = np.zeros(W, dtype=np.int64)
         if data.physics is not None:
             self._in_physical_mode(data.physics)
@@ -153,9 +153,7 @@ class Injections:
             self.drawn.kw + at_far_ends(physics.loss_kw),
             self.drawn.kvar + at_far_ends(physics.loss_kvar),
         )
-        self.active_kw = active_room_kw(self.site, physics)
         self.radius_kva = b.s_max_kva - physics.headroom_kw
-        self.soc_min = b.soc_min + physics.soc_reserve
         self.reference = physics.reference
 
     def bounds(self) -> tuple[Floats, Floats]:

@@ -1,55 +1,41 @@
-"""Switching rules as rows of arrays: compiled once from the constraints that every form has."""
+"""Switching rules as rows of arrays: families of the statement on service alone."""
 
 from __future__ import annotations
 
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.contract.switching import RuleSteps
-from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp
-from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
+from vppres.solve.forms import sheet_of
+from vppres.solve.linear import Linear
 from vppres.solve.network.rows import Rows
-from vppres.solve.programs import compiled
-from vppres.solve.task import WindowTask
+from vppres.solve.selection import EQUAL
+
+LETTERS = ("x_served", "y_on", "y_off", "z_cold")
 
 
-class RuleModel:
-    """The rules of a window, and nothing else of it.
+def rows_of_rules(cache: ModelCache, data: WindowData) -> Rows | None:
+    """Rows of a window's switching rules on x, on, off and cold side by side, None without rules.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    n_steps : int
-        Steps W of the window.
-    steps : RuleSteps
-        Shape of the rules.
+    The steps of a customer come in turn.
     """
-
-    def __init__(self, site: Site, n_steps: int, steps: RuleSteps) -> None:
-        x = cp.Variable((n_steps, len(site.customers)), name="x_served")
-        self.rules = SwitchingModel(site, x, steps)
-        self.variables = [x, *self.rules.follow]
-        self.problem = cp.Problem(cp.Minimize(0), list(self.rules.constraints.values()))
-        require_dpp(self.problem, f"rules of {n_steps} steps")
-
-    def rows(self, data: WindowData) -> Rows:
-        """Rows on x, on, off and cold side by side, the steps of a customer in turn."""
-        self.rules.fill(data)
-        program, first = compiled(self.problem)
-        places = [first[v.name()] + np.arange(v.size) for v in self.variables]
-        return Rows(
-            sp.csr_array(program.rows[:, np.concatenate(places)]), program.lower, program.upper
-        )
-
-
-def rows_of_rules(task: WindowTask) -> Rows | None:
-    """Rows of a window's switching rules, None where it has none."""
-    data = task.data
     if data.switching is None:
         return None
-    rules = task.cache.problem(RuleModel, n_steps=data.n_steps, steps=data.switching.steps)
-    return rules.rows(data)
+    sheet = sheet_of(cache, data)
+    values = sheet.statement.write(data)
+    names = [name for name in sheet.statement.families if name in sheet.statement.rules]
+    parts = [part for name in names for part in sheet.parts(name)]
+    parts.sort(key=lambda part: part.kind != EQUAL)
+    rows = Linear.stacked([part.rows.wider(sheet.size) for part in parts])
+    inside = rows.column < rows.shape[1]
+    entries = rows.by @ values
+    matrix = sp.csr_array(
+        (entries[inside], (rows.row[inside], rows.column[inside])), shape=rows.shape
+    )
+    upper = np.zeros(rows.shape[0])
+    upper[rows.row[~inside]] = entries[~inside]
+    equal = np.concatenate([np.full(p.rows.shape[0], p.kind == EQUAL) for p in parts])
+    letters = [name for name in LETTERS if name in sheet.columns]
+    places = np.concatenate([np.ravel(sheet.columns[name], order="F") for name in letters])
+    return Rows(sp.csr_array(matrix[:, places]), np.where(equal, upper, -np.inf), upper)

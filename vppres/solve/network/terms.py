@@ -56,7 +56,9 @@ def all_terms_in_network(task: WindowTask) -> None:
     if task.data.load_kw.size > SMALL:
         return
     reactance = task.cache.table(Reactance)
-    terms = NetworkTerms(task.site, reactance, task.data, rows_of_rules(task), task.gap_so_far)
+    terms = NetworkTerms(
+        task.site, reactance, task.data, rows_of_rules(task.cache, task.data), task.gap_so_far
+    )
     known = task.certificate
     while task.goes_on:
         limits = terms.limits

@@ -1,0 +1,43 @@
+"""What the network itself draws: shunts, charging of lines, fixed demand at buses."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Self
+
+import cvxpy as cp
+
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.data import WindowData
+from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Variables
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnByNetwork(Addition):
+    """Demand of the network at its buses, (W, N) each; negative for what gives power."""
+
+    P_drawn: cp.Parameter
+    Q_drawn: cp.Parameter
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether it draws anything."""
+        return None if data.drawn is None else True
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Parameters of a window."""
+        return cls(*(cp.Parameter(v.u.shape, name=name) for name in ("P_drawn", "Q_drawn")))
+
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """A demand at the buses."""
+        return {"P_added": self.P_drawn, "Q_added": self.Q_drawn}
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write a window's data."""
+        assert data.drawn is not None
+        write(self.P_drawn, data.drawn.kw)
+        write(self.Q_drawn, data.drawn.kvar)

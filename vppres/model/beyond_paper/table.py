@@ -1,0 +1,33 @@
+"""The one table of what a window may have beyond the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.drawn import DrawnByNetwork
+from vppres.model.beyond_paper.export import ExportToGrid
+from vppres.model.beyond_paper.physical import PhysicalMode
+from vppres.model.beyond_paper.stored_value import ValueAtEnd
+from vppres.model.beyond_paper.switching import SwitchingModel
+from vppres.model.beyond_paper.terminal import HeldAtEnd
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+
+ADDITIONS: tuple[type[Addition], ...] = (
+    SwitchingModel,
+    PhysicalMode,
+    ExportToGrid,
+    DrawnByNetwork,
+    HeldAtEnd,
+    ValueAtEnd,
+)
+
+Beyond = tuple[tuple[type[Addition], Hashable], ...]
+"""What a window has beyond the paper, with what a problem is compiled for; () for the paper."""
+
+
+def beyond_paper(site: Site, data: WindowData) -> Beyond:
+    """The additions of a window."""
+    shapes = ((each, each.shape(site, data)) for each in ADDITIONS)
+    return tuple((each, shape) for each, shape in shapes if shape is not None)

@@ -1,0 +1,149 @@
+"""The one statement of a window's problem: the paper's page with what the window has beyond it.
+
+Every row belongs to a family and every column to a letter, both by name. What a method solves is a
+selection of them; see :mod:`vppres.solve.selection`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import ModelError
+from vppres.model import objective, problem
+from vppres.model.beyond_paper.table import Beyond
+from vppres.model.constraints import Named
+from vppres.model.data import WindowData
+from vppres.model.implied import IMPLIED
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+
+
+class Statement:
+    """Families, letters, terms and parameters of a window of W steps.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    n_steps : int
+        Steps W of the window.
+    beyond : tuple, optional
+        What it has beyond the paper.
+
+    Attributes
+    ----------
+    v, p : Variables, Parameters
+        The paper's.
+    families : dict
+        Constraints by the names of their families.
+    implied : dict
+        The same that follow from them: a relaxation without some of them keeps these.
+    terms : dict
+        Terms of the objective as they are before they are weighted.
+
+    Raises
+    ------
+    ModelError
+        If a family is not disciplined (DPP): it would be compiled anew at every solve.
+    """
+
+    def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
+        self.site = site
+        self.n_steps = n_steps
+        v = Variables.create(site, n_steps)
+        self.additions = [each.create(site, v, shape) for each, shape in beyond]
+        p = self._with_additions(Parameters.create(site, n_steps))
+        self.v = v
+        self.p = p
+        self.families = self._families()
+        self.implied: Named = {}
+        for family in IMPLIED:
+            self.implied |= family(site, v, p)
+        self.implied_beyond: Named = {}
+        for addition in self.additions:
+            self.implied_beyond |= addition.implied(site, v, p)
+        self.implied |= self.implied_beyond
+        self.terms = self._terms()
+        self.F = problem.paper_objective(site, v, p)
+        named = self.families | self.implied
+        for name, constraint in named.items():
+            if not constraint.is_dcp(dpp=True):
+                raise ModelError(
+                    f"The family {name} is not DPP: a parameter multiplies a parameter or "
+                    "enters non-affinely. Move the product into the parameter's value."
+                )
+        parts = [*named.values(), *self.terms.values(), self.F]
+        found = [q for part in parts for q in part.parameters()]
+        self.parameters: list[cp.Parameter] = list({q.id: q for q in found}.values())
+        letters = [x for part in parts for x in part.variables()]
+        self.letters: dict[str, cp.Variable] = {x.name(): x for x in letters}
+        if len(self.letters) < len({x.id for x in letters}):
+            raise ModelError("Two variables of the problem have the same name.")
+
+    def _with_additions(self, p: Parameters) -> Parameters:
+        """The parameters with what additions set of them; what is added is summed."""
+        values: dict[str, cp.Expression] = {}
+        for addition in self.additions:
+            for name, value in addition.parameters(self.site).items():
+                both = name.endswith("_added") and name in values
+                values[name] = values[name] + value if both else value
+        return replace(p, **values)
+
+    def _families(self) -> Named:
+        """The paper's families, then those of the additions; one that is replaced gives way."""
+        args = (self.site, self.v, self.p)
+        named = problem.paper_constraints(*args)
+        for addition in self.additions:
+            kept = {n: c for n, c in named.items() if n not in addition.replaces}
+            named = kept | addition.families(*args)
+        return named
+
+    def _terms(self) -> dict[str, cp.Expression]:
+        """The paper's linear terms, with what additions put into them, and theirs."""
+        args = (self.site, self.v, self.p)
+        terms = {
+            "f1": objective.f1_service(*args),
+            "f2": objective.f2_cost(*args),
+            "f3": objective.f3_curtailment(*args),
+        }
+        for addition in self.additions:
+            for name, term in addition.terms().items():
+                terms[name] = terms[name] + term if name in terms else term
+        return terms
+
+    @property
+    def rules(self) -> frozenset[str]:
+        """Families on service alone, which a known service meets or does not."""
+        args = (self.site, self.v, self.p)
+        named = (each.families(*args) for each in self.additions if each.rules)
+        return frozenset(name for families in named for name in families)
+
+    def write(self, data: WindowData, served: Flags | None = None) -> Floats:
+        """All parameters of a window one after the other, with a 1 behind them.
+
+        With a served set, shape (W, C), demand and self-consumption are those of the served
+        customers only: of a problem that holds service at 1.
+        """
+        self.p.fill(self.site, data, served)
+        for addition in self.additions:
+            addition.fill(self.site, data)
+        values = [np.ravel(q.value, order="F") for q in self.parameters]
+        return np.concatenate([*values, np.ones(1)])
+
+    def dispatch(self, served: Flags | None = None) -> Dispatch:
+        """The letters' values as a dispatch, of a served set if service is held."""
+        found = self.v.dispatch(self.site, served)
+        for addition in self.additions:
+            found = addition.read(found)
+        return found
+
+    def put(self, values: Mapping[str, Floats]) -> None:
+        """Give the letters the values of a solution, by their names."""
+        for name, value in values.items():
+            self.letters[name].save_value(value)

@@ -1,0 +1,165 @@
+"""The whole problem in its forms, and its relaxation without the network, as selections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.model.beyond_paper.table import beyond_paper
+from vppres.model.data import WindowData
+from vppres.model.numerics import cost_scale, objective_scale
+from vppres.model.polygons import Polygon
+from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
+from vppres.solve.selection import EQUAL, ORDER, Selected, Selection, Sheet
+
+Level = Literal["service", "cost"]
+Mode = Literal["integer", "relaxed", "fixed"]
+
+DISCS = ("battery_inverter_capacity", "pv_inverter_capacity")
+
+NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
+"""Letters that a relaxation without the network has not."""
+
+
+WITHOUT_NETWORK = (
+    "battery_charge_rating",
+    "battery_discharge_rating",
+    "pv_active_rating",
+    "battery_room",
+    "battery_reserve",
+)
+"""Implied families that stand for what is left out."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """Which variant of the problem is meant.
+
+    Parameters
+    ----------
+    level : {"service", "cost"}
+        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
+    service : {"integer", "relaxed", "fixed"}
+        What the binaries x_served are.
+    exclusivity : {"integer", "relaxed"}
+        What the binaries of batteries and of the connection are.
+    polygon_sides : int
+        0 states the inverters as cones, otherwise as polygons.
+    outer : bool
+        Whether polygons contain the discs, for bounds, or lie inside them, for dispatches.
+    network : bool
+        Whether flows, reactive power and voltages are part of the problem; without them it is a
+        relaxation.
+    """
+
+    level: Level = "service"
+    service: Mode = "integer"
+    exclusivity: Mode = "integer"
+    polygon_sides: int = 0
+    outer: bool = False
+    network: bool = True
+
+    @property
+    def polygon(self) -> Polygon | None:
+        """What stands for the inverters' discs, None for the discs themselves."""
+        if not self.polygon_sides:
+            return None
+        shape = Polygon.around if self.outer else Polygon.inscribed
+        return shape(self.polygon_sides)
+
+
+def select_form(sheet: Sheet, form: Form) -> Selection:
+    """The rows and terms of a form.
+
+    A served set meets the rules or does not, so a form of a set has no rows of them.
+    """
+    statement = sheet.statement
+    names = in_order(sheet)
+    found = Selection(sheet)
+    if form.service == "fixed":
+        names = [name for name in names if name not in statement.rules]
+        found = found.hold("x_served", 1.0)
+        if "z_cold" in statement.letters:
+            found = found.hold("z_cold", 0.0)  # what a set draws is in its parameters
+    if form.service == "relaxed":
+        found = found.relax("x_served", 0.0, 1.0)
+    if form.exclusivity == "relaxed":
+        found = found.relax("delta")
+        if "importing" in statement.letters:
+            found = found.relax("importing", 0.0, 1.0)
+    if form.network:
+        found = with_discs(found, names, form.polygon)
+    else:
+        found = without_network(found, names)
+    return with_level(found, form.level)
+
+
+def in_order(sheet: Sheet) -> list[str]:
+    """Names of all families in the solvers' order."""
+    families = sheet.statement.families
+    return [*(n for n in ORDER if n in families), *(n for n in families if n not in ORDER)]
+
+
+def with_discs(found: Selection, names: list[str], polygon: Polygon | None) -> Selection:
+    """All rows of some families, with polygons for the discs if there are any."""
+    for name in names:
+        if polygon is not None and name in DISCS:
+            found = found.polygon(name, polygon)
+        else:
+            found = found.keep(name)
+    return found
+
+
+def without_network(found: Selection, names: list[str]) -> Selection:
+    """A relaxation: families that use a letter of the network are left out.
+
+    What follows from them for sums and for active power stays.
+    """
+    sheet = found.sheet
+    families = sheet.statement.families
+    kept = [n for n in names if not NETWORK & {x.name() for x in families[n].variables()}]
+    known = [name for name in kept if name in ORDER]
+    found = found.keep(*known)
+    W, N = sheet.family("active_power_balance").shape
+    over_buses = sp.csr_array(np.tile(np.eye(W), N))
+    found = found.combine("active_power_balance", over_buses, EQUAL, (W,), "total_power_balance")
+    return found.keep(*WITHOUT_NETWORK).keep(*(n for n in kept if n not in ORDER))
+
+
+def with_level(found: Selection, level: Level) -> Selection:
+    """The level's part of F, scaled to numbers that solvers like.
+
+    f4 and f5 are too small to be solved with the rest: the tie-breakers have them.
+    """
+    site = found.sheet.site
+    gbp = cost_scale(site)
+    w = site.weights
+    if level == "cost":
+        return found.optimise(f2=gbp * w.lambda_grid, f3=gbp * w.lambda_curt, f7=-gbp)
+    s = objective_scale(site)
+    cost, curtailed = s * w.lambda_grid, s * w.lambda_curt
+    return found.optimise(True, f1=s, f6=-s, f2=-cost, f3=-curtailed, f7=s)
+
+
+def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
+    """A form of the problem as a solver is asked for it."""
+    without = frozenset() if form.network else NETWORK
+    return Selected(sheet, partial(select_form, form=form), conic, without)
+
+
+def sheet_of(cache: ModelCache, data: WindowData) -> Sheet:
+    """The compiled statement of the window's length and of what it has beyond the paper."""
+    beyond = beyond_paper(cache.site, data)
+    return cache.problem(Sheet, n_steps=data.n_steps, beyond=beyond)
+
+
+def window_problem(
+    cache: ModelCache, data: WindowData, form: Form, conic: bool = False
+) -> Selected:
+    """The window's problem in a form, for interior points or for a solver that knows limits."""
+    return cache.problem(form_problem, sheet=sheet_of(cache, data), form=form, conic=conic)

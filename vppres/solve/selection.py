@@ -1,0 +1,641 @@
+"""Problems as selections of the one statement: rows, sums of rows, held letters and terms.
+
+The statement is compiled family by family, once for each site and number of steps and only as far
+as it is asked for. A problem takes rows and columns of it, so what a window writes into it is one
+sparse product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Set
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.beyond_paper.export import NOISE_KW
+from vppres.model.beyond_paper.table import Beyond
+from vppres.model.data import WindowData
+from vppres.model.polygons import Polygon
+from vppres.model.site import Site
+from vppres.model.statement import Statement
+from vppres.solve.compiled import Affine, Numbers, affine, checked
+from vppres.solve.linear import Linear
+
+ORDER = (
+    "battery_charge_mode",
+    "battery_discharge_mode",
+    "battery_soc_start",
+    "battery_soc_dynamics",
+    "battery_soc_min",
+    "battery_soc_max",
+    "circular_charging",
+    "pv_balance",
+    "pv_self_consumption",
+    "grid_active_limit",
+    "grid_reactive_max",
+    "grid_reactive_min",
+    "battery_inverter_capacity",
+    "pv_inverter_capacity",
+    "active_power_balance",
+    "reactive_power_balance",
+    "voltage_slack",
+    "delta_lindistflow",
+    "voltage_min",
+    "voltage_max",
+    "grid_export_limit",
+)
+"""The order in which solvers get the paper's rows; what is not named comes behind. Which of several
+optima that are equally good comes out depends on it, so it stays as it is."""
+
+EQUAL, MOST, CONE = "equal", "most", "cone"
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Rows of a family: their kind, their shape and the letters in the order of their use."""
+
+    name: str
+    rows: Linear
+    kind: str
+    shape: tuple[int, ...]
+    letters: tuple[str, ...]
+
+
+class Sheet:
+    """The statement of a site and number of steps, compiled as far as it is asked for.
+
+    Attributes
+    ----------
+    statement : Statement
+        The statement.
+    columns : dict
+        Columns of each letter in its shape.
+    """
+
+    def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
+        self.statement = Statement(site, n_steps, beyond)
+        self.site = site
+        self.n_steps = n_steps
+        sizes = [q.size for q in self.statement.parameters]
+        starts = np.cumsum([0, *sizes])
+        self._parameters = {
+            q.id: start for q, start in zip(self.statement.parameters, starts, strict=False)
+        }
+        self.width = int(starts[-1]) + 1
+        self.columns: dict[str, Wholes] = {}
+        self.lower = np.zeros(0)
+        self.upper = np.zeros(0)
+        self.whole: dict[str, bool] = {}
+        self._families: dict[str, tuple[Family, ...]] = {}
+        self._terms: dict[str, Family] = {}
+        for name, x in self.statement.letters.items():
+            self._add_letter(name, x.shape, *_bounds(x), _is_whole(x))
+
+    @property
+    def size(self) -> int:
+        """Columns so far: those that cvxpy makes of a family come with it."""
+        return len(self.lower)
+
+    def _add_letter(
+        self, name: str, shape: tuple[int, ...], lower: Floats, upper: Floats, whole: bool
+    ) -> None:
+        count = int(np.prod(shape))
+        self.columns[name] = self.size + np.arange(count).reshape(shape, order="F")
+        self.lower = np.append(self.lower, lower)
+        self.upper = np.append(self.upper, upper)
+        self.whole[name] = whole
+
+    def new_letter(
+        self,
+        name: str,
+        shape: tuple[int, ...],
+        lower: float = 0.0,
+        upper: float = np.inf,
+        whole: bool = False,
+    ) -> Wholes:
+        """Columns of a letter that the statement has not; those there are if it has it by now."""
+        if name not in self.columns:
+            count = int(np.prod(shape))
+            self._add_letter(name, shape, np.full(count, lower), np.full(count, upper), whole)
+        return self.columns[name]
+
+    def longer_letter(self, name: str) -> int:
+        """One more column, not negative, of such a letter."""
+        before = self.columns.get(name, np.zeros(0, dtype=np.int64))
+        column = self.size
+        self.columns[name] = np.append(before, column)
+        self.lower = np.append(self.lower, 0.0)
+        self.upper = np.append(self.upper, np.inf)
+        self.whole[name] = False
+        return column
+
+    def parts(self, name: str) -> tuple[Family, ...]:
+        """A family's rows, equalities apart from limits."""
+        if name not in self._families:
+            constraint = {**self.statement.families, **self.statement.implied}[name]
+            self._families[name] = self._compiled(name, constraint)
+        return self._families[name]
+
+    def family(self, name: str) -> Family:
+        """A family all of whose rows are of a kind."""
+        (found,) = self.parts(name)
+        return found
+
+    def _compiled(self, name: str, constraint: cp.Constraint) -> tuple[Family, ...]:
+        found = affine(constraint)
+        rows = self._placed(name, found)
+        letters = tuple(dict.fromkeys(x.name() for x in constraint.variables()))
+        letters += tuple(each for each in self.columns if each.startswith(f"{name} "))
+        if isinstance(constraint, cp.SOC):
+            return (Family(name, rows, CONE, (3, found.cones), letters),)
+        total = rows.shape[0]
+        equal, most = np.arange(found.equalities), np.arange(found.equalities, total)
+        if not len(most) or not len(equal):
+            kind = MOST if len(most) else EQUAL
+            shape = constraint.shape if constraint.size == total else (total,)
+            return (Family(name, rows, kind, tuple(shape), letters),)
+        return (
+            Family(name, rows.taken(equal), EQUAL, (len(equal),), letters),
+            Family(name, rows.taken(most), MOST, (len(most),), letters),
+        )
+
+    def _placed(self, name: str, found: Affine) -> Linear:
+        """A compiled part on the columns and parameters of all of them."""
+        columns = np.full(found.rows.shape[1] + 1, -1, dtype=np.int64)
+        letters = self.statement.letters
+        ids = {x.id: key for key, x in letters.items()}
+        for own, first in found.first.items():
+            if own in ids:
+                size = letters[ids[own]].size
+                columns[first : first + size] = self.columns[ids[own]].ravel(order="F")
+        new = np.flatnonzero(columns[:-1] < 0)
+        if len(new):
+            columns[new] = self.size + np.arange(len(new))
+            self._add_letter(f"{name} own", (len(new),), found.lower[new], found.upper[new], False)
+        columns[-1] = self.size
+        places = np.full(found.width, self.width - 1, dtype=np.int64)
+        for parameter, first in found.parameters:
+            at = self._parameters[parameter.id]
+            places[first : first + parameter.size] = at + np.arange(parameter.size)
+        by = found.rows.by.tocoo()
+        moved = sp.csr_array((by.data, (by.row, places[by.col])), shape=(by.shape[0], self.width))
+        shape = (found.rows.shape[0], self.size)
+        return Linear(found.rows.row, columns[found.rows.column], moved, shape)
+
+    def used(self, name: str, rows: Linear) -> bool:
+        """Whether any of the rows uses a letter."""
+        return bool(np.isin(rows.column, self.columns[name]).any())
+
+    def term(self, name: str) -> Family:
+        """A linear term of the objective as one row; its limit is what it has besides, negative."""
+        if name not in self._terms:
+            term = self.statement.terms[name]
+            rows = self._placed(name, affine(term == 0.0))
+            letters = tuple(dict.fromkeys(x.name() for x in term.variables()))
+            self._terms[name] = Family(name, rows, EQUAL, (1,), letters)
+        return self._terms[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What a method takes of the statement.
+
+    A selection is made by steps, each of which gives another one.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The compiled statement.
+    parts : tuple of Family
+        Rows, sums of rows among them, in the solver's order but for their kind.
+    terms : tuple
+        Terms, one row each, with their factors.
+    maximises : bool
+        Whether the sum of the terms is maximised.
+    held : mapping
+        Values of the letters that are constants.
+    relaxed : mapping
+        Limits of letters that are no whole numbers here.
+    squares : mapping
+        Weight of the square of each entry, by letters; they are minimised.
+    order : tuple of str
+        Letters that come before the others.
+    """
+
+    sheet: Sheet
+    parts: tuple[Family, ...] = ()
+    terms: tuple[tuple[Family, float], ...] = ()
+    maximises: bool = False
+    held: Mapping[str, float] = field(default_factory=dict)
+    relaxed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    squares: Mapping[str, Floats] = field(default_factory=dict)
+    order: tuple[str, ...] = ()
+
+    def keep(self, *names: str) -> Selection:
+        """The same with all rows of some families."""
+        more = [part for name in names for part in self.sheet.parts(name)]
+        return replace(self, parts=(*self.parts, *more))
+
+    def combine(
+        self, name: str, R: Any, kind: str, shape: tuple[int, ...], as_: str = ""
+    ) -> Selection:
+        """The same with combinations of a family's rows."""
+        family = self.sheet.family(name)
+        rows = family.rows.times(R)
+        letters = tuple(each for each in family.letters if self.sheet.used(each, rows))
+        part = Family(as_ or name, rows, kind, shape, letters)
+        return replace(self, parts=(*self.parts, part))
+
+    def scale(self, name: str, factor: float) -> Selection:
+        """The same with a family's rows multiplied, to have them met as sharply as others."""
+        family = self.sheet.family(name)
+        count = family.rows.shape[0]
+        return self.combine(name, factor * sp.eye_array(count), family.kind, family.shape)
+
+    def limit(self, name: str, sums: Mapping[str, float]) -> Selection:
+        """The same with rows that limit a sum of letters from above; a window writes the limits."""
+        sheet = self.sheet
+        columns = [_flat(sheet.columns[letter]) for letter in sums]
+        count = len(columns[0])
+        values = np.repeat(list(sums.values()), count)
+        places = np.tile(np.arange(count), len(columns)), np.concatenate(columns)
+        matrix = sp.coo_array((values, places), shape=(count, sheet.size))
+        rows = Linear.constant(matrix, np.zeros(count), sheet.width)
+        shape = sheet.columns[next(iter(sums))].shape
+        return replace(self, parts=(*self.parts, Family(name, rows, MOST, shape, tuple(sums))))
+
+    def limit_term(self, name: str) -> Selection:
+        """The same with a row that limits a term from above; a window writes the limit."""
+        part = replace(self.sheet.term(name), kind=MOST)
+        return replace(self, parts=(*self.parts, part))
+
+    def polygon(self, name: str, polygon: Polygon, of_size: bool = False) -> Selection:
+        """The same with polygons for a family of discs, a block of rows for each angle.
+
+        Those of exclusive modes may stand for the size of the battery's power, which is the sum of
+        charging and discharging: then half of the sides say what all of them do.
+        """
+        _, cones = self.sheet.family(name).shape
+        sides = len(polygon.angles)
+        W = self.sheet.n_steps
+        item, angle, t = (
+            each.ravel() for each in np.indices((cones // max(W, 1), sides, W), dtype=np.int64)
+        )
+        first = 3 * (item * W + t)
+        columns = np.stack([first, first + 1, first + 2], axis=-1)
+        values = np.stack(
+            [
+                np.full(len(first), polygon.reach),
+                -np.cos(polygon.angles)[angle],
+                -np.sin(polygon.angles)[angle],
+            ],
+            axis=-1,
+        )
+        begins = 3 * np.arange(len(first) + 1)
+        R = sp.csr_array((values.ravel(), columns.ravel(), begins), shape=(len(first), 3 * cones))
+        found = self.combine(name, R, MOST, (sides * W, cones // max(W, 1)))
+        if not of_size:
+            return found
+        *others, part = found.parts
+        turned = np.ones(part.rows.shape[1] + 1)
+        turned[_flat(self.sheet.columns["P_dch"])] = -1.0
+        count = part.rows.shape[0]
+        rows = part.rows.times(sp.eye_array(count), sp.csr_array(sp.diags_array(turned)))
+        return replace(self, parts=(*others, replace(part, rows=rows)))
+
+    def hold(self, name: str, value: float) -> Selection:
+        """The same with a letter held at a value."""
+        return replace(self, held={**self.held, name: value})
+
+    def relax(self, name: str, lower: float = -np.inf, upper: float = np.inf) -> Selection:
+        """The same with a letter that is no whole number, within other limits."""
+        return replace(self, relaxed={**self.relaxed, name: (lower, upper)})
+
+    def optimise(self, maximises: bool = False, **terms: float) -> Selection:
+        """The same with factors of the terms that there are; others are left out."""
+        there = [(n, f) for n, f in terms.items() if n in self.sheet.statement.terms]
+        found = tuple((self.sheet.term(name), factor) for name, factor in there)
+        return replace(self, terms=found, maximises=maximises)
+
+    @cached_property
+    def letters(self) -> list[str]:
+        """Letters with columns, in the order of their use by terms and rows."""
+        used = [name for term, _ in self.terms for name in term.letters]
+        rows = [name for part in self.parts for name in part.letters]
+        inside = {*self.squares, *used, *rows}
+        first = (name for name in self.order if name in inside)
+        used = [*self.squares, *first, *used, *rows]
+        there = [name for name in dict.fromkeys(used) if self.sheet.columns[name].size]
+        return [name for name in there if name not in self.held]
+
+
+class Selected:
+    """A selection as a problem: what of it stays the same, and how its numbers are written.
+
+    It is asked like :class:`vppres.solve.compiled.Compiled`, and composed when it is asked for the
+    first time.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The compiled statement.
+    select : callable
+        What it takes of the statement; called when the problem is composed.
+    conic : bool
+        Whether limits of columns are rows, for a solver that knows no others.
+    without : set of str
+        Letters that it has not, to know how large it is before it is composed.
+    """
+
+    def __init__(
+        self,
+        sheet: Sheet,
+        select: Callable[[Sheet], Selection],
+        conic: bool = False,
+        without: Set[str] = frozenset(),
+    ) -> None:
+        self.sheet = sheet
+        self.conic = conic
+        self.without = without
+        self._select = select
+        self.values = np.zeros(0)
+        self.value: float = np.nan
+        self.duals = np.zeros(0)
+        self.limits: dict[str, Floats | float] = {}
+        self.extras = 0
+        self.is_compiled = False
+        self._numbers: Numbers | None = None
+
+    # What of it stays the same.
+
+    @cached_property
+    def selection(self) -> Selection:
+        """What it takes of the statement."""
+        return self._select(self.sheet)
+
+    @property
+    def statement(self) -> Statement:
+        """The statement that it is a selection of."""
+        return self.sheet.statement
+
+    @property
+    def maximises(self) -> bool:
+        """Whether its objective is maximised."""
+        return self.selection.maximises
+
+    def compile(self) -> None:
+        """Compose it, if it is not yet."""
+        if self.is_compiled:
+            return
+        self.is_compiled = True
+        selection = self.selection
+        ranked = {kind: [p for p in selection.parts if p.kind == kind] for kind in (EQUAL, MOST)}
+        cones = [part for part in selection.parts if part.kind == CONE]
+        self._keep_columns()
+        bounds = [self._bound_rows()] if self.conic else []
+        T = self._selector()
+        self.parts = [*ranked[EQUAL], *bounds, *ranked[MOST], *cones]
+        stacked = [self._ready(part) for part in self.parts]
+        rows = Linear.stacked(stacked).times(sp.eye_array(sum(r.shape[0] for r in stacked)), T)
+        zero = sum(part.rows.shape[0] for part in ranked[EQUAL])
+        discs = [3] * sum(part.shape[1] for part in cones)
+        self.dims = Dims(zero, rows.shape[0] - zero - 3 * len(discs), discs)
+        self._keep_rows(rows)
+        ends = np.cumsum([part.rows.shape[0] for part in self.parts])
+        self.rows_of = {
+            part.name: slice(int(end) - part.rows.shape[0], int(end))
+            for part, end in zip(self.parts, ends, strict=True)
+        }
+        self.factors = {term.name: factor for term, factor in selection.terms}
+        one = sp.csr_array(np.ones((1, 1)))
+        self._terms = {term.name: self._ready(term).times(one, T) for term, _ in selection.terms}
+
+    def _ready(self, part: Family) -> Linear:
+        """Rows on all columns and on all that a window writes."""
+        return part.rows.wider(self.sheet.size).written(self.sheet.width + self.extras)
+
+    def _keep_columns(self) -> None:
+        """Letters in the solver's order, with their limits and which are whole numbers."""
+        sheet = self.sheet
+        selection = self.selection
+        letters = selection.letters
+        if self.conic:
+            # Limits are the first rows, and so their letters come before the others.
+            in_terms = {name for term, _ in selection.terms for name in term.letters}
+            first = [n for n in letters if n in in_terms or n in selection.squares]
+            limited = [n for n in letters if n not in first and np.isfinite(self._low(n)).any()]
+            free = [n for n in letters if n not in first and n not in limited]
+            letters = [*first, *limited, *free]
+        places = [sheet.columns[name] for name in letters]
+        self._global = np.concatenate([np.zeros(0, dtype=np.int64), *(_flat(p) for p in places)])
+        starts = np.cumsum([0, *(place.size for place in places)])
+        self.first = {name: int(at) for name, at in zip(letters, starts, strict=False)}
+        lower, upper = ([self._limits(name)[k] for name in letters] for k in (0, 1))
+        self.x_lower = np.concatenate([np.zeros(0), *lower])
+        self.x_upper = np.concatenate([np.zeros(0), *upper])
+        self.binaries = [n for n in letters if sheet.whole[n] and n not in selection.relaxed]
+        whole = self.binaries
+        self.whole = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(_flat(self.at(name)) for name in whole)]
+        )
+
+    def _low(self, name: str) -> Floats:
+        return self._limits(name)[0]
+
+    def _limits(self, name: str) -> tuple[Floats, Floats]:
+        """Limits of a letter's columns."""
+        columns = _flat(self.sheet.columns[name])
+        if name in self.selection.relaxed:
+            low, high = self.selection.relaxed[name]
+            return np.full(len(columns), low), np.full(len(columns), high)
+        return self.sheet.lower[columns], self.sheet.upper[columns]
+
+    def _selector(self) -> sp.csr_array:
+        """From all columns, and the limits behind them, to those of the problem."""
+        size = len(self._global)
+        rows, columns, values = [self._global], [np.arange(size)], [np.ones(size)]
+        for name, value in self.selection.held.items():
+            held = _flat(self.sheet.columns[name])
+            # A constant goes from the left of a row to its limit.
+            rows.append(held)
+            columns.append(np.full(len(held), size))
+            values.append(np.full(len(held), -value))
+        rows.append(np.array([self.sheet.size]))
+        columns.append(np.array([size]))
+        values.append(np.ones(1))
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        return sp.csr_array(entries, shape=(self.sheet.size + 1, size + 1))
+
+    def _bound_rows(self) -> Family:
+        """Limits of columns as rows, letter by letter."""
+        columns, signs, limits = [], [], []
+        for name in self.selection.letters:
+            place = _flat(self.sheet.columns[name])
+            for sign, limit in zip((-1.0, 1.0), self._limits(name), strict=True):
+                there = np.isfinite(limit)
+                columns.append(place[there])
+                signs.append(np.full(there.sum(), sign))
+                limits.append(sign * limit[there])
+        column = np.concatenate(columns)
+        size = self.sheet.size
+        entries = (np.concatenate(signs), (np.arange(len(column)), column))
+        matrix = sp.coo_array(entries, shape=(len(column), size))
+        rows = Linear.constant(matrix, np.concatenate(limits), self.sheet.width)
+        return Family("limits of columns", rows, MOST, (len(column),), ())
+
+    def _keep_rows(self, rows: Linear) -> None:
+        """The pattern of the rows, and the map from parameters to their numbers."""
+        count, size = rows.shape
+        inside = rows.column < size
+        self._entries = sp.csr_array(rows.by[inside])
+        begins = np.searchsorted(rows.column[inside], np.arange(size + 1)).astype(np.int32)
+        places = rows.row[inside].astype(np.int32)
+        self._pattern = sp.csc_array((np.ones(len(places)), places, begins), shape=(count, size))
+        self._limited = rows.row[~inside]
+        self._limits_by = sp.csr_array(rows.by[~inside])
+
+    @property
+    def entries(self) -> int:
+        """Numbers that it has as columns and in rows, before it is composed."""
+        statement = self.sheet.statement
+        used = [{x.name() for x in c.variables()} for c in statement.families.values()]
+        rows = zip(statement.families.values(), used, strict=True)
+        own = sum(int(c.size) for c, letters in rows if not letters & self.without)
+        kept = (x for name, x in statement.letters.items() if name not in self.without)
+        return own + sum(int(x.size) for x in kept)
+
+    def row_lower(self, limit: Floats) -> Floats:
+        """Lower ends of the rows of a problem without cones, (m,): its equalities come first."""
+        lower = np.full(len(limit), -np.inf)
+        lower[: self.dims.zero] = limit[: self.dims.zero]
+        return lower
+
+    # What a window writes.
+
+    def fill(self, data: WindowData, served: Flags | None = None) -> None:
+        """Write a window's data; with service held at 1, that of a served set."""
+        self.values = self.statement.write(data, served)
+
+    def numbers(self) -> Numbers:
+        """The numbers of the window that was written last.
+
+        Raises
+        ------
+        NumericalError
+            If they are no numbers.
+        """
+        self.compile()
+        rows = copy(self._pattern)
+        rows.data = self._entries @ self.values
+        limit = np.zeros(rows.shape[0])
+        limit[self._limited] = self._limits_by @ self.values
+        for name, value in self.limits.items():
+            if name in self.rows_of:
+                limit[self.rows_of[name]] += np.ravel(value, order="F")
+        cost = np.zeros(rows.shape[1])
+        offset = 0.0
+        sign = -1.0 if self.maximises else 1.0
+        for name, term in self._terms.items():
+            entries = sign * self.factors[name] * (term.by @ self.values)
+            inside = term.column < len(cost)
+            cost[term.column[inside]] += entries[inside]
+            offset -= float(np.sum(entries[~inside]))
+        self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
+        return self._numbers
+
+    @cached_property
+    def _squares(self) -> sp.csc_array:
+        """Twice the weights of squares, by columns."""
+        weights = np.zeros(len(self._global))
+        for name, weight in self.selection.squares.items():
+            weights[self.at(name)] = 2.0 * weight
+        diagonal = sp.csc_array(sp.diags_array(weights))
+        diagonal.eliminate_zeros()
+        return diagonal
+
+    # What a solution says.
+
+    def at(self, name: str) -> Wholes:
+        """Columns of a letter in its shape."""
+        shape = self.sheet.columns[name].shape
+        size = int(np.prod(shape))
+        first = self.first[name] if size else 0
+        return first + np.arange(size).reshape(shape, order="F")
+
+    def value_of(self, name: str) -> Floats:
+        """Values of a letter in the last solution, in its shape."""
+        return np.asarray(self.statement.letters[name].value)
+
+    def dispatch(self, served: Flags | None = None) -> Dispatch:
+        """The last solution, of a served set if service is held."""
+        return self.statement.dispatch(served)
+
+    def both_ways_kw(self) -> Floats:
+        """What the last solution imports and exports at the same time, (W,)."""
+        imported = np.maximum(self.value_of("P_grid"), 0.0)
+        if "P_out" not in self.first:
+            return np.zeros_like(imported)
+        exported = self.value_of("P_out")
+        return np.minimum(imported, np.where(exported < NOISE_KW, 0.0, exported))
+
+    def put(self, x: Floats) -> None:
+        """Give the statement's letters, and the problem, the values of a solution."""
+        n = self._numbers
+        assert n is not None
+        least = float(n.cost @ x + n.squares.diagonal() @ (x * x) / 2.0) + n.offset
+        self.value = -least if self.maximises else least
+        letters = self.statement.letters
+        self.x = x
+        values = {}
+        for name in letters:
+            shape = letters[name].shape
+            if name in self.first:
+                value = x[self.at(name)]
+                low, high = (limit.reshape(shape, order="F") for limit in self._limits(name))
+                value = np.clip(value, low, high)
+                if self.sheet.whole[name] and name not in self.selection.relaxed:
+                    value = np.round(value)
+            else:
+                value = np.full(shape, self.selection.held.get(name, np.nan))
+            values[name] = value
+        self.statement.put(values)
+
+
+@dataclass(frozen=True)
+class Dims:
+    """Rows of each kind: equalities, limits, and the sizes of second-order cones."""
+
+    zero: int
+    nonneg: int
+    soc: list[int]
+
+
+def _flat(columns: Wholes) -> Wholes:
+    """Columns in cvxpy's order."""
+    return np.ravel(columns, order="F")
+
+
+def _bounds(x: cp.Variable) -> tuple[Floats, Floats]:
+    """Limits of a variable's entries by its attributes."""
+    lower = np.full(x.size, -np.inf)
+    upper = np.full(x.size, np.inf)
+    if x.attributes["nonneg"] or x.attributes["boolean"]:
+        lower[:] = 0.0
+    if x.attributes["boolean"]:
+        upper[:] = 1.0
+    if x.attributes["bounds"]:
+        low, high = (np.broadcast_to(each, x.shape) for each in x.attributes["bounds"])
+        lower, upper = low.ravel(order="F").astype(float), high.ravel(order="F").astype(float)
+    return lower, upper
+
+
+def _is_whole(x: cp.Variable) -> bool:
+    """Whether a variable's entries are whole numbers."""
+    return bool(x.attributes["boolean"] or x.attributes["integer"])

@@ -1,0 +1,275 @@
+"""The last level: least f4 and f5 with service, battery modes, cost and curtailment held.
+
+No row of the statement is left out: what service and modes decide is put in as numbers. One signed
+power stands for a battery's charge, discharge and mode, self-consumption is data, and where nothing
+is curtailed PV export is data too, so that a PV inverter's disc leaves a plain interval.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.beyond_paper.export import exporting_steps
+from vppres.model.data import WindowData
+from vppres.model.numerics import disc_sides
+from vppres.model.polygons import Polygon
+from vppres.model.site import Site
+from vppres.solve.compiled import Numbers
+from vppres.solve.forms import DISCS, in_order
+from vppres.solve.lumping import eliminated
+from vppres.solve.selection import Selected, Selection, Sheet
+
+SHARPER_VOLTAGE = 1e2
+SHARPER_ENERGY = 1e4
+"""Factors on both sides of rows in pu² and in shares of a capacity. An interior-point solver allows
+residuals in proportion to the largest value of the solution, thousands of kW here; what is a
+fraction of one needs smaller units to be met as sharply."""
+
+KEPT_TOLERANCE = 1e-6
+"""Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
+
+OF_PV = ("pv_balance", "pv_self_consumption")
+"""Families that say what PV systems export, with service known."""
+
+BY_DATA = ("battery_charge_mode", "battery_discharge_mode", *OF_PV)
+"""Families that hold by what is put in."""
+
+SHARPER = {
+    "delta_lindistflow": SHARPER_VOLTAGE,
+    "battery_soc_start": SHARPER_ENERGY,
+    "battery_soc_dynamics": SHARPER_ENERGY,
+    "battery_soc_min": SHARPER_ENERGY,
+    "battery_soc_max": SHARPER_ENERGY,
+}
+
+
+class TieBreakers(Selected):
+    """Tie-breakers over W steps; feasible exactly if the held values can be had in the network.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    sheet : Sheet
+        The compiled statement.
+    curtailing : bool
+        Whether PV power may be curtailed, up to the held sum.
+    moves : bool
+        Whether batteries are to stay near the previous plan.
+    """
+
+    def __init__(self, site: Site, sheet: Sheet, curtailing: bool, moves: bool) -> None:
+        super().__init__(sheet, self._selected, conic=True)
+        self.site = site
+        self.curtailing = curtailing
+        self.moves = moves and len(site.batteries) > 0
+
+    def _selected(self, sheet: Sheet) -> Selection:
+        """All families, scaled, with the limits that are written with a window."""
+        site = self.site
+        valued = "kept" in sheet.statement.letters
+        out = {*BY_DATA, *sheet.statement.rules, *(("value_at_end",) if valued else ())}
+        found = Selection(sheet).hold("x_served", 1.0)
+        if "z_cold" in sheet.statement.letters:
+            found = found.hold("z_cold", 0.0)
+        if valued:
+            # The energy that a dispatch keeps is held, and its value has no part in the cost.
+            found = found.hold("kept", 0.0)
+        sides = disc_sides(site, sheet.n_steps)
+        for name in sorted(in_order(sheet), key=_rank):
+            if name in DISCS:
+                found = self._disc(found, name, sides)
+            elif name in SHARPER:
+                found = found.scale(name, SHARPER[name])
+            elif name not in out:
+                found = found.keep(name)
+        if self.curtailing:
+            found = found.limit("pv_export", {"P_exp": -1.0})
+        else:
+            found = found.hold("P_curt", 0.0)
+        found = found.limit("battery_power_min", {"P_ch": -1.0, "P_dch": 1.0})
+        found = found.limit("battery_power_max", {"P_ch": 1.0, "P_dch": -1.0})
+        if valued:
+            found = found.limit("energy_held", {"E_stored": -1.0})
+        found = found.limit_term("f2").limit_term("f3")
+        for name in ("P_ch", "P_dch", "delta", "importing"):
+            if name in sheet.columns:
+                found = found.relax(name)  # their limits hold by what is put in
+        parts = found.parts
+        if len(site.pv):
+            by = [sheet.family(name) for name in OF_PV]
+            parts = tuple(eliminated(sheet, parts, ("P_self", "P_exp"), by))
+        order = ("P_grid", "P_curt")
+        return replace(found, parts=parts, squares=self._squares_of(), order=order)
+
+    def _disc(self, found: Selection, name: str, sides: int) -> Selection:
+        """Discs, or polygons for large windows; what data leaves of a disc is an interval."""
+        if name == "pv_inverter_capacity" and not self.curtailing:
+            found = found.limit("pv_reactive_min", {"Q_pv": -1.0})
+            return found.limit("pv_reactive_max", {"Q_pv": 1.0})
+        if not sides:
+            return found.keep(name)
+        polygon = Polygon.inscribed(sides)
+        if name == "battery_inverter_capacity":
+            return found.polygon(name, polygon.right_half, of_size=True)
+        return found.polygon(name, polygon)
+
+    def _squares_of(self) -> dict[str, Floats]:
+        """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
+        site = self.site
+        w = site.weights
+        heaviest = max(w.lambda_l, w.lambda_q) or 1.0
+        scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
+        of_flows = scale * w.lambda_l * site.network.r_ohm
+        return {
+            "P_flow": of_flows,
+            "Q_flow": of_flows,
+            "Q_pv": scale * w.lambda_q * site.pv.s_max_kva**-2.0,
+            "Q_batt": scale * w.lambda_q * site.batteries.s_max_kva**-2.0,
+        }
+
+    # What a window writes.
+
+    def hold(self, data: WindowData, dispatch: Dispatch, f2_gbp: float, f3_kwh: float) -> None:
+        """Write a window's data, and what is held of a dispatch."""
+        self.fill(data, dispatch.served)
+        site = self.site
+        b = site.batteries
+        charging = charging_modes(dispatch)
+        most_kw = np.broadcast_to(b.active_max_kw, charging.shape)
+        left_kvar = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
+        kept_kwh = float(dispatch.soc[-1] @ b.energy_kwh - KEPT_TOLERANCE * b.energy_kwh.sum())
+        self._own_kw = data.self_limit_kw(site) * dispatch.served[:, site.owner]
+        self._pv_kw = data.pv_kw
+        self._charging = charging
+        self.limits = {
+            "battery_power_min": np.where(charging, 0.0, most_kw),
+            "battery_power_max": np.where(charging, most_kw, 0.0),
+            "pv_export": 0.0,
+            "pv_reactive_min": left_kvar,
+            "pv_reactive_max": left_kvar,
+            "energy_held": -kept_kwh,
+            "f2": f2_gbp,
+            "f3": f3_kwh,
+        }
+        self._constants: dict[str, Floats] = {
+            "delta": charging.astype(float),
+            "importing": np.where(exporting_steps(dispatch), 0.0, 1.0),
+        }
+        self._near = None
+        if self.moves and data.moves is not None:
+            self._near = data.moves.targets(b.p_max_kw)
+
+    def numbers(self) -> Numbers:
+        """The numbers with what is held put in, and one signed power for each battery.
+
+        Its column has the factors of charging or, negative, of discharging, whichever is the mode.
+        """
+        n = super().numbers()
+        charges = np.zeros(len(self.x_lower))
+        if "P_ch" in self.first:
+            charges[self.at("P_ch")] = self._charging
+            charges[self.at("P_dch")] = self._charging - 1.0
+        weight = np.where(self._turned, charges, 1.0)
+        entries = (weight[self._column] * n.rows.data)[self._stays]
+        places, number = self._places
+        rows = copy(places)
+        rows.data = np.bincount(number, entries, minlength=places.nnz)
+        diagonal = n.squares.diagonal()[self._y]
+        cost = np.zeros(len(diagonal))
+        if self._near is not None:
+            # The squared distance (factor P_batt - value)**2 from the previous plan.
+            factor, value = self._near
+            P_batt = (np.cumsum(self._y) - 1)[self.at("P_ch")]
+            diagonal[P_batt] += 2.0 * factor**2
+            cost[P_batt] -= 2.0 * factor * value
+        squares = sp.csc_array(sp.diags_array(diagonal))
+        squares.eliminate_zeros()
+        limit = n.limit - n.rows @ self._held_columns()
+        return Numbers(squares, cost, n.offset, rows, limit)
+
+    def _held_columns(self) -> Floats:
+        """Values of the columns that are held, 0 of the others."""
+        found = np.zeros(len(self.x_lower))
+        for name, value in self._constants.items():
+            if name in self.first:
+                found[self.at(name)] = value
+        return found
+
+    @cached_property
+    def _turned(self) -> Flags:
+        """Columns that a battery's signed power stands for."""
+        found = np.zeros(len(self.x_lower), dtype=bool)
+        for name in ("P_ch", "P_dch"):
+            if name in self.first:
+                found[self.at(name)] = True
+        return found
+
+    @cached_property
+    def _y(self) -> Flags:
+        """Columns of the problem that is solved, a battery's power in that of its charging."""
+        found = np.ones(len(self.x_lower), dtype=bool)
+        for name in ("P_dch", *self._constants):
+            if name in self.first:
+                found[self.at(name)] = False
+        return found
+
+    @cached_property
+    def _column(self) -> Wholes:
+        """Column of each entry."""
+        return np.repeat(np.arange(len(self.x_lower)), np.diff(self._pattern.indptr))
+
+    @cached_property
+    def _stays(self) -> Flags:
+        """Entries that are not of a column that is held."""
+        stays = self._y.copy()
+        stays[self._turned] = True
+        return stays[self._column]
+
+    @cached_property
+    def _places(self) -> tuple[sp.csc_array, Wholes]:
+        """The pattern that is left, and the place of each entry in it."""
+        shown = np.cumsum(self._y) - 1
+        if "P_ch" in self.first:
+            shown[self.at("P_dch")] = shown[self.at("P_ch")]
+        count = self._pattern.shape[0]
+        column = shown[self._column[self._stays]].astype(np.int64)
+        places, number = np.unique(
+            column * count + self._pattern.indices[self._stays], return_inverse=True
+        )
+        size = int(self._y.sum())
+        begins = np.searchsorted(places, count * np.arange(size + 1))
+        pattern = (np.ones(len(places)), places % count, begins)
+        return sp.csc_array(pattern, shape=(count, size)), number
+
+    def put(self, x: Floats) -> None:
+        """Give the statement's letters the values of a solution, exactly in its modes."""
+        found = self._held_columns()
+        found[self._y] = x
+        if "P_ch" in self.first:
+            P_batt = found[self.at("P_ch")]
+            found[self.at("P_ch")] = np.where(self._charging, P_batt, 0.0)
+            found[self.at("P_dch")] = np.where(self._charging, 0.0, -P_batt)
+        super().put(found)
+        P_exp = self._pv_kw - self._own_kw - self.value_of("P_curt")
+        self.statement.put({"P_self": self._own_kw, "P_exp": P_exp})
+
+
+def _rank(name: str) -> int:
+    """Balances and voltages come before the discs, and stored energy after them."""
+    last = ("battery_soc_start", "battery_soc_dynamics", "battery_soc_min", "battery_soc_max")
+    return 2 if name in last else 1 if name in DISCS else 0
+
+
+def charging_modes(dispatch: Dispatch) -> Flags:
+    """Mode of every battery and step; an idle battery takes the fleet's."""
+    net: Floats = dispatch.charge_kw - dispatch.discharge_kw
+    fleet = net.sum(axis=1, keepdims=True) >= 0
+    return np.where(np.abs(net) > 1e-6, net > 0, fleet)
