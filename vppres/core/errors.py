@@ -59,6 +59,11 @@ class Problem:
         return visible(brief(f"{place}: {self.message}{more}. {self.cure}"))
 
 
+def first_line(error: BaseException) -> str:
+    """What an exception says in a line; its name if it says nothing."""
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
 class VppresError(Exception):
     """Base of all errors that vppres raises on purpose."""
 

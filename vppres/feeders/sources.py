@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, get_args
 
-from vppres.core.errors import InputError, VppresError
+from vppres.core.errors import InputError, VppresError, first_line
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
@@ -126,7 +126,7 @@ def _to_blame(path: Path, what: str) -> Iterator[None]:
     except VppresError:
         raise
     except Exception as error:
-        raise _unreadable(path, what, str(error) or type(error).__name__) from error
+        raise _unreadable(path, what, first_line(error)) from error
 
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, first_line
 from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_figures
 from vppres.day.run_files import read_run
@@ -58,7 +58,7 @@ def read_finished(folder: Path) -> FinishedRun:
         trajectory = read_run(folder)
     except (ValueError, KeyError) as error:
         raise InputError.of(
-            str(folder), f"cannot be read ({_first_line(error)})", "Run the scenario again."
+            str(folder), f"cannot be read ({first_line(error)})", "Run the scenario again."
         ) from error
     # What was recorded counts, above all the versions that made the run.
     summary = {**summarise(trajectory), **_read_summary(folder / SUMMARY_FILE)}
@@ -117,12 +117,8 @@ def _read_summary(file: Path) -> dict[str, Any]:
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError.of(
-            str(file), f"is not valid JSON ({_first_line(error)})", "Run the scenario again."
+            str(file), f"is not valid JSON ({first_line(error)})", "Run the scenario again."
         ) from error
     if not isinstance(summary, dict):
         raise InputError.of(str(file), "is not a table of figures", _CURE)
     return summary
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 
 import joblib
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError, Problem, first_line
 from vppres.core.parent import end_with, me
 from vppres.day.metrics import versions
 
@@ -135,7 +135,9 @@ def _on_this_machine(
             suspects = suspects[1:]
         except BrokenProcessPool as error:
             if suspects:
-                yield Lost(left.pop(suspects.pop(0)), f"Its process died twice. {_line(error)}")
+                yield Lost(
+                    left.pop(suspects.pop(0)), f"Its process died twice. {first_line(error)}"
+                )
             else:
                 suspects = list(left)[: 2 * processes]
 
@@ -212,7 +214,9 @@ def _on_cluster(
                     if error is None:
                         yield Done(job, futures[key].result())
                     else:
-                        yield Lost(job, f"Its worker died each time, alone too. {_line(error)}")
+                        yield Lost(
+                            job, f"Its worker died each time, alone too. {first_line(error)}"
+                        )
         finally:
             client.cancel(list(futures.values()))
 
@@ -255,7 +259,7 @@ def _client(scheduler: str) -> Iterator[Any]:
             _problem(
                 "scheduler",
                 scheduler,
-                f"cannot be reached ({_line(error)})",
+                f"cannot be reached ({first_line(error)})",
                 "Give the address that `dask scheduler` prints (tcp://host:8786), or its "
                 "--scheduler-file.",
             )
@@ -354,8 +358,3 @@ def _other_versions(worker: str, odd: Sequence[str]) -> Problem:
 
 def _problem(field: str, value: str | None, what: str, cure: str) -> Problem:
     return Problem("cluster", what, cure, field=field, value=value)
-
-
-def _line(error: BaseException) -> str:
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
