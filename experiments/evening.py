@@ -1,9 +1,9 @@
 """One evening against a service of its own: what a control room does and meets, minute by minute.
 
 ``python -m experiments.evening`` reads a state of charge 13 minutes before a step and loses the
-grid 13 minutes after it; a battery rejects its set-point, the operator takes over by hand, the
-service ends and starts again, and the grid comes back. It prints what is ordered after each, how
-long that took in real time, and what is wrong.
+grid 13 minutes after it; a battery rejects its set-point, which is an alarm that the operator
+acknowledges before taking over by hand; the service ends and starts again, and the grid comes
+back. It prints what is ordered after each, how long that took in real time, and what is wrong.
 """
 
 from __future__ import annotations
@@ -147,6 +147,11 @@ class Evening:
             expect("the gate held back what was decided on another state of charge")
         return found
 
+    def alarms(self, kind: str) -> list[dict[str, Any]]:
+        """Alarms of a kind that stand."""
+        every = self.client.wanted("GET", "/v1/alarms").body["alarms"]
+        return [one for one in every if one["kind"] == kind and one["cleared_at"] is None]
+
     def until_manual(self) -> Iterator[Moment]:
         """Up to the end of the service."""
         first = critical(self.scenario)
@@ -173,6 +178,11 @@ class Evening:
         )
         if f"battery {busy['asset']} is out" not in refused.plan["estimated"]:
             refused.wrong.append("the battery is still in the plan")
+        raised = [a for a in self.alarms("setpoint_rejected") if a["subject"] == busy["asset"]]
+        if not raised:
+            refused.wrong.append("the battery is no alarm")
+        for alarm in raised:
+            self.client.wanted("POST", f"/v1/alarms/{alarm['id']}/acknowledge")
         yield refused
         self.at(35)
         name = min(first - set(off_in(refused.plan)), default=min(first))
@@ -195,10 +205,15 @@ class Evening:
         )
         if auto.plan["grid"]["available"]:
             auto.wrong.append("the plan counts on the grid")
+        if [a["state"] for a in self.alarms("setpoint_rejected")] != ["acknowledged"]:
+            auto.wrong.append("the alarm of the battery has not lasted over the restart")
         yield auto
         now = self.at(60)
         self.stored(0.4, now - pd.Timedelta("4min"))
-        yield self.decided("next step, read 40% 4 min before")
+        told = self.decided("next step, read 40% 4 min before")
+        if self.alarms("setpoint_rejected"):
+            told.wrong.append("the battery was heard and is an alarm still")
+        yield told
         back = self.at(80)
         light = self.anew("grid back", lambda: self.read("grid_on", {"grid": 1.0}, back))
         if off_in(light.plan):

@@ -7,8 +7,8 @@ second, announced or not. Every plan is judged by what was readable when it was 
 
 - nobody of the first tier is off who need not be, by a solution that puts the first tier before
   everything else (``experiments/shedding.py``);
-- while somebody of the first tier is off, no state of charge is taken to be below a reading that
-  has just arrived, unless the plan says why it is not believed;
+- while somebody of the first tier is off, no state of charge is taken to be below a reading of this
+  quarter less what the battery can have given since, unless the plan says so;
 - no battery is to give more than such a reading leaves it.
 """
 
@@ -314,19 +314,17 @@ class Player:
                 self.found.avoidable.append(f"{when}: {asdict(shed)}")
         guard = self.runner._controller._decider
         assert isinstance(guard, GuardedController) and guard.known is not None
-        taken = dict(
-            zip(map(str, self.come.batteries.id), guard.known.observation.soc, strict=True)
-        )
-        online = dict(zip(map(str, self.come.batteries.id), guard.known.online, strict=True))
-        for name, soc in self._fresh.items():
-            said = any(
-                f"soc {name} " in words or f"battery {name} " in words
-                for words in plan["estimated"]
-            )
-            if not said and (not online[name] or taken[name] < soc - SOC_APART):
-                self.found.disbelieved.append(
-                    f"{when}: {name} {soc:.3f} read, {taken[name]:.3f} taken"
-                )
+        b = self.come.batteries
+        since_h = (pd.Timestamp(when) - pd.Timestamp(when).floor(QUARTER)) / pd.Timedelta("1h")
+        given = SOC_APART + since_h * b.p_max_kw / (b.eta_discharge * b.energy_kwh)
+        for i, name in enumerate(map(str, b.id)):
+            words = " ".join(plan["estimated"])
+            if name not in self._fresh or f"soc {name} " in words or f"battery {name} " in words:
+                continue
+            read, taken = self._fresh[name], float(guard.known.observation.soc[i])
+            if not guard.known.online[i] or taken < read - given[i]:
+                found = f"{when}: {name} {read:.3f} read, {taken:.3f} taken"
+                self.found.disbelieved.append(found)
 
 
 def run_one(seed: int) -> LiveDay:

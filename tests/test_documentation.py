@@ -60,6 +60,7 @@ NOT_RUN = {
     "python -m experiments.hostile": "takes minutes",
     "python -m experiments.polling": "takes a minute",
     "python -m experiments.live_days": "takes minutes",
+    "python -m experiments.random_live_days --days 100": "takes minutes",
     "python -m experiments.evening": "takes minutes",
     "python -m experiments.answers": "takes a minute",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
